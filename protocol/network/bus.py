@@ -17,7 +17,7 @@ import zenoh
 from protocol.admission.gate import Gate, Sample
 from protocol.network.endpoints import Endpoints
 from protocol.network.health import Offset, usage
-from protocol.network.joining import WAITING_S, Expected, Peers, absent, waiting_for
+from protocol.network.joining import ASK_EVERY_S, WAITING_S, Expected, Peers, absent, waiting_for
 from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import RECORDER, WATCHER, Keys
@@ -138,12 +138,12 @@ class Bus:
                 sign_s += WAITING_S
                 on_wait(waiting_for(missing, self.peers.left, deadline - now_s))
             try:
-                at_ns, item = self._inbox.get(
-                    timeout=max(0.0, min(deadline, sign_s, now_s + awaited.update_every_s) - now_s)
-                )
+                wake_s = min(deadline, sign_s, now_s + ASK_EVERY_S) if awaited.has_begun else min(deadline, sign_s)
+                at_ns, item = self._inbox.get(timeout=max(0.0, wake_s - now_s))
             except queue.Empty:
                 if time.monotonic() < deadline:
-                    awaited.update_if_begun()
+                    if awaited.has_begun:
+                        awaited.update()
                     continue
                 called = ", ".join(self._endpoints.connect) or "none: others connect to it"
                 raise BusError(
@@ -163,7 +163,8 @@ class Bus:
             else:
                 early.append((at_ns, item))
                 if isinstance(item, zenoh.Sample) and self._keys.is_ready(str(item.key_expr), COORDINATOR):
-                    awaited.note_begun()
+                    awaited.has_begun = True  # the coordinator is ready once it has seen all processes
+                    awaited.update()
         if self.name != COORDINATOR:
             self.offset = Offset.measured(lambda: self.ask(COORDINATOR, "health", timeout_s=1.0))
         self._declare_token(self._keys.ready(self.name, self.incarnation))

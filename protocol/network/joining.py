@@ -1,6 +1,5 @@
 """Joining a run: the processes that are up, and those a joining process still waits for."""
 
-import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
@@ -12,7 +11,7 @@ from protocol.wire.messages import MessageError, Presence
 from protocol.wire.names import COORDINATOR, PLANT
 
 # How often a process that joins a run that has begun asks for the processes that still take part.
-_ASK_EVERY_S = 0.5
+ASK_EVERY_S = 0.5
 # Interval between two signs of life of a process that waits for others, s.
 WAITING_S = 5.0
 
@@ -103,12 +102,12 @@ class Expected:
     `status` asks it for the status of the run, and returns None without an answer.
 
     Attributes:
-        update_every_s: How often to call `update` while waiting.
+        has_begun: Whether the run has begun: `update` is then to be called every `ASK_EVERY_S`.
     """
 
     def __init__(self, name: str, expected: Collection[str], status: Callable[[], Mapping[str, Any] | None]) -> None:
-        self.update_every_s = math.inf
-        self._name, self._expected, self._status = name, set(expected), status
+        self.has_begun = False
+        self._name, self._names, self._status = name, set(expected) - {name}, status
         self._has_asked = name == COORDINATOR  # it needs no answer
 
     def missing(self, alive: Collection[str]) -> set[str]:
@@ -116,28 +115,17 @@ class Expected:
 
         When all are up, the coordinator is asked once: the run may have begun, and may have observers besides.
         """
-        missing = self._expected - set(alive) - {self._name}
-        if missing or self._has_asked:
-            return missing
-        self._has_asked = True
-        self.update()
-        return self._expected - set(alive) - {self._name}
-
-    def note_begun(self) -> None:
-        """Note that the run has begun: the coordinator is ready, which it is once it has seen all processes."""
-        self.update_every_s = _ASK_EVERY_S
-        self.update()
-
-    def update_if_begun(self) -> None:
-        """Ask the coordinator again if the run has begun; before, it does not answer."""
-        if self.update_every_s < math.inf:
+        if not self._has_asked and self._names <= set(alive):
+            self._has_asked = True
             self.update()
+        return self._names - set(alive)
 
     def update(self) -> None:
         """Ask the coordinator; in a run that has begun wait only for the processes that take part, and observers."""
         status = self._status()
         if status is None or status.get("tick", -1) < 0:
             return
-        self.update_every_s = _ASK_EVERY_S
-        team = {COORDINATOR, PLANT, *(f"agent{agent}" for agent in status["members"])} & self._expected
-        self._expected = team | set(status.get("observers", ()))  # so that the record misses nothing this process sends
+        self.has_begun = True
+        # Observers, so that the record misses nothing this process sends.
+        team = {COORDINATOR, PLANT, *(f"agent{agent}" for agent in status["members"])} & self._names
+        self._names = (team | set(status.get("observers", ()))) - {self._name}

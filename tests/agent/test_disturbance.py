@@ -124,15 +124,6 @@ def test_what_pushes_uavs_up_or_down_is_the_payloads() -> None:
     assert np.abs(np.delete(last, 2)).max() < GAIN_ERROR * 4.0
 
 
-@pytest.mark.parametrize("delay", [1, 3])
-def test_late_measurements(delay: int) -> None:
-    """A delayed measurement gives the same estimate for the period before it."""
-    plant_state = flight(tuple(HEAVY_IN_WIND))
-    on_time, late = estimates(plant_state), estimates(plant_state, lambda k: k + 1, lambda k: k + delay)
-    shifted = late[delay:] - on_time[:-delay]
-    assert np.abs(shifted).max() < GAIN_ERROR * np.abs(HEAVY_IN_WIND).max()
-
-
 @pytest.mark.parametrize(("kept", "found"), [(lambda k: k % 3 != 0, True), (lambda k: k % 2 == 0, False)])
 def test_lost_measurements(kept: Callable[[int], bool], found: bool) -> None:
     """Only a period with measurements at both ends changes the estimate."""

@@ -113,18 +113,6 @@ def test_a_delayed_measurement_is_held_back() -> None:
     assert ages == [-1, -1, 2, 2, 2]
 
 
-def test_a_lost_plan() -> None:
-    """A lost plan is reported once and never used; a duplicated one is delivered twice."""
-    run, node = realtime("links.override=[{from='agent2',loss=1.0},{from='agent3',duplicate=1.0}]")
-    tell(node, [plan(run, agent, 3, delay=1) for agent in OTHERS], START_NS)
-    counts = []
-    for k in (4, 5):
-        tell(node, [measurement(run, 1, k)], START_NS)
-        _, report = answer(node, START_NS)
-        counts.append((report.plan_ages, report.lost, report.delivered))
-    assert counts == [((-1, 1, 1), 1, 3), ((-1, 2, 2), 0, 0)]
-
-
 def test_an_agent_off_the_roster_begins_anew() -> None:
     """A live agent taken off the roster starts anew with a higher incarnation."""
     run, node = realtime("clock.on_agent_loss=continue")

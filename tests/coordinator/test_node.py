@@ -103,25 +103,6 @@ def test_pacing_does_not_drift() -> None:
     assert kinds(node.poll(START_NS + 100 * MS)) == ["tick 2"]
 
 
-def test_wake() -> None:
-    """`wake_ns` is the barrier's end, the next tick's time once all have answered, and None outside a run."""
-    node = coordinator(PACED)
-    assert node.wake_ns is None
-    started(node)
-    assert node.wake_ns == START_NS + BARRIER_NS
-    tell(node, answers(0, (1, 2, 3)), START_NS + 5 * MS)
-    assert node.wake_ns == START_NS + BARRIER_NS
-    tell(node, answers(0, (4,)), START_NS + 6 * MS)
-    assert node.wake_ns == START_NS + 50 * MS
-    node.poll(START_NS + 51 * MS)
-    assert node.wake_ns == START_NS + 51 * MS + BARRIER_NS
-    tell(node, answers(1), START_NS + 120 * MS)
-    tell(node, answers(2), START_NS + 130 * MS)
-    assert node.wake_ns == START_NS + 120 * MS + BARRIER_NS  # only the last plant state is missing
-    tell(node, [plant_state(setup(), 2)], START_NS + 140 * MS)
-    assert node.wake_ns is None
-
-
 def test_polling_at_wake_always_does_something() -> None:
     """Polling at `wake_ns` always returns messages: a loop never spins."""
     node = started(coordinator(PACED, CONTINUE))

@@ -137,17 +137,6 @@ def test_hold() -> None:
     assert only_tick(node.poll(due(2) + 70 * MS)).late_ns == 0
 
 
-def test_hold_does_not_count_against_the_others() -> None:
-    """While a tick waits for one agent, no timeout runs for the others or the plant."""
-    run, node = realtime(HOLD, CONTINUE)
-    waited_ns = due(0) + 20 * MS + BARRIER_NS - MS
-    tell(node, [*answers(run, 0, (1, 2, 3)), plant_state(run, 0)], due(0) + 20 * MS)
-    assert kinds(tell(node, answers(run, 0, (4,)), waited_ns)) == ["tick 1"]
-    assert node.poll(waited_ns + 10 * MS) == ()
-    assert kinds(tell(node, answers(run, 1), waited_ns + 20 * MS)) == []
-    assert kinds(node.poll(waited_ns + PERIOD_NS)) == ["tick 2"]
-
-
 @pytest.mark.parametrize("limit", [0, 1, 3])
 def test_abort_by_count(limit: int) -> None:
     """With "abort" the run ends with exit code 5 when more deadlines are missed than allowed, and names the agents."""

@@ -73,15 +73,6 @@ def test_an_agent_that_leaves_before_it_joined() -> None:
     assert kinds(tell(node, [ready("agent2", 3)])) == ["roster 3", "tick 3"]
 
 
-def test_a_restart_without_a_script_holds_nothing() -> None:
-    """An agent restarted by hand joins at the next tick once it is ready; no tick is held for it."""
-    node = started(CoordinatorNode(setup(SIX, CONTINUE)))
-    tell(node, [gone("agent2"), *answers(0, LEFT)])
-    assert kinds(tell(node, answers(1, LEFT))) == ["tick 2"]
-    assert tell(node, [ready("agent2", 7)]) == []
-    assert kinds(tell(node, answers(2, LEFT))) == ["roster 3", "tick 3"]
-
-
 def proposals(agents: Sequence[int], negotiation: int) -> list[Message]:
     """Plans of tick 0 that are still negotiated."""
     return [replace(plan(setup(SIX, ITERATIONS), agent, 0), negotiation=negotiation) for agent in agents]

@@ -121,16 +121,6 @@ def test_rods_is_the_model() -> None:
     assert checked_engine(run) == f"rods {engine_version('rods')}"
 
 
-def test_parts_of_a_period_are_a_period() -> None:
-    """Two halves under the same inputs are the whole: inputs may change within a period."""
-    run = setup(SHORT)
-    whole, halves = (Engine(run, run.system) for _ in range(2))
-    forces = np.linspace(-1.0, 1.0, 15)
-    expected, _ = whole.advance(run.hover.u * 1.1, forces, 0.04)
-    halves.advance(run.hover.u * 1.1, forces, 0.02)
-    np.testing.assert_allclose(halves.advance(run.hover.u * 1.1, forces, 0.02)[0], expected, atol=1e-12)
-
-
 def test_an_engine_of_a_person_flies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A class in the current folder integrates the plant, wind and masses included, as the engine here does."""
     module(tmp_path, monkeypatch, "mine_flies", OWN)

@@ -6,7 +6,7 @@ import pytest
 from model import state
 from plant.schedule import MOTOR_OFF
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Message, PlantState
+from protocol.wire.messages import Message, PlantState
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, roster, setup, tick
 
@@ -43,13 +43,6 @@ def test_no_wrench_from_the_tick_on(run: Setup) -> None:
         assert inputs.any() == (k < AT)
         assert plant_state.plan_ticks == ((k,) * 4 if k < AT else (k, k, MOTOR_OFF, k))
         assert np.delete(plant_state.u, state.input_indices([UAV])).any()
-
-
-def test_measurements_tell_the_motors_are_off() -> None:
-    """The measurement has the inputs until its tick: zero at the tick after the failure."""
-    found = [m for m in flown(MOTORS_OFF) if isinstance(m, Measurement) and m.agent == UAV + 1]
-    assert [bool(m.inputs.any()) for m in found] == [True, True, True, False, False, False]
-    assert not any(m.uav_states[:, state.OMEGA].any() for m in found[AT:])
 
 
 def test_a_released_rod_hangs_down() -> None:

@@ -129,19 +129,6 @@ def test_proposals_go_to_all_at_once() -> None:
     assert line.sent() == ["answer/2 3 #0: plan/2 report/2"]
 
 
-def test_answers_of_a_new_incarnation_count_from_zero() -> None:
-    """The bundles of an agent that starts anew have its new incarnation, and numbers from 0."""
-    line = Line("agent2", incarnation=INCARNATION)
-    found = []
-    for incarnation, k in ((INCARNATION, 0), (INCARNATION, 1), (INCARNATION + 1, 8), (INCARNATION + 1, 9)):
-        line.send(plan(2, k, incarnation=incarnation), report(2, k, incarnation))
-        line.exchange.settle()
-        ((_, data),) = line.taken()
-        made = decode(data)
-        found.append((made.sender, made.incarnation, made.sequence, made.tick))
-    assert found == [("agent2", 1, 0, 0), ("agent2", 1, 1, 1), ("agent2", 2, 0, 8), ("agent2", 2, 1, 9)]
-
-
 def test_the_plants_record() -> None:
     """Measurements are sent at once; state and measurements go to the record in one message, in their order."""
     line = Line("plant")

@@ -146,18 +146,6 @@ def test_an_announced_start_ends_the_one_before() -> None:
     assert receiver.reasons() == [("plant", "wrong_incarnation")]
 
 
-def test_moments() -> None:
-    """A node refuses what it cannot use now; that does not count for the order, and the counts name the sender."""
-    now = 3
-    receiver = Receiver("plant", check_moment=lambda message: check_tick(message, now, now))
-    assert not receiver.hear(runs.tick(4))
-    assert receiver.hear(runs.tick(3))
-    now = 4
-    assert receiver.hear(runs.tick(4))
-    assert receiver.reasons() == [("coordinator", "future")]
-    assert receiver.gate.tick == 4
-
-
 def test_bundles_are_opened() -> None:
     """Each message of a bundle is checked as if it had come alone; those for others are skipped, uncounted."""
     receiver = Receiver("agent1")

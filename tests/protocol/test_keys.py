@@ -116,15 +116,6 @@ def test_no_message_arrives_twice(name: str) -> None:
         assert sum(matches(expression, key) for expression in KEYS.subscriptions(name)) <= 1
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_with_relayed_plans_the_record_brings_measurements(name: str) -> None:
-    """The recorder then has no subscription to measurements, which come in the record; other processes keep theirs."""
-    direct, relayed = KEYS.subscriptions(name), KEYS.subscriptions(name, relayed=True)
-    measurements = {key for key in direct if "/measurement/" in key}
-    assert set(direct) - set(relayed) == (measurements if name == "recorder" else set())
-    assert set(relayed) <= set(direct)
-
-
 def test_runs_do_not_hear_each_other() -> None:
     """No subscription of one run covers a key of another, nor a liveliness token of its own run."""
     other = Keys("run-2")

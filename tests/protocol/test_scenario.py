@@ -14,7 +14,7 @@ import tomli_w
 from protocol.scenario.file import read_scenario, validate
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
-from tests.support.runs import PAPER, SCENARIOS, SHORT, setup
+from tests.support.runs import PAPER, SCENARIOS, setup
 
 # A value of the same type that differs, for what cannot simply be counted up.
 OTHER_WORDS = {
@@ -257,31 +257,10 @@ def test_settings(setting: str, path: tuple[str | int, ...], value: Any) -> None
     assert type(node) is type(value)
 
 
-def test_settings_in_order() -> None:
-    """Later settings win over earlier ones, and may refer to what earlier ones made."""
-    scenario = read_scenario(
-        PAPER, ["controller.horizon=5", "controller.horizon=6", "agents.owned=[[1],[2,3,4]]", "agents.owned.1=[1]"]
-    )
-    assert scenario.controller.horizon == 6
-    assert scenario.owned == ((1,), (2, 3, 4))
-
-
 def test_automatic_relaxation() -> None:
     """Relaxation "auto" is 1/M for M agents: the descent guarantee of cooperative distributed MPC."""
     assert setup("controller.relaxation=auto").settings.relaxation == 0.25
     assert setup("controller.relaxation=auto", "agents.owned=[[1,2],[3,4]]").settings.relaxation == 0.5
-
-
-def test_references_reach_as_far_as_any_horizon() -> None:
-    """Reference states and outputs hold every instant that the last tick's horizon sees, (20)."""
-    run = setup(SHORT)
-    instants = run.ticks + run.settings.horizon + 2
-    assert run.X_ref.shape == (instants, run.system.n)
-    assert run.Y_ref.shape == (instants, run.system.p)
-    np.testing.assert_array_equal(run.X_ref[0], run.initial_state())
-    # Outputs of states that move with a level payload: only sums and products by one.
-    for k in (0, run.ticks // 2, instants - 1):
-        np.testing.assert_allclose(run.model.outputs(run.X_ref[k]), run.Y_ref[k], rtol=0.0, atol=1e-14)
 
 
 def test_initial_state() -> None:

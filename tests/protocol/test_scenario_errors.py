@@ -329,14 +329,6 @@ def test_wrong_setting(setting: str, problem: str) -> None:
     assert refusal(PAPER, setting) == f"--set {setting or EMPTY}: {problem}"
 
 
-@pytest.mark.parametrize(
-    "setting", ["controller.weights.moments.1.x=3", "controller.weights.moments.1.x.y=3", "agents.owned.1.1.x=2"]
-)
-def test_setting_below_a_list_entry(setting: str) -> None:
-    """A setting below a list entry that is a plain value is refused like one below any other value."""
-    assert "to be a section, got the value" in refusal(PAPER, setting)
-
-
 @pytest.mark.parametrize("key", ["agents[1]", "float", "int", "str", "controller.weights.float", "agents.owned[1]"])
 def test_unknown_key_of_any_name(key: str) -> None:
     """A key is unknown by any name, also one that looks like a type or an index."""
@@ -365,13 +357,6 @@ def test_invalid_toml(content: str, tmp_path: Path) -> None:
     text = refusal(path)
     assert text.startswith(f"{path}: not valid TOML: ")
     assert "line 1" in text or "line 2" in text or "end of document" in text
-
-
-def test_empty_file(tmp_path: Path) -> None:
-    """An empty file lacks its first required key."""
-    path = tmp_path / "empty.toml"
-    path.write_text("", encoding="utf-8")
-    assert refusal(path) == f"{path}: name: expected a value, got nothing"
 
 
 def test_any_value_anywhere() -> None:
