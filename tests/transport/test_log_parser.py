@@ -1,4 +1,4 @@
-"""The parser of MCAP files: what other readers read, after any cut."""
+"""The parser of MCAP files: what other readers read, after any cut, and never more than a bound."""
 
 import tracemalloc
 from collections.abc import Iterator
@@ -9,14 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
 from tests.support import runs
-from transport.log.parser import Parser
+from transport.log.channels import ENCODING
+from transport.log.parser import MOST_CHUNK_BYTES, Parser
+from transport.log.run_log import LogError, read_log
+from transport.log.tail import LogTail
 from transport.log.writer import LogWriter
 
 CHUNK_BYTES = 2000
 CHANNELS = 7
+MEGABYTE = 1_000_000
 
 Entry = dict[str, Any]
 
@@ -81,6 +85,60 @@ def test_flushed_messages_are_in_the_file(tmp_path: Path) -> None:
         sizes.append(len(readable))
     assert sizes == sorted(sizes)
     assert sizes[-1] == 200
+
+
+def bomb(path: Path, chunks: int, messages: int, size: int, compression: CompressionType) -> Path:
+    """Return a small file of chunks with messages that have only zeros."""
+    with path.open("wb") as file:
+        writer = Writer(
+            file, chunk_size=10**9, compression=compression, index_types=IndexType.METADATA, use_statistics=False
+        )
+        writer.start()
+        writer.add_metadata("run", {})
+        channel = writer.register_channel("/tick", ENCODING, 0)
+        for _ in range(chunks):
+            for _ in range(messages):
+                writer.add_message(channel, 0, bytes(size), 0, 0)
+            writer.flush()  # type: ignore[no-untyped-call]
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+BOMBS = {
+    "a chunk of 60 MB": (1, 1, 60 * MEGABYTE, CompressionType.ZSTD),
+    "a chunk of 60 MB, LZ4": (1, 1, 60 * MEGABYTE, CompressionType.LZ4),
+    "many chunks": (40, 1, 15 * MEGABYTE, CompressionType.ZSTD),
+    "many messages": (1, 600_000, 0, CompressionType.ZSTD),
+}
+
+
+@pytest.mark.parametrize("content", BOMBS.values(), ids=BOMBS.keys())
+def test_a_small_file_cannot_become_a_large_log(tmp_path: Path, content: tuple[int, int, int, CompressionType]) -> None:
+    """A chunk, or a file, that becomes thousands of times its size is refused with both numbers, in little memory."""
+    path = bomb(tmp_path / "run.mcap", *content)
+    for read in (lambda: read_log(path), lambda: LogTail(path).read()):
+        tracemalloc.start()
+        try:
+            with pytest.raises(LogError, match=r"run\.mcap: a chunk of .* becomes .* \(expected at most .*\), all"):
+                read()
+            assert tracemalloc.get_traced_memory()[1] < 4 * MOST_CHUNK_BYTES
+        finally:
+            tracemalloc.stop()
+
+
+def test_a_chunk_cannot_lie_about_its_size(tmp_path: Path) -> None:
+    """A chunk that becomes more than it states is damaged, and no more than that is decompressed."""
+    for compression in (CompressionType.ZSTD, CompressionType.LZ4):
+        path = bomb(tmp_path / "run.mcap", 1, 1, 60 * MEGABYTE, compression)
+        data = path.read_bytes()
+        path.write_bytes(data.replace((60 * MEGABYTE + 80).to_bytes(8, "little"), (999).to_bytes(8, "little")))
+        tracemalloc.start()
+        try:
+            log = read_log(path)
+            assert tracemalloc.get_traced_memory()[1] < MOST_CHUNK_BYTES
+        finally:
+            tracemalloc.stop()
+        assert "1 damaged part left out" in log.cut
 
 
 @pytest.mark.slow

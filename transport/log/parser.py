@@ -1,33 +1,40 @@
 """Parser of MCAP files in any state: whole, cut, damaged, or still being written.
 
 The reader of the mcap package stops at the first problem and takes a cut record for a shorter one. Here a record counts
-only if all its bytes are there, and a chunk only if its checksum is right.
+only if all its bytes are there, and a chunk only if its size and checksum are right. A file of another origin may hold
+chunks that become thousands of times their size: what a chunk and a file become is bounded.
 """
 
 import struct
+import zlib
 from collections.abc import Iterator
 from io import SEEK_END, BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, Metadata
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of the body
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log and publish time, ns; the message data follows
 _FOOTER_BYTES = _RECORD.size + 20 + len(MCAP0_MAGIC)  # ends the file
 
+# Largest decompressed chunk, bytes: four of the largest messages.
+MOST_CHUNK_BYTES = 16 * 1024 * 1024
+# Chunks of a file become at most one largest chunk and this many times the file. Logs become 1.5 times their size.
+MOST_TIMES = 20
+
 # Exceptions that a damaged record can cause while it is decoded; lz4 raises RuntimeError.
 DAMAGE = (McapError, RuntimeError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
 
 
 class UnreadableError(Exception):
-    """A file that is no MCAP file; the text has the reason."""
+    """A file that is no MCAP file, or would become too large; the text has the reason."""
 
 
 class Found(NamedTuple):
@@ -50,6 +57,7 @@ class Parser:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._offset = len(MCAP0_MAGIC)  # of the next record
+        self._became = 0
         self._channels: dict[int, Channel] = {}
         self._in_summary: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
@@ -59,7 +67,7 @@ class Parser:
     def entries(self) -> Iterator[Found]:
         """Yield the entries of the records that are whole and were not read yet, in the order of the file.
 
-        Raises: OSError: the file cannot be read. UnreadableError: it is no MCAP file.
+        Raises: OSError: the file cannot be read. UnreadableError: it is no MCAP file, or would become too large.
         """
         with self._path.open("rb") as file:
             start = file.read(len(MCAP0_MAGIC))
@@ -67,12 +75,13 @@ class Parser:
                 raise UnreadableError(f"not an MCAP file, it starts with {start!r}")
             if self._offset == len(MCAP0_MAGIC):
                 self._read_summary(file)
+            most = MOST_CHUNK_BYTES + MOST_TIMES * file.seek(0, SEEK_END)
             for opcode, offset, body in records(file, self._offset):
                 if self.ended:
                     return
                 self._offset, self.ended = offset + len(body), opcode == Opcode.DATA_END
                 try:
-                    yield from self._read(opcode, body)
+                    yield from self._read(opcode, body, most)
                 except DAMAGE:
                     self.damaged += 1
 
@@ -91,14 +100,20 @@ class Parser:
                 except DAMAGE:
                     continue
 
-    def _read(self, opcode: int, body: bytes) -> Iterator[Found]:
+    def _read(self, opcode: int, body: bytes, most: int) -> Iterator[Found]:
         """Yield the entries of a record of the file.
 
-        Raises: one of `DAMAGE`: it cannot be decoded.
+        Raises: one of `DAMAGE`: it cannot be decoded. UnreadableError: the file becomes larger than `most`, bytes.
         """
         if opcode == Opcode.CHUNK:
-            stream, size = get_chunk_data_stream(Chunk.read(_stream(body)), validate_crc=True)
-            for code, inner in _records_in(stream.read(size)):
+            chunk = Chunk.read(_stream(body))
+            self._became += chunk.uncompressed_size
+            if self._became > most or chunk.uncompressed_size > MOST_CHUNK_BYTES:
+                raise UnreadableError(
+                    f"a chunk of {len(body):,} bytes becomes {chunk.uncompressed_size:,} (expected at most "
+                    f"{MOST_CHUNK_BYTES:,}), all until there {self._became:,} (expected at most {most:,})"
+                )
+            for code, inner in _records_in(_content(chunk)):
                 yield from self._read_small(code, inner)
         else:
             yield from self._read_small(opcode, body)
@@ -150,6 +165,23 @@ def _records_in(content: bytes) -> Iterator[tuple[int, bytes]]:
         if end > len(content):
             raise ValueError(f"record in a chunk: expected at most {len(content) - begin} bytes, got {length}")
         yield code, content[begin:end]
+
+
+def _content(chunk: Chunk) -> bytes:
+    """Return the decompressed content of a chunk, never more than it states.
+
+    Raises: one of `DAMAGE`: it cannot be decompressed, or its size or checksum is wrong.
+    """
+    size = chunk.uncompressed_size
+    if chunk.compression == "lz4":
+        content = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif chunk.compression == "zstd":
+        content = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
+    else:
+        content = chunk.data
+    if len(content) != size or (chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc):
+        raise ValueError("chunk: its size or checksum is wrong")
+    return bytes(content)
 
 
 def _read_channel(body: bytes, channels: dict[int, Channel]) -> None:

@@ -117,7 +117,7 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
         horizons: Keep whole plans. Otherwise plans have their first step only and no corrections, which saves most of
             the memory.
         setup: The run, if it is known already; otherwise it is taken from the header of the log.
-    Raises: LogError: no such file, not an MCAP file, or not the log of a run.
+    Raises: LogError: no such file, not an MCAP file, one that would become too large, or not the log of a run.
     """
     messages: list[Recorded] = []
     unknown: list[str] = []  # descriptions

@@ -38,7 +38,7 @@ class LogTail:
 
         Damage is skipped silently: `read_log` reports it.
 
-        Raises: LogError: the file cannot be read.
+        Raises: LogError: the file cannot be read, or would become too large.
         """
         found: list[Message] = []
         if self.ended:

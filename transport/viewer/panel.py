@@ -15,6 +15,7 @@ from transport.scene.drawing import LAYERS
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
 from transport.viewer.plots import Plots
+from transport.viewer.server import report_malformed
 
 if TYPE_CHECKING:
     import viser
@@ -263,12 +264,24 @@ class Panel:
 
 def _from_browser(act: Callable[[], None]) -> Callable[[Any], None]:
     """Return a callback for changes made in a browser; viser also reports those of this process."""
-    return lambda event: None if event.client_id is None else act()
+    return _checked(lambda event: None if event.client_id is None else act())
 
 
 def _with_value(act: Callable[[Any], None]) -> Callable[[Any], None]:
     """Return a callback that passes the new value of a widget."""
-    return lambda event: act(event.target.value)
+    return _checked(lambda event: act(event.target.value))
+
+
+def _checked(act: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a callback that reports a value no widget has in one line: a program may send any."""
+
+    def checked(event: Any) -> None:
+        try:
+            act(event)
+        except (KeyError, OverflowError, TypeError, ValueError) as error:
+            report_malformed(error)
+
+    return checked
 
 
 def _set(widget: Any, value: float | bool) -> None:

@@ -5,14 +5,16 @@ rebinding). So the server answers only if `Host` names it and `Origin`, which br
 same; and a live run, which a page can change, is shown only below a secret path.
 """
 
+import asyncio
 import hmac
 import io
 import logging
 import re
 import secrets
 import socket
+import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager, redirect_stdout
 from importlib.util import find_spec
 from ipaddress import ip_address
@@ -31,7 +33,8 @@ _IN_USE = (98, 48)
 _LOOPBACK = frozenset(("localhost", "127.0.0.1", "::1"))
 # Addresses that stand for all addresses of this machine.
 _ANY = frozenset(("", "0.0.0.0", "::"))  # noqa: S104 - compared, not bound
-# websockets and viser report every refused, broken and malformed connection with a traceback.
+_INVALID_DATA = 1007  # close code of RFC 6455
+# websockets reports every refused and broken connection with a traceback.
 _SILENT = logging.getLogger("transport.viewer.websockets")
 _SILENT.disabled = True
 _INSTALLING = threading.Lock()
@@ -114,7 +117,7 @@ class Guard:
         def guarded(handler: Any, *arguments: Any, process_request: Any, **options: Any) -> Any:
             self.serves = True
             answer = self._checked(process_request)
-            return serve(handler, *arguments, process_request=answer, logger=_SILENT, **options)
+            return serve(_reporting(handler), *arguments, process_request=answer, logger=_SILENT, **options)
 
         with _INSTALLING:
             library.serve = guarded  # type: ignore[assignment, misc]
@@ -140,6 +143,25 @@ class Guard:
             return response
 
         return checked
+
+
+def _reporting(handler: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., Coroutine[Any, Any, None]]:
+    """Return a handler of connections that reports a message viser cannot read in one line and closes its sender."""
+
+    async def handle(connection: "ServerConnection") -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: report_malformed(context.get("exception")))
+        try:
+            await handler(connection)
+        except Exception as error:  # noqa: BLE001 - viser raises what its decoding raises: any kind
+            report_malformed(error)
+            await connection.close(_INVALID_DATA, "malformed message")
+
+    return handle
+
+
+def report_malformed(error: object) -> None:
+    """Report a message that no page of the viewer sends, in one line on standard error."""
+    sys.stderr.write(f"viewer: refused a malformed message of a browser ({type(error).__name__})\n")
 
 
 def _name(host: str) -> str:
