@@ -24,7 +24,7 @@ from transport.experiments.comparison import (
     Cell,
     Loads,
 )
-from transport.experiments.cost_curves import COST, Curve
+from transport.experiments.comparison_verdict import COST, Curve
 from transport.experiments.simulation import run_in_memory
 from transport.report.column import column_panels, draw_legend, head, legend_height_in
 from transport.report.compare import Overlaid, fill_overlaid

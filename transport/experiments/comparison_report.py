@@ -15,8 +15,16 @@ from transport.experiments import comparison
 from transport.experiments.cases import Case, Point, cases_of
 from transport.experiments.comparison import AGENT, TEAM, Cell, Load, Loads
 from transport.experiments.comparison_figures import draw_costs, draw_maneuver
-from transport.experiments.comparison_verdict import SAME_RATE, Verdict, lines, statements, verdicts
-from transport.experiments.cost_curves import Curve, Node, cost_curves
+from transport.experiments.comparison_verdict import (
+    SAME_RATE,
+    Curve,
+    Node,
+    Verdict,
+    cost_curves,
+    lines,
+    statements,
+    verdicts,
+)
 from transport.experiments.results import Results
 from transport.experiments.simulation import NUMBERS
 from transport.experiments.statistics import Estimate

@@ -71,25 +71,19 @@ _OUTLIER, _SHOWN, _WIDE = 5.0, 1e-4, 200.0
 _MOST_TICKS = 10
 
 
-def draw_sharing(figure: Figure, experiment: Experiment, measured: Sequence[PointStatistics]) -> None:
-    """Draw plans sent, cost over that with all plans sent, and attitude over the threshold, in equal distances."""
-    _draw(figure, experiment, measured, _SHARING_PANELS, spread=True)
-
-
 def draw_curves(figure: Figure, experiment: Experiment, measured: Sequence[PointStatistics]) -> None:
-    """Draw the panels: when runs diverge, if any does, cost and attitude; each with the curves of all scenarios."""
-    _draw(figure, experiment, measured, _PANELS, spread=False)
+    """Draw the panels: when runs diverge, if any does, cost and attitude; each with the curves of all scenarios.
 
-
-def _draw(
-    figure: Figure, experiment: Experiment, measured: Sequence[PointStatistics], shown: Sequence[Panel], *, spread: bool
-) -> None:
+    Of shared plans: plans sent, cost over that with all sent, and attitude over the threshold, in equal distances.
+    """
+    is_sharing = experiment.drawn_as == "sharing"
+    shown = _SHARING_PANELS if is_sharing else _PANELS
     column = experiment.x.label
     values = list(dict.fromkeys(m.point.labels[column] for m in measured))
     joined = not isinstance(values[0], str) and len(values) <= _MOST_TICKS  # no line between names or random times
     apart_from_axis = [m for m in measured if not joined and _is_beside(m, column)]
     values = list(dict.fromkeys(m.point.labels[column] for m in measured if m not in apart_from_axis)) or values
-    places = {v: v if isinstance(v, float) and not spread else float(i) for i, v in enumerate(values)}
+    places = {v: v if isinstance(v, float) and not is_sharing else float(i) for i, v in enumerate(values)}
     curves = _styled_curves(experiment, measured, joined=joined)
     rows = _legend(curves, apart_from_axis)
     diverged_s = [time_s for m in measured for time_s in m.diverged_s]

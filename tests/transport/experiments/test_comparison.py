@@ -12,7 +12,7 @@ import pytest
 from protocol.scenario.setup import Setup
 from tests.support.results import here
 from tests.support.runs import ticks
-from transport.experiments import comparison, cost_curves
+from transport.experiments import comparison
 from transport.experiments.cases import Case, cases_of
 from transport.experiments.comparison import (
     AGENT,
@@ -31,7 +31,7 @@ from transport.experiments.comparison import (
     measure_in_turns,
     step_ms,
 )
-from transport.experiments.cost_curves import COST, Curve
+from transport.experiments.comparison_verdict import COST, Curve, cost_curves
 from transport.experiments.simulation import ERROR, NUMBERS, Result
 from transport.experiments.statistics import estimate
 from transport.experiments.sweep import Swept
@@ -155,7 +155,7 @@ def paper_curve(outcome: Callable[[Case], str] = lambda _: "completed", seeds: i
         results.append(Result(key=case.key, outcome=outcome(case), reason="", numbers=numbers))
     curves = {(CENTRALIZED, STEPS): cells[:1], (PAPER, STEPS): cells[1:]}
     swept = Swept(experiment=replace(experiment, points=tuple(points)), cases=cases, results=results)
-    _, curve = cost_curves.cost_curves(curves, swept)
+    _, curve = cost_curves(curves, swept)
     return curve
 
 

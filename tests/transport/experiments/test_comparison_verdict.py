@@ -18,11 +18,14 @@ from transport.experiments.comparison import (
     PeriodRange,
 )
 from transport.experiments.comparison_verdict import (
+    COST,
     FAILS,
     GRADES,
     HOLDS,
     SAME_RATE,
     UNDECIDED,
+    Curve,
+    Node,
     Verdict,
     grade,
     lines,
@@ -30,7 +33,6 @@ from transport.experiments.comparison_verdict import (
     statements,
     verdicts,
 )
-from transport.experiments.cost_curves import COST, Curve, Node
 from transport.experiments.statistics import estimate
 
 RATIOS = {
