@@ -26,7 +26,7 @@ from transport.flight.fork_server import FORK_SERVER, REQUEST_BYTES
 def serve(own: socket.socket, command: Callable[[], NoReturn]) -> None:
     """Start a process with the command for each request from a socket until its other end is closed."""
     setproctitle.setproctitle(f"transport {FORK_SERVER}")  # before the environment moves: titles use its memory
-    for name in ("transport.cli.main", "transport.cli.processes", "agent.main", "coordinator.main", "plant.main"):
+    for name in ("transport.cli.main", "transport.cli.processes", "agent.node", "coordinator.node", "plant.node"):
         load(name)
     while True:
         content, descriptors, _, _ = socket.recv_fds(own, REQUEST_BYTES, 2)

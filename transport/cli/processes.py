@@ -16,13 +16,14 @@ import typer
 from typer import Option
 
 from protocol.network.endpoints import Endpoints, endpoints_of, refuse_exposed, security_of
-from protocol.network.process import Place
+from protocol.network.parent import stand_by
+from protocol.network.process import Journal, Place, run_node
 from protocol.network.security import SecurityError
 from protocol.network.session import BusError
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import ROUTER, Keys, RunNameError
-from protocol.wire.names import RECORDER
+from protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name
 from transport.cli.options import (
     RUNS,
     FiguresOption,
@@ -111,13 +112,22 @@ def agent(
 
     Example: transport agent --id 2
     """
-    from agent.main import run
+    from agent.node import AgentNode
 
     setup = options.setup()
     if number not in setup.agents:
         known = f"1 to {len(setup.agents)} of scenario {setup.scenario.name}"
         fail(f"--id: expected an agent from {known}, got {number}", EXIT_USAGE)
-    options.run(f"agent{number}", lambda setup, place: run(setup, place, number))
+
+    def control(setup: Setup, place: Place) -> int:
+        node = AgentNode(setup, number, place.incarnation, time.perf_counter_ns)
+        node.warm_up()
+        if not stand_by():
+            return EXIT_UNREACHABLE
+        others = [name for name in map(agent_name, setup.agents) if name != node.name]
+        return run_node(node, place, setup, [COORDINATOR, PLANT, *others])
+
+    options.run(f"agent{number}", control)
 
 
 @with_options(ProcessOptions)
@@ -132,9 +142,14 @@ def coordinator(
 
     Example: transport coordinator --observer recorder
     """
-    from coordinator.main import run
+    from coordinator.node import CoordinatorNode
 
-    options.run("coordinator", lambda setup, place: run(setup, place, observer or []))
+    def coordinate(setup: Setup, place: Place) -> int:
+        node = CoordinatorNode(setup, place.incarnation, observer or [])
+        others = [PLANT, *map(agent_name, setup.agents), *(observer or [])]
+        return run_node(node, place, setup, others, node.interrupt, others)
+
+    options.run(COORDINATOR, coordinate)
 
 
 @with_options(ProcessOptions)
@@ -143,9 +158,14 @@ def plant(options: ProcessOptions) -> None:
 
     Example: transport plant --scenario paper
     """
-    from plant.main import run
+    from plant.node import PlantNode
 
-    options.run("plant", run)
+    def simulate(setup: Setup, place: Place) -> int:
+        node = PlantNode(setup, place.incarnation)
+        node.engine.warm_up(setup)
+        return run_node(node, place, setup, [COORDINATOR, *map(agent_name, setup.agents)])
+
+    options.run(PLANT, simulate)
 
 
 def record(
@@ -205,7 +225,6 @@ def router(
 
     Example: transport router --listen tcp/127.0.0.1:7400
     """
-    from protocol.network.process import Journal
     from protocol.network.session import route
 
     setup = read_setup(scenario, settings, allow_large=True)
