@@ -74,7 +74,7 @@ def _end(code: int) -> NoReturn:
     for number in ending_signals():
         signal.signal(number, count)
     atexit._run_exitfuncs()
-    with suppress(OSError, ValueError):  # nobody reads the output any more
+    with suppress(OSError, ValueError):  # the reader of the output has left
         sys.stdout.flush()
     with suppress(OSError, ValueError):
         sys.stderr.flush()
