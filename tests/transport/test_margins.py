@@ -13,7 +13,7 @@ from transport.cli.main import app
 PHASES = [
     {"name": "hover", "duration_s": 2.0, "displacement_m": [0.0, 0.0, 0.0]},
     {"name": "diagonal", "duration_s": 5.0, "displacement_m": [2.0, 1.5, -1.5]},
-    {"name": "hover", "duration_s": 23.0, "displacement_m": [0.0, 0.0, 0.0]},
+    {"name": "hover", "duration_s": 43.0, "displacement_m": [0.0, 0.0, 0.0]},
 ]
 
 

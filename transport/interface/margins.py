@@ -49,7 +49,7 @@ def margins(
     >>> import transport
     >>> lag_s = transport.margins("resilient").data["margins"]["immediate"]["lag_s"]
     >>> round(1e3 * lag_s["upper"])
-    30
+    71
 
     Args: as those of `fly`.
     Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
