@@ -53,10 +53,10 @@ LEVELS: dict[str, tuple[str, Callable[[Flown], str]]] = {
 WEIGHTS = (
     "controller.weights.attitude=0.5",
     "controller.weights.attitude=50",
-    "controller.weights.thrust=1e-4",
-    "controller.weights.thrust=1e-2",
-    "controller.weights.moments=[1e-3,1e-3,1e-3]",
-    "controller.weights.moments=[1e-1,1e-1,1e-1]",
+    "controller.weights.acceleration=5e-4",
+    "controller.weights.acceleration=5e-2",
+    "controller.weights.angular_acceleration=1.7e-4",
+    "controller.weights.angular_acceleration=1.7e-2",
     "controller.weights.terminal=1",
     "controller.weights.terminal=25",
     "controller.horizon=5",
@@ -105,7 +105,7 @@ WINDY: Sequence[tuple[str, tuple[str, ...], int]] = (
     ("as it is", (), 8),
     ("without the estimate", ("controller.disturbance.estimate=false",), 8),
     ("100 ms delay, 30 % loss", IMPAIRED, 8),
-    ("weight of the moments of `resilient`", ("controller.weights.moments=[0.01,0.01,0.01]",), 8),
+    ("a tenth of the weight on moments", ("controller.weights.angular_acceleration=1.7e-4",), 8),
     (
         "open-loop prediction",
         ("controller.prediction=open_loop", "controller.terminal=multiple", "controller.preview=false"),
