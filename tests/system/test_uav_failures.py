@@ -111,7 +111,7 @@ def test_four_do_not_fly_with_the_dead_one_on_its_rod() -> None:
     """The failed UAV falls over on its rod, and the other three cannot control it: docs/guarantees.md."""
     flight = flown(4, "resilient", OFF, LONGER)
     assert flight.control.outcome == "diverged"
-    assert 2.0 < flight.series.times_s[-1] - AT_S < 5.0  # measured: 3.6
+    assert 1.0 < flight.series.times_s[-1] - AT_S < 5.0  # measured: 1.8
 
 
 @pytest.mark.parametrize(("after_s", "limit_deg"), [(0.05, 4.0), (0.25, 12.0)])
@@ -131,15 +131,15 @@ def test_five_and_six_balance_the_dead_one(uavs: int) -> None:
     assert flight.series.uavs_I[-1, 2, 2] < flight.series.x[-1, 2] - 3.0  # above the payload: z is down
 
 
-def test_six_do_not_balance_it_shortly_before_a_corner() -> None:
-    """With a corner of the path 0.5 s after the failure, while the payload still tilts, the failed UAV falls over."""
-    assert flown(6, "resilient", OFF).control.outcome == "diverged"
+def test_six_balance_it_shortly_before_a_corner() -> None:
+    """With a corner of the path 0.5 s after the failure, while the payload still tilts, it stays upright, too."""
+    assert flown(6, "resilient", OFF).control.outcome == "completed"
 
 
 @pytest.mark.slow
-def test_six_do_not_balance_it_on_a_late_network() -> None:
-    """With 200 ms delay of plans the team cannot balance an instability of 2 rad/s."""
-    assert flown(6, "resilient", OFF, CLIMB, *LATE).control.outcome == "diverged"
+def test_six_balance_it_on_a_late_network() -> None:
+    """With 200 ms delay of plans, too: the failed UAV's instability of 2 rad/s is slow beside them."""
+    assert flown(6, "resilient", OFF, CLIMB, *LATE).control.outcome == "completed"
 
 
 def test_six_fly_on_without_the_released_one() -> None:

@@ -12,10 +12,17 @@ from transport.analysis.series import Series, series_of
 from transport.flight.memory import simulate
 
 SCALE = 128.0  # a power of two: every weight keeps its digits
-SCALED = (
-    "controller.weights={position=128.0,attitude=640.0,yaw_rate=6.4,thrust=0.128,moments=[1.28,1.28,1.28]}",
-    "controller.separation.penalty=12800.0",
-)
+SCALED = {  # all weights and penalties of the scenario
+    "centralized": (
+        "controller.weights={position=128.0,attitude=640.0,yaw_rate=6.4,thrust=0.128,moments=[1.28,1.28,1.28]}",
+        "controller.separation.penalty=12800.0",
+    ),
+    "resilient": (
+        "controller.weights={position=384.0,attitude=640.0,yaw_rate=6.4,acceleration=0.64,"
+        "angular_acceleration=0.2176,tilt_rate=19.2}",
+        "controller.separation.penalty=12800.0",
+    ),
+}
 # Solvers stop at absolute tolerances, so the same program in other units has another last digit; measured 2e-12.
 SAME_STATE = 1e-8
 
@@ -31,10 +38,10 @@ def flown(name: str, *settings: str) -> Series:
     return series_of(run, log_of(messages))
 
 
-@pytest.mark.parametrize("name", ["centralized", "resilient"])
+@pytest.mark.parametrize("name", SCALED)
 def test_the_scale_of_the_cost_is_free(name: str) -> None:
     """All weights and penalties times the same number give the same run with a cost scaled by that number."""
-    ours, scaled = flown(name, SHORT), flown(name, SHORT, *SCALED)
+    ours, scaled = flown(name, SHORT), flown(name, SHORT, *SCALED[name])
     assert np.abs(scaled.x - ours.x).max() < SAME_STATE
     assert scaled.cost.max() == pytest.approx(SCALE * ours.cost.max(), rel=1e-6)
     assert ours.cost.max() > 0.0
@@ -43,7 +50,7 @@ def test_the_scale_of_the_cost_is_free(name: str) -> None:
 @pytest.mark.slow
 def test_the_papers_levels() -> None:
     """Attitude within 2.5 deg, cost at most 3 after the first hover; the distributed controller does worse in both."""
-    centralized, distributed = flown("centralized", *SCALED), flown("paper", *SCALED)
+    centralized, distributed = (flown(name, *SCALED["centralized"]) for name in ("centralized", "paper"))
     for series in (centralized, distributed):
         assert series.attitude_max_deg.max() <= ATTITUDE_DEG
     settled = centralized.times_s >= 5.0
