@@ -10,7 +10,7 @@ import numpy as np
 from model.arrays import Array
 from model.state import input_indices
 from mpc.fail_safe import FailSafe
-from mpc.settings import Limits
+from mpc.settings import ControllerSettings
 from protocol.wire.messages import Plan
 
 # Alignment of a plan with the horizon: shifted by its true age; by one tick whatever its age, as in the paper; or its
@@ -64,14 +64,14 @@ class AnnouncedInputs:
         own: int = 0,
         law: Law = lambda _tick, _x: None,
         past: Past = lambda _tick: None,
-        limits: Limits | None = None,
+        settings: ControllerSettings | None = None,
     ) -> None:
         self.off_roster: set[int] = set()
         self.law_since = 0
         self.failed_since = 0
         self._law, self._past = law, past
         uavs = sum(map(len, owned))
-        self._bounds = None if limits is None else (limits.lower(uavs), limits.upper(uavs))
+        self._bounds = None if settings is None else (settings.lower(uavs), settings.upper(uavs))
         self._alignment, self._own = alignment, own
         self._u_hover = u_hover
         self._owned, self._fail_safe = owned, fail_safe

@@ -72,8 +72,8 @@ class Planner:
         self._reset_sharing()
 
     def _reset_sharing(self) -> None:
-        limits, uavs = self._setup.settings.limits, len(self._owned)
-        self._sharing = Sharing(self._setup.scenario.controller, limits.lower(uavs), limits.upper(uavs))
+        settings, uavs = self._setup.settings, len(self._owned)
+        self._sharing = Sharing(self._setup.scenario.controller, settings.lower(uavs), settings.upper(uavs))
         self._idle_since_ns = self._stopwatch()
 
     def warm_up(self) -> None:

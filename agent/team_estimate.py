@@ -71,7 +71,7 @@ class TeamEstimate:
             own=self._agent,
             law=self._law_inputs,
             past=self.estimator.known,
-            limits=setup.settings.limits,
+            settings=setup.settings,
         )
         self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()  # UAVs off, and released
         # Start, prediction and own inputs of the last step.

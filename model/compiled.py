@@ -87,8 +87,10 @@ class Compiled:
         return self._results.copy()
 
 
-def functions(N: int) -> dict[str, ca.Function]:
+def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
     """Return the CasADi functions of a system of N UAVs, from the cache if it holds them.
+
+    With `rates` the inputs are thrust and commanded body rates.
 
     derivative  (x, u, p, F) -> x'
     tensions    (x, u, p, F) -> rod tensions
@@ -98,34 +100,36 @@ def functions(N: int) -> dict[str, ca.Function]:
     step        (x, u, p, F, h) -> x after h seconds of constant u and F by one Dormand-Prince step and projection
                 of the rods, and the local error estimate before projection
     """
-    compiled = _compiled(N)
+    compiled = _compiled(N, rates)
     if len(compiled) == len(_FUNCTIONS):
         return compiled
-    path, missing = _cache_path(N), [name for name in _FUNCTIONS if name not in compiled]
+    path, missing = _cache_path(N, rates), [name for name in _FUNCTIONS if name not in compiled]
     found = _read_cache(path, missing)
     if found is None:
-        found = _build(N)
+        found = _build(N, rates)
         _write_cache(path, found)
     return found | compiled
 
 
-def needs_compilation(N: int) -> bool:
+def needs_compilation(N: int, rates: bool = False) -> bool:
     """Return whether `compile_functions` would compile: a compiler is there, and the functions are not compiled yet."""
-    return compiler.enabled() and compiler.find_compiler() is not None and not compiler.intact(_compiled_file(N))
+    return compiler.enabled() and compiler.find_compiler() is not None and not compiler.intact(_compiled_file(N, rates))
 
 
-def compile_functions(N: int) -> bool:
+def compile_functions(N: int, rates: bool = False) -> bool:
     """Compile the functions of a system of N UAVs for this processor; return False if that is not possible.
 
     Later calls of `functions`, in all processes, return the compiled ones, with bit-identical results. Compilation
     takes seconds: call this before the processes of a run are started.
     """
-    path = _compiled_file(N)
+    path = _compiled_file(N, rates)
     if not compiler.enabled() or compiler.find_compiler() is None:
         return False
     if compiler.intact(path):
         return True
-    sources = (_source(function) for function in functions(N).values() if function.n_instructions() <= _MAX_LENGTH)
+    sources = (
+        _source(function) for function in functions(N, rates).values() if function.n_instructions() <= _MAX_LENGTH
+    )
     return compiler.compile_library(path, "\n".join(sources).encode(), _FLAGS)
 
 
@@ -137,17 +141,17 @@ def _source(function: ca.Function) -> str:
     return text
 
 
-def _compiled(N: int) -> dict[str, ca.Function]:
+def _compiled(N: int, rates: bool) -> dict[str, ca.Function]:
     """Return the functions already compiled for this processor."""
-    path = _compiled_file(N)
+    path = _compiled_file(N, rates)
     if not compiler.enabled() or not compiler.intact(path):
         return {}
     library = ca.Importer(str(path), "dll")
     return {name: ca.external(name, library) for name in _FUNCTIONS if library.has_function(name)}
 
 
-def _build(N: int) -> dict[str, ca.Function]:
-    s = Symbols.of(N)
+def _build(N: int, rates: bool) -> dict[str, ca.Function]:
+    s = Symbols.of(N, rates)
     motion = dynamics.motion(s)
     y = dynamics.outputs(s)
     f = ca.Function("derivative", [s.x, s.u, s.p, s.F], [motion.derivative])
@@ -201,12 +205,16 @@ def _weighted(h: ca.MX, coefficients: Sequence[float], slopes: Sequence[ca.MX]) 
     return h * sum(terms[1:], start=terms[0]) if terms else ca.MX(0)
 
 
-def _cache_path(N: int) -> Path:
-    return cache_folder() / f"model-N{N}-{_digest()[:16]}.casadi"
+def _cache_path(N: int, rates: bool) -> Path:
+    return cache_folder() / f"{_name(N, rates)}-{_digest()[:16]}.casadi"
 
 
-def _compiled_file(N: int) -> Path:
-    return compiler.compiled_file(f"model-N{N}", _digest().encode(), (*_FLAGS, str(_MAX_LENGTH)))
+def _compiled_file(N: int, rates: bool) -> Path:
+    return compiler.compiled_file(_name(N, rates), _digest().encode(), (*_FLAGS, str(_MAX_LENGTH)))
+
+
+def _name(N: int, rates: bool) -> str:
+    return f"model-{'rates-' if rates else ''}N{N}"
 
 
 def _digest() -> str:

@@ -18,8 +18,8 @@ class Symbols:
     """The symbols of a system of N UAVs: state x, input u, parameters p and external forces F, in their named parts.
 
     p holds g, m0, the upper triangle of J0, and for each UAV m_i, the upper triangle of J_i, rho_i, l_i
-    (`System.vector`), so that compiled functions serve any system of N UAVs. F holds the external forces on the centres
-    of mass of payload and UAVs, inertial frame, N.
+    (`System.vector`), so that compiled functions serve any system of N UAVs; with commanded body rates the gains of the
+    inner loop follow. F holds the external forces on the centres of mass of payload and UAVs, inertial frame, N.
     """
 
     N: int
@@ -27,12 +27,13 @@ class Symbols:
     u: ca.SX
     p: ca.SX
     F: ca.SX
+    rates: bool
 
     @staticmethod
-    def of(N: int) -> "Symbols":
-        """Return new symbols for N UAVs."""
-        sizes = {"x": 12 + 12 * N, "u": 4 * N, "p": 8 + 11 * N, "F": 3 + 3 * N}
-        return Symbols(N, **{name: ca.SX.sym(name, size) for name, size in sizes.items()})
+    def of(N: int, rates: bool = False) -> "Symbols":
+        """Return new symbols for N UAVs whose inputs are thrust and moments, or thrust and commanded body rates."""
+        sizes = {"x": 12 + 12 * N, "u": 4 * N, "p": 8 + 11 * N + 3 * rates, "F": 3 + 3 * N}
+        return Symbols(N, **{name: ca.SX.sym(name, size) for name, size in sizes.items()}, rates=rates)
 
     @property
     def gravity(self) -> ca.SX:
@@ -53,6 +54,11 @@ class Symbols:
         """m_i (kg), J_i (3, 3, kg m^2), rho_i (3, m), l_i (m) of UAV i (0-based)."""
         q = self.p[8 + 11 * i : 8 + 11 * (i + 1)]
         return q[0], _symmetric(q[1:7]), q[7:10], q[10]
+
+    @property
+    def rate_gains(self) -> ca.SX:
+        """K of the inner loops, (3,), 1/s; with commanded body rates only."""
+        return self.p[8 + 11 * self.N :]
 
     def force(self, body: int) -> ca.SX:
         """External force on the payload (0) or on UAV 1..N, (3,), inertial frame, N."""
@@ -82,7 +88,7 @@ class Motion:
 def motion(symbols: Symbols, given: ca.SX | None = None) -> Motion:
     """Return the right-hand side; with a given payload acceleration, (6,), derivative and tensions are under that one.
 
-    Source: docs/equations.md (4)-(13), (37); paper (2)-(11).
+    Source: docs/equations.md (4)-(13), (37), (59); paper (2)-(11).
     """
     x, u, N = symbols.x, symbols.u, symbols.N
     v0, omega0 = x[state.V0], x[state.OMEGA0]
@@ -118,10 +124,13 @@ def motion(symbols: Symbols, given: ca.SX | None = None) -> Motion:
         _, J, _, _ = symbols.uav(i)
         block = x[state.uav_slice(i)]
         omega = block[state.OMEGA]
-        tau = u[state.INPUTS * i + 1 : state.INPUTS * (i + 1)]
+        command = u[state.INPUTS * i + 1 : state.INPUTS * (i + 1)]  # moments or body rates
         attachment = a0 + ca.cross(omega0_dot, rho) + centripetal  # acceleration of the attachment point
         Omega_dot = ca.cross(e, attachment - s_P) / length - ca.cross(omega0, Omega)
-        omega_dot = solve_positive_definite(J, tau - ca.cross(omega, J @ omega))
+        if symbols.rates:
+            omega_dot = symbols.rate_gains * (command - omega)
+        else:
+            omega_dot = solve_positive_definite(J, command - ca.cross(omega, J @ omega))
         derivative += [ca.cross(Omega - omega0, e), Omega_dot, euler_rates(block[state.THETA]) @ omega, omega_dot]
         tensions.append(m * (along + ca.dot(wrench, acceleration)))
         unbalanced = unbalanced - tensions[-1] * wrench

@@ -26,7 +26,7 @@ def with_released(system: System, released: Collection[int]) -> System:
     A bob keeps the UAV's inertia, which has no effect without moment and rotation. Source: docs/equations.md (50).
     """
     uavs = [replace(uav, mass=RELEASED_MASS_KG) if i in released else uav for i, uav in enumerate(system.uavs)]
-    return System(payload=system.payload, uavs=uavs, gravity=system.gravity)
+    return replace(system, uavs=tuple(uavs))
 
 
 def failed_model(system: System, off: Collection[int], released: Collection[int]) -> Model:

@@ -76,7 +76,7 @@ class Model:
         self._off = input_indices(sorted(off))
         self._unforced = np.array([3 + 3 * uav + axis for uav in sorted(released) for axis in range(3)], dtype=np.intp)
         self._p = system.vector()
-        found = functions(system.N)
+        found = functions(system.N, system.commands_rates)
         self._derivative, self._tensions = Compiled(found["derivative"]), Compiled(found["tensions"])
         self._velocities, self._outputs = Compiled(found["velocities"]), Compiled(found["outputs"])
         self._linearise, self._integrator = Compiled(found["linearise"]), Integrator(found["step"])

@@ -62,13 +62,21 @@ class Uav:
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class System:
-    """One payload, N UAVs, and gravity along the inertial z axis (down), m/s^2."""
+    """One payload, N UAVs, and gravity along the inertial z axis (down), m/s^2.
+
+    Attributes:
+        rate_gains: K of the UAVs' inner loops about each body axis, (3,), 1/s: the inputs are then thrust and commanded
+            body rates. None: thrust and moments.
+    """
 
     payload: Payload
     uavs: tuple[Uav, ...]
     gravity: float = GRAVITY
+    rate_gains: Array | None = None
 
-    def __init__(self, *, payload: Payload, uavs: Sequence[Uav], gravity: float = GRAVITY) -> None:
+    def __init__(
+        self, *, payload: Payload, uavs: Sequence[Uav], gravity: float = GRAVITY, rate_gains: ArrayLike | None = None
+    ) -> None:
         if not uavs:
             raise ParameterError("system: expected at least one UAV, got none")
         object.__setattr__(self, "payload", payload)
@@ -77,6 +85,11 @@ class System:
         if not (np.isfinite(gravity) and gravity >= 0.0):
             raise ParameterError(f"gravity: expected a number >= 0 m/s^2, got {gravity!r}")
         object.__setattr__(self, "gravity", float(gravity))
+        if rate_gains is not None:
+            rate_gains = checked("rate gains", rate_gains, (3,))
+            if rate_gains.min() <= 0.0:
+                raise ParameterError(f"rate gains: expected three numbers > 0 1/s, got {rate_gains.tolist()}")
+        object.__setattr__(self, "rate_gains", rate_gains)
 
     @property
     def N(self) -> int:
@@ -103,12 +116,17 @@ class System:
         """m_T of the paper, kg."""
         return self.payload.mass + sum(uav.mass for uav in self.uavs)
 
+    @property
+    def commands_rates(self) -> bool:
+        """Whether the inputs are thrust and body rates instead of thrust and moments."""
+        return self.rate_gains is not None
+
     def vector(self) -> Array:
-        """Return all parameters in the order of `model.dynamics.Symbols`, (8 + 11 N,), SI."""
+        """Return all parameters in the order of `model.dynamics.Symbols`, (8 + 11 N,) or (11 + 11 N,), SI."""
         parts = [np.array([self.gravity, self.payload.mass]), _upper(self.payload.inertia)]
         for uav in self.uavs:
             parts += [np.array([uav.mass]), _upper(uav.inertia), uav.rho, np.array([uav.rod_length])]
-        vector = np.concatenate(parts)
+        vector = np.concatenate(parts if self.rate_gains is None else [*parts, self.rate_gains])
         frozen(vector)
         return vector
 

@@ -3,6 +3,8 @@
     x = [r0, v0, Theta0, omega0, (e_i, Omega_i, Theta_i, omega_i) for i = 1..N],   12 + 12 N
     u = [(thrust_i, tau_i) for i = 1..N],                                          4 N
 
+With an inner loop on each UAV, tau_i is replaced by three commanded body rates.
+
 Indices are 0-based; the ids UAV1..UAVN in scenarios and output are 1-based.
 """
 
@@ -16,7 +18,7 @@ from model.arrays import Array
 
 PAYLOAD = 12  # states of the payload
 PER_UAV = 12  # states of each UAV with its rod
-INPUTS = 4  # thrust and three moments
+INPUTS = 4  # thrust and three moments, or three commanded body rates
 
 R0 = slice(0, 3)  # payload position, inertial frame, m
 V0 = slice(3, 6)  # payload velocity, payload frame, m/s

@@ -168,7 +168,7 @@ class Controller:
         Source: docs/equations.md (35a).
         """
         model, settings, N = self.model, self.settings, self.model.system.N
-        lower, upper = settings.limits.lower(N), settings.limits.upper(N)
+        lower, upper = settings.lower(N), settings.upper(N)
         z = z0 = linear.x0 if linear.actual is None else np.concatenate([linear.x0, linear.actual])
         states, inputs = [z0], []
         for at_x0 in law.uncorrected + law.c:
@@ -258,8 +258,8 @@ class Controller:
         """
         U: Array = prediction.U_all + convolve(prediction.feedback, inputs - prediction.U_free)
         U[:, self.own] = inputs
-        N, limits = self.model.system.N, self.settings.limits
-        return np.clip(U, limits.lower(N), limits.upper(N))
+        N = self.model.system.N
+        return np.clip(U, self.settings.lower(N), self.settings.upper(N))
 
     @staticmethod
     def adapted(law: FeedbackLaw, discrete: Discrete, u0: Array, U: Array, columns: Places) -> FeedbackLaw:

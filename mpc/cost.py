@@ -65,7 +65,7 @@ class UserCosts:
     """
 
     def __init__(self, terms: Sequence[CostTerm], model: Model) -> None:
-        symbols = Symbols.of(model.system.N)
+        symbols = Symbols.of(model.system.N, model.system.commands_rates)
         self._terms = tuple(terms)
         self.weights = np.array([term.weight for term in terms])
         values = [read_term(term.expression, symbols) for term in terms]

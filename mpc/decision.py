@@ -32,8 +32,8 @@ class Decision:
         self.others = np.setdiff1d(np.arange(system.m), self.own)
         self.shape = settings.horizon, len(self.own)
         self.size = settings.horizon * len(self.own)
-        self.lower, self.upper = settings.limits.lower(len(self.uavs)), settings.limits.upper(len(self.uavs))
-        self.rate = settings.limits.step(len(self.uavs), settings.sampling_period_s)
+        self.lower, self.upper = settings.lower(len(self.uavs)), settings.upper(len(self.uavs))
+        self.rate = settings.step(len(self.uavs))
         self.scale = (self.upper - self.lower) / 2.0
 
     def clip(self, inputs: Array) -> Array:

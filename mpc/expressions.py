@@ -3,7 +3,8 @@
 The text is part of the scenario. It is read into a CasADi expression by walking its syntax tree; only the names below,
 numbers, arithmetic and one comparison are allowed.
 
-States: r0, v0, Theta0, omega0 (payload), and for UAV i: ri, ei, Omegai, Thetai, omegai. Inputs: thrusti, taui.
+States: r0, v0, Theta0, omega0 (payload), and for UAV i: ri, ei, Omegai, Thetai, omegai. Inputs: thrusti, taui, or
+with commanded body rates thrusti, ratei.
 Functions: norm, dot, cross, sin, cos, tan, sqrt, exp, fabs, fmin, fmax; the constant pi.
 """
 
@@ -165,7 +166,7 @@ def _names(symbols: Symbols) -> dict[str, Any]:
             f"Theta{i + 1}": block[state.THETA],
             f"omega{i + 1}": block[state.OMEGA],
             f"thrust{i + 1}": inputs[0],
-            f"tau{i + 1}": inputs[1:],
+            f"{'rate' if symbols.rates else 'tau'}{i + 1}": inputs[1:],
         }
     return names
 

@@ -139,7 +139,7 @@ def compile_constraints(constraints: Sequence[Constraint], system: System) -> tu
 
     Raises: SettingsError: one cannot be read; the text says which and why.
     """
-    symbols = Symbols.of(system.N)
+    symbols = Symbols.of(system.N, system.commands_rates)
     relations = [(read(constraint.expression, symbols), constraint) for constraint in constraints]
     p, found = system.vector(), []
     for on, variable in (("state", symbols.x), ("input", symbols.u)):

@@ -19,6 +19,7 @@ from model.parameters import System
 SolverName = Literal["daqp", "clarabel"]
 PredictionName = Literal["open_loop", "closed_loop"]
 PenalisedInput = Literal["deviation", "absolute"]
+InputsName = Literal["moments", "rates"]
 
 
 class SettingsError(ValueError):
@@ -110,6 +111,13 @@ class Weights(Section):
         1e-2,
     )
     """weight on each moment, per body axis"""
+    rates: Annotated[PositiveVector, Key(unit="s²/rad²", within=_WEIGHTS, label="weight on commanded body rates")] = (
+        0.1,
+        0.1,
+        0.1,
+    )
+    """weight on each commanded body rate, per body axis; only with `controller.inputs=rates`, in place of `moments` and
+    `angular_acceleration`, for vehicles of any size"""
     acceleration: Annotated[
         Positive | None, Key(unit="s⁴/m²", within=_WEIGHTS, label="weight on acceleration by thrust")
     ] = None
@@ -136,7 +144,9 @@ class Weights(Section):
         for row, uav in zip(R, system.uavs, strict=True):
             if self.acceleration is not None:
                 row[0] = self.acceleration / (uav.mass + system.payload.mass / system.N) ** 2
-            if self.angular_acceleration is not None:
+            if system.commands_rates:
+                row[1:] = self.rates
+            elif self.angular_acceleration is not None:
                 row[1:] = self.angular_acceleration / np.diag(uav.inertia) ** 2
         return R.reshape(-1)
 
@@ -154,23 +164,31 @@ class Limits(Section):
     thrust_N: Range = (0.0, 45.0)
     """smallest and largest thrust; hover must lie between"""
     moments_Nm: PositiveVector = (1.0, 1.0, 0.5)
-    """largest moment about each body axis, either sign"""
+    """largest moment about each body axis, either sign; with `controller.inputs=rates` that of the inner loop"""
     thrust_rate_N_s: Positive = 100.0
     """largest change of thrust; over one period it is this times T_s"""
     moment_rates_Nm_s: PositiveVector = (10.0, 10.0, 5.0)
-    """largest change of each moment"""
+    """largest change of each moment; no effect with `controller.inputs=rates`"""
+    rates_rads: PositiveVector = (4.0, 4.0, 2.0)
+    """largest commanded rate about each body axis, either sign; only with `controller.inputs=rates`"""
+    rate_slopes_rads2: PositiveVector = (40.0, 40.0, 20.0)
+    """largest change of each commanded body rate; only with `controller.inputs=rates`"""
 
-    def lower(self, uavs: int) -> Array:
+    def lower(self, uavs: int, inputs: InputsName = "moments") -> Array:
         """Return the smallest inputs of that many UAVs, (4 uavs,)."""
-        return np.tile([self.thrust_N[0], *(-value for value in self.moments_Nm)], uavs)
+        return np.tile([self.thrust_N[0], *(-value for value in self._largest(inputs))], uavs)
 
-    def upper(self, uavs: int) -> Array:
+    def upper(self, uavs: int, inputs: InputsName = "moments") -> Array:
         """Return the largest inputs of that many UAVs, (4 uavs,)."""
-        return np.tile([self.thrust_N[1], *self.moments_Nm], uavs)
+        return np.tile([self.thrust_N[1], *self._largest(inputs)], uavs)
 
-    def step(self, uavs: int, period_s: float) -> Array:
+    def step(self, uavs: int, period_s: float, inputs: InputsName = "moments") -> Array:
         """Return the largest change of the inputs over one sampling period, (4 uavs,)."""
-        return np.tile([self.thrust_rate_N_s, *self.moment_rates_Nm_s], uavs) * period_s
+        slopes = self.rate_slopes_rads2 if inputs == "rates" else self.moment_rates_Nm_s
+        return np.tile([self.thrust_rate_N_s, *slopes], uavs) * period_s
+
+    def _largest(self, inputs: InputsName) -> tuple[float, ...]:
+        return self.rates_rads if inputs == "rates" else self.moments_Nm
 
 
 class Separation(Section):
@@ -249,6 +267,15 @@ class ControllerSettings(Section):
     solver: Annotated[SolverName, Key(short="solver")] = "daqp"
     """first QP solver. daqp: the program with bounds alone is tried first, and Clarabel solves any program whose
     solution fails the residual check"""
+    inputs: InputsName = "moments"
+    """what agents command beside the thrust: moments, or body rates that an inner loop on each UAV follows,
+    [equations.md](equations.md#body-rates) (59)"""
+    rate_time_constant_s: Annotated[PositiveVector, Key(label="time constant of the inner loop", shown="ms")] = (
+        0.04,
+        0.04,
+        0.04,
+    )
+    """time constant of the inner loop about each body axis, of controllers and plant; only with `inputs=rates`"""
     motor_lag_s: Annotated[NotNegative, Key(label="motor lag of the model", shown="ms")] = 0.0
     """time constant of the motors that the controller predicts with, [equations.md](equations.md#motors) (55); 0, or
     at least a hundredth of T_s. The time constant of the plant is `plant.motors.lag_s`"""
@@ -258,3 +285,15 @@ class ControllerSettings(Section):
     tilt: Tilt | None = None
     constraint: Annotated[tuple[Constraint, ...], BeforeValidator(_as_tuple)] = ()
     cost: Annotated[tuple[CostTerm, ...], BeforeValidator(_as_tuple)] = ()
+
+    def lower(self, uavs: int) -> Array:
+        """Return the smallest inputs of that many UAVs, (4 uavs,)."""
+        return self.limits.lower(uavs, self.inputs)
+
+    def upper(self, uavs: int) -> Array:
+        """Return the largest inputs of that many UAVs, (4 uavs,)."""
+        return self.limits.upper(uavs, self.inputs)
+
+    def step(self, uavs: int) -> Array:
+        """Return the largest change of the inputs over one sampling period, (4 uavs,)."""
+        return self.limits.step(uavs, self.sampling_period_s, self.inputs)

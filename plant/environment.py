@@ -110,7 +110,7 @@ class Environment:
 
 
 def _scaled(system: System, payload: float, uavs: float) -> System:
-    """Return the system with masses and inertias of payload and UAVs multiplied by factors."""
+    """Return the bodies with masses and inertias of payload and UAVs multiplied by factors; inputs are moments."""
     return System(
         payload=Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia),
         uavs=[

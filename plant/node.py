@@ -17,6 +17,7 @@ from model.failure import motor_off_state, no_inputs, released_state
 from mpc.fail_safe import FailSafe
 from plant.engines import UNKNOWN_ERROR, Engine
 from plant.environment import Environment
+from plant.inner_loop import INNER_STEP_S, inner_loop
 from plant.motors import Motors
 from plant.schedule import MOTOR_OFF, ActuatorSchedule
 from protocol.admission.arrivals import Arrivals
@@ -56,7 +57,10 @@ class PlantNode:
         self.environment = Environment(setup)
         self.engine = Engine(setup, self.environment.system)
         self._period_s = setup.settings.sampling_period_s
-        self.steps = math.ceil(self._period_s / setup.scenario.plant.step_s - 1e-9)
+        self._inner_loop = inner_loop(setup)
+        # Parts of a period with own inputs, and integration steps of each.
+        self._parts = 1 if self._inner_loop is None else math.ceil(self._period_s / INNER_STEP_S - 1e-9)
+        self.steps = math.ceil(self._period_s / self._parts / setup.scenario.plant.step_s - 1e-9)
         clock = setup.scenario.clock
         self._delay = 1 if clock.next_tick else 0
         self._waits = clock.mode == "lockstep"
@@ -69,13 +73,14 @@ class PlantNode:
         fail_safe = FailSafe(setup.system, setup.hover.u)
         instants = np.arange(setup.ticks + 1, dtype=np.float64)
         self._path, _ = setup.maneuver.path(self._period_s * instants)
-        self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings.limits, self._period_s)
+        self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings)
         self._uav_faults = deque(uav_faults(setup.faults))  # still to come
         self._degradations = deque(degradations(setup.faults))
         self._motors = Motors(setup.scenario.plant.motors, setup.hover.u, bool(self._degradations))
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._x: Array = setup.initial_state()
         self._u: Array = setup.hover.u.copy()  # in force until now
+        self._restart_inner_loop()
         self._state_tick = 0  # self._x is the state at this tick
         self._measured_tick = -1
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
@@ -205,6 +210,11 @@ class PlantNode:
             else:
                 self._x = motor_off_state(self._x, uav)
                 self.engine.reset(self._x)
+            self._restart_inner_loop()
+
+    def _restart_inner_loop(self) -> None:
+        if self._inner_loop is not None:
+            self._inner_loop.reset(self._x, self._u)
 
     def _integrate(self, now_ns: int) -> list[Message]:
         k, x = self._state_tick, self._x
@@ -216,9 +226,15 @@ class PlantNode:
             sources = tuple(MOTOR_OFF if i in self._off else source for i, source in enumerate(sources))
         forces = self.environment.forces(k, x)
         end, error, mean = x, UNKNOWN_ERROR, np.zeros_like(u)
-        for actual, duration_s, _ in self._motors.inputs(u, self._period_s, self.steps):
-            end, local_error = self.engine.advance(actual, forces, duration_s)
-            error, mean = max(local_error, error), mean + duration_s / self._period_s * actual
+        part_s = self._period_s / self._parts
+        for part in range(self._parts):
+            command = u
+            if self._inner_loop is not None:
+                rates = u.reshape(-1, state.INPUTS)
+                command = self._inner_loop.moments(k * self._period_s + part * part_s, rates, end).reshape(-1)
+            for actual, duration_s, _ in self._motors.inputs(command, part_s, self.steps):
+                end, local_error = self.engine.advance(actual, forces, duration_s)
+                error, mean = max(local_error, error), mean + duration_s / self._period_s * actual
         reason = self.engine.failure or self._divergence(k + 1, end)
         self._diverged = bool(reason)
         self._x, self._u, self._state_tick = end, u, k + 1
@@ -234,7 +250,7 @@ class PlantNode:
                 diverged=reason,
             )
         ]
-        if not self._motors.ideal:
+        if not self._motors.ideal or self._inner_loop is not None:
             uavs = tuple(range(1, len(sources) + 1))
             found.append(self._out.stamp(ActualInputs, tick=k, uavs=uavs, inputs=mean.reshape(len(uavs), state.INPUTS)))
         return found

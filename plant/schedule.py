@@ -5,7 +5,7 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from mpc.fail_safe import FailSafe
-from mpc.settings import Limits
+from mpc.settings import ControllerSettings
 from protocol.wire.messages import Plan
 
 # Sources of an input that is not from a plan (`PlantState.plan_ticks`).
@@ -18,15 +18,14 @@ class ActuatorSchedule:
     Args:
         u_hover: Inputs before any plan, (4 N,).
         fail_safe: Control law after the end of a plan.
-        limits: Bounds of the actuators.
-        period_s: Sampling period, s.
+        settings: Bounds of the inputs, and sampling period.
     """
 
-    def __init__(self, u_hover: Array, fail_safe: FailSafe, limits: Limits, period_s: float) -> None:
+    def __init__(self, u_hover: Array, fail_safe: FailSafe, settings: ControllerSettings) -> None:
         self._u_hover = u_hover
         self._fail_safe = fail_safe
-        self._lower, self._upper = limits.lower(1), limits.upper(1)
-        self._step = limits.step(1, period_s)
+        self._lower, self._upper = settings.lower(1), settings.upper(1)
+        self._step = settings.step(1)
         self._plans: list[list[Plan]] = [[] for _ in range(len(u_hover) // state.INPUTS)]
 
     def add(self, plan: Plan) -> None:

@@ -27,6 +27,7 @@ UNITS: Mapping[str, tuple[str, float, float]] = {
     "_mps2": ("m/s²", 1e-6, 1e4),
     "_rad": ("rad", 1e-12, 1e4),
     "_rads": ("rad/s", 1e-12, 1e4),
+    "_rads2": ("rad/s²", 1e-12, 1e6),
     "_deg": ("deg", 1e-12, 1e12),
     "_kg": ("kg", 1e-9, 1e6),
     "_kgm2": ("kg m²", 1e-12, 1e9),

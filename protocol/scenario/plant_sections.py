@@ -112,6 +112,9 @@ class PlantSection(Section):
     """actual mass and inertia of the payload over those of `[system.payload]`, which the controller assumes"""
     uav_mass_factor: Annotated[MassFactor, Key(label="actual over assumed UAV mass")] = 1.0
     """actual mass and inertia of every UAV over those that the controller assumes"""
+    inner_loop: Literal["model"] = "model"
+    """inner loop that makes moments from commanded body rates, 1000 times a second, with
+    `controller.inputs=rates`: the one that the controllers predict with"""
     motors: MotorsSection = MotorsSection()
     wind: WindSection = WindSection()
     noise: NoiseSection = NoiseSection()

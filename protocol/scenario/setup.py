@@ -59,7 +59,11 @@ class Setup:
         payload = building(source, "system.payload", lambda: Payload(mass=body.mass_kg, inertia=body.inertia_kgm2))
         uavs = [building(source, f"system.uav.{section.id}", partial(_uav, section)) for section in scenario.system.uav]
         gravity = scenario.system.gravity_mps2
-        system = building(source, "system", lambda: System(payload=payload, uavs=uavs, gravity=gravity))
+        inner = scenario.controller
+        gains = None if inner.inputs == "moments" else 1.0 / np.array(inner.rate_time_constant_s)
+        system = building(
+            source, "system", lambda: System(payload=payload, uavs=uavs, gravity=gravity, rate_gains=gains)
+        )
         equilibrium = building(source, "system.uav", lambda: hover(system))
         maneuver = building(source, "maneuver", lambda: _maneuver(scenario))
         settings = building(source, "controller", lambda: _settings(scenario))
@@ -121,7 +125,7 @@ class Setup:
     @cached_property
     def shape(self) -> RunShape:
         """What the messages of the run must fit."""
-        clock, limits = self.scenario.clock, self.settings.limits
+        clock, settings = self.scenario.clock, self.settings
         lockstep = clock.mode == "lockstep"
         # The most numbers of a UAV in the messages of a tick: state and plan, or state and measurement.
         per_uav = max(PER_UAV + 2 * INPUTS * self.settings.horizon, 2 * (PER_UAV + INPUTS))
@@ -131,7 +135,7 @@ class Setup:
         return RunShape(
             owned={agent: tuple(uav + 1 for uav in owned) for agent, owned in enumerate(self.owned, start=1)},
             limits={
-                agent: (limits.lower(len(owned)), limits.upper(len(owned)))
+                agent: (settings.lower(len(owned)), settings.upper(len(owned)))
                 for agent, owned in enumerate(self.owned, start=1)
             },
             ticks=self.ticks,

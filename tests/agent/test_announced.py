@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from agent.announced import Alignment, AnnouncedInputs, Law
 from model.arrays import Array
 from model.state import input_indices
-from mpc.settings import Limits
+from mpc.settings import ControllerSettings, Limits
 from protocol.wire.messages import Plan
 
 OWNED = ((0, 2), (1,))  # agent 1 owns UAV1 and UAV3, agent 2 owns UAV2
@@ -169,9 +169,11 @@ def by_law(tick: int, x: Array) -> Array:
     return inputs
 
 
-def under_law(*plans: Plan, own: int = 0, law: Law = by_law, limits: Limits | None = None) -> AnnouncedInputs:
+def under_law(
+    *plans: Plan, own: int = 0, law: Law = by_law, settings: ControllerSettings | None = None
+) -> AnnouncedInputs:
     """Return announced inputs under a shared control law after some plans."""
-    inputs = AnnouncedInputs(OWNED, U_HOVER, own=own, law=law, limits=limits)
+    inputs = AnnouncedInputs(OWNED, U_HOVER, own=own, law=law, settings=settings)
     for plan in plans:
         inputs.add(plan)
     return inputs
@@ -229,19 +231,19 @@ def test_who_follows_another_law() -> None:
 
 def test_inputs_taken_to_be_in_force_are_within_limits() -> None:
     """No input in force is assumed beyond the limits of the actuators: by plan, law or hover, (32a)."""
-    limits = Limits(thrust_N=(0.0, 30.0), moments_Nm=(1.0, 2.0, 3.0))
-    low, high = limits.lower(3), limits.upper(3)
+    settings = ControllerSettings(limits=Limits(thrust_N=(0.0, 30.0), moments_Nm=(1.0, 2.0, 3.0)))
+    low, high = settings.lower(3), settings.upper(3)
     rng = np.random.default_rng(0)
 
     def wild(_tick: int, x: Array) -> Array:
         return 40.0 * rng.standard_normal(len(x[:12]))
 
-    inputs = under_law(labelled(1, 7), law=wild, limits=limits)
+    inputs = under_law(labelled(1, 7), law=wild, settings=settings)
     for k in (6, 7, 8, 9, 30):
         u = inputs.at(k, before=50, x=X)
         assert (low <= u).all()
         assert (u <= high).all()
     modest = replace(labelled(1, 7), corrections=np.full((STEPS, 8), 0.25))
     within = np.array([15.0, 0.5, -0.5, 0.5] * 3)
-    inputs = under_law(modest, law=lambda _tick, _x: within, limits=limits)
+    inputs = under_law(modest, law=lambda _tick, _x: within, settings=settings)
     np.testing.assert_array_equal(rows(1, inputs.at(8, before=9, x=X)), within[:8] + 0.25)

@@ -8,7 +8,7 @@ from model.arrays import Array
 from model.parameters import Payload, System, Uav
 from model.rotations import euler_rates, rotation
 from mpc.fail_safe import FailSafe
-from mpc.settings import Limits
+from mpc.settings import ControllerSettings, Limits
 from plant.schedule import BEFORE_ANY_PLAN, FAIL_SAFE, ActuatorSchedule
 from protocol.wire.messages import Plan
 
@@ -33,7 +33,7 @@ RATE_SLACK = 1e-12  # N and N m: rounding of a sum and a difference
 
 def schedule(*plans: Plan, limits: Limits = LIMITS) -> ActuatorSchedule:
     """Return a schedule with some plans."""
-    found = ActuatorSchedule(U_HOVER, FailSafe(SYSTEM, U_HOVER), limits, PERIOD_S)
+    found = ActuatorSchedule(U_HOVER, FailSafe(SYSTEM, U_HOVER), ControllerSettings(limits=limits))
     for plan in plans:
         found.add(plan)
     return found

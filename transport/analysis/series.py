@@ -128,9 +128,8 @@ def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_
     fall); the minimum separation itself. Hover inputs precede tick 0; changes across a gap in the record do not count.
     User-defined constraints are not included.
     """
-    limits, N = setup.settings.limits, setup.system.N
-    lower, upper = limits.lower(N), limits.upper(N)
-    step = limits.step(N, setup.settings.sampling_period_s)
+    settings, N = setup.settings, setup.system.N
+    lower, upper, step = settings.lower(N), settings.upper(N), settings.step(N)
     worst = (np.maximum(lower - u, u - upper) / (upper - lower)).max(axis=1, initial=0.0)
     before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
     consecutive = np.diff(ticks, prepend=-1) == 1

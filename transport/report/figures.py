@@ -146,7 +146,7 @@ def _plot_uavs(panel: Axes, t: Array, values: Array, widest: float = 1.8) -> Non
 _INPUT_IN = 0.7
 # Smallest range of an axis either side of zero, N and N m.
 _LEAST = 1e-3
-_NAMES = ("thrust (N)", "roll moment (N m)", "pitch moment (N m)", "yaw moment (N m)")
+_AXES = ("roll", "pitch", "yaw")
 
 
 def draw_inputs(figure: Figure, setup: Setup, log: RunLog, series: Series) -> None:
@@ -157,8 +157,10 @@ def draw_inputs(figure: Figure, setup: Setup, log: RunLog, series: Series) -> No
     separated = bool(np.isfinite(separation_m).any())
     panels = column_panels(figure, [_INPUT_IN] * (INPUTS + separated + bool(agents)), marks)
     others = iter(panels[INPUTS:])
-    lower, upper = (bound(1) for bound in (setup.settings.limits.lower, setup.settings.limits.upper))
-    for k, (panel, name) in enumerate(zip(panels, _NAMES, strict=False)):
+    lower, upper = (bound(1) for bound in (setup.settings.lower, setup.settings.upper))
+    kind = "rate command (rad/s)" if setup.system.commands_rates else "moment (N m)"
+    names = ["thrust (N)", *(f"{axis} {kind}" for axis in _AXES)]
+    for k, (panel, name) in enumerate(zip(panels, names, strict=False)):
         _plot_uavs(panel, t, series.u[:, k::INPUTS])
         low, high = panel.get_ylim()
         panel.set_ylim(min(low, high - _LEAST), max(high, low + _LEAST))

@@ -104,11 +104,11 @@ def _rollout(setup: Setup, regulation: Regulation | None) -> ca.Function:
     z = ca.MX.sym("z", n + m if lag_s > 0.0 else n)
     u, x_ref = ca.MX.sym("u", m), ca.MX.sym("x_ref", n)
     F = ca.MX.sym("F", 3 + 3 * system.N)
-    step = functions(system.N)["step"]
+    step = functions(system.N, system.commands_rates)["step"]
     regulator = None if regulation is None else regulation.regulator
     error = ca.vertcat(z[:n] - x_ref, z[n:] - ca.DM(setup.hover.u)) if lag_s > 0.0 else z - x_ref
     held = u if regulator is None else u + ca.mtimes(ca.DM(regulator.K), error)
-    lower, upper = settings.limits.lower(system.N), settings.limits.upper(system.N)
+    lower, upper = settings.lower(system.N), settings.upper(system.N)
     held = ca.fmin(ca.fmax(held, ca.DM(lower)), ca.DM(upper))
     parts = max(1, math.ceil(settings.sampling_period_s / _STEP_S - 1e-9))
     p, step_s, after, a = ca.DM(system.vector()), settings.sampling_period_s / parts, z[:n], z[n:]

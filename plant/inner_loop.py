@@ -1,0 +1,66 @@
+"""Inner loops of the UAVs: they make thrust and moments from commanded body rates, between schedule and motors."""
+
+from typing import Protocol
+
+import numpy as np
+
+from model.arrays import Array
+from model.parameters import System
+from model.state import OMEGA, StateView
+from protocol.scenario.setup import Setup
+
+# Longest time between two evaluations of an inner loop, s.
+INNER_STEP_S = 1e-3
+
+
+class InnerLoop(Protocol):
+    """The inner loops of all UAVs, with their state; evaluated in equal steps of at most `INNER_STEP_S`."""
+
+    def reset(self, x: Array, u: Array) -> None:
+        """Continue from a plant state, (12 + 12 N,), and the commands in force, (4 N,).
+
+        Called at the beginning of a run and after the failure of a UAV, whose state may then jump.
+        """
+
+    def moments(self, time_s: float, command: Array, x: Array) -> Array:
+        """Return the inputs of the motors until the next call, (N, 4), N and N m.
+
+        Args:
+            time_s: Scenario time; it grows from call to call.
+            command: Thrust and body rates of each UAV, (N, 4), N and rad/s.
+            x: Plant state at that time, (12 + 12 N,), without noise.
+        """
+
+
+class RateLoop:
+    """The inner loop that the controllers predict with, in discrete time and within limits.
+
+    Args:
+        system: The UAVs as the inner loops know them.
+        limits_Nm: Largest moment about each body axis, (3,).
+
+    Source: docs/equations.md (59).
+    """
+
+    def __init__(self, system: System, limits_Nm: Array) -> None:
+        self._inertia = np.array([uav.inertia for uav in system.uavs])
+        self._gains, self._limits_Nm = np.asarray(system.rate_gains), limits_Nm
+
+    def reset(self, x: Array, u: Array) -> None:
+        """Do nothing: this loop has no state."""
+
+    def moments(self, time_s: float, command: Array, x: Array) -> Array:  # noqa: ARG002
+        """Return thrust and moments for commanded body rates, (N, 4), N and N m."""
+        omega = StateView(x).uavs[:, OMEGA]
+        inputs = command.copy()
+        turning = np.einsum("nij,nj->ni", self._inertia, omega)
+        wanted = np.einsum("nij,nj->ni", self._inertia, self._gains * (command[:, 1:] - omega))
+        inputs[:, 1:] = np.clip(wanted + np.cross(omega, turning), -self._limits_Nm, self._limits_Nm)
+        return inputs
+
+
+def inner_loop(setup: Setup) -> InnerLoop | None:
+    """Return the inner loop of a run; None where agents command moments."""
+    if setup.settings.inputs == "moments":
+        return None
+    return RateLoop(setup.system, np.array(setup.settings.limits.moments_Nm))
