@@ -2,7 +2,6 @@
 
 import ast
 import re
-from collections.abc import Iterator
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -101,15 +100,6 @@ def reached(path: Path) -> set[Path]:
 def top(names: frozenset[str]) -> set[str]:
     """First parts of dotted names."""
     return {name.partition(".")[0] for name in names}
-
-
-def public(body: list[ast.stmt], prefix: str = "") -> Iterator[tuple[str, ast.FunctionDef | ast.ClassDef]]:
-    """Public functions, classes and methods of a module or class, not those inside functions."""
-    for node in body:
-        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
-            yield prefix + node.name, node
-            if isinstance(node, ast.ClassDef):
-                yield from public(node.body, f"{prefix}{node.name}.")
 
 
 def floors(package: str) -> dict[str, int]:
@@ -211,23 +201,3 @@ def test_only_sessions_and_bus_know_zenoh() -> None:
     """Zenoh is imported in one place: its sessions, and what a process does with one."""
     who = [named(path) for path in SOURCES if "zenoh" in top(imports(path))]
     assert who == ["protocol/network/bus.py", "protocol/network/session.py"]
-
-
-def test_everything_public_is_described() -> None:
-    """Every module and every public class, function and method has a docstring."""
-    bare = [named(path) for path in SOURCES if not ast.get_docstring(tree(path))]
-    for path in SOURCES:
-        bare += [f"{named(path)}: {name}" for name, node in public(tree(path).body) if not ast.get_docstring(node)]
-    assert bare == []
-
-
-def test_only_transport_prints() -> None:
-    """Results are printed by `transport/` alone."""
-    printing = [
-        f"{named(path)}:{node.lineno}"
-        for path in SOURCES
-        if path.relative_to(ROOT).parts[0] != "transport"
-        for node in ast.walk(tree(path))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
-    ]
-    assert printing == []

@@ -10,8 +10,6 @@ import pytest
 
 from protocol.scenario.keys import fields, section_in, unit_of
 from protocol.scenario.link_sections import LinkSection
-from tests.support.command_tree import every_command, root
-from transport.interface.settings import KEY_OF, ShortSettings
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -54,36 +52,3 @@ def test_every_key_is_on_the_page() -> None:
             value = tomllib.loads(f"value = {default.strip('`')}")["value"]
             assert (tuple(value) if isinstance(value, list) else value) == field.default, key
     assert not rows
-
-
-def test_types_show_the_limits() -> None:
-    """Type and range of a key are those that the schema checks."""
-    text = (ROOT / "docs" / "keys.md").read_text(encoding="utf-8")
-    for row in (
-        "| `loss` | number, 0 to 1 |",
-        "| `horizon` | integer, 1 to 10 000 |",
-        "| `limit_deg` | number > 0, < 90 |",
-        "| `moments_Nm` | 3 numbers > 0 |",
-        "| `mode` | lockstep, realtime |",
-        "| `thrust_N` | 2 numbers >= 0 |",
-    ):
-        assert row in text
-
-
-def test_short_names_are_typed() -> None:
-    """The short names in Python that an editor completes are those that keys have."""
-    assert KEY_OF.keys() == ShortSettings.__annotations__.keys()
-
-
-def test_the_page_of_commands_names_every_option() -> None:
-    """docs/commands.md has every option of every command."""
-    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    options = {option for command in every_command(root()) for parameter in command.params for option in parameter.opts}
-    long = {option for option in options if option.startswith("--")} - {
-        "--version",
-        "--help",
-        "--install-completion",
-        "--show-completion",
-    }
-    assert len(long) > 30
-    assert [option for option in sorted(long) if f"`{option}" not in text] == []

@@ -37,15 +37,9 @@ from tests.support.keyrings import keyring
 from tests.support.logs import record_run
 from transport.report.report import write_report
 
-# Paced to real time at the most, so that intruders have time; a flood slows it down.
 _TICKS = 800
-_FLIGHT = (
-    f"maneuver.phase=[{{name='climb',duration_s={0.05 * _TICKS},displacement_m=[0.0,0.0,-1.0]}}]",
-    "controller.horizon=5",
-    "clock.speed=1.0",
-)
 # The last messages are sent well before the end, so that all of them arrive during the run, also on a busy machine.
-_LAST_TICK = _TICKS - 200
+_QUIET = 0.25
 # Messages at a time, and time between, s: below the rate at which receivers slow a sender down for good.
 _BURST, _PAUSE_S = 200, 0.01
 # Messages of three ticks: older ones have reached all processes.
@@ -80,22 +74,29 @@ class Result:
     findings: list[str] = field(default_factory=list)
 
 
-def campaign(access: str, messages: int, seed: int, folder: Path) -> Result:
+def _flight(ticks: int) -> tuple[str, ...]:
+    """Return settings of a run, paced to real time at the most, so that intruders have time; a flood slows it down."""
+    climb = f"maneuver.phase=[{{name='climb',duration_s={0.05 * ticks},displacement_m=[0.0,0.0,-1.0]}}]"
+    return climb, "controller.horizon=5", "clock.speed=1.0"
+
+
+def campaign(access: str, messages: int, seed: int, folder: Path, *, ticks: int = _TICKS) -> Result:
     """Attack runs with one kind of access until so many messages are sent; where none connects, one run."""
     result = Result()
     while result.sent.total() < messages:
         before = result.sent.total()
-        _attack(access, messages - before, np.random.default_rng((seed, result.runs)), folder, result)
+        rng = np.random.default_rng((seed, result.runs))
+        _attack(access, messages - before, rng, folder, result, ticks)
         sys.stderr.write(f"{access}: run {result.runs}, {result.sent.total()} messages sent\n")
         if result.sent.total() == before:
             break
     return result
 
 
-def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, result: Result) -> None:
+def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, result: Result, ticks: int) -> None:
     name, base = f"{access}-{result.runs}", free_base()
     result.runs += 1
-    flight = _FLIGHT
+    flight = _flight(ticks)
     network = {
         "open": ("network.secret=false",),
         "recorder": ("network.secret=false",),
@@ -118,7 +119,7 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
         if access != "secret" and endpoints:
             secure = attacker.tls(keyring("one"), "agent1") if access == "certificates" else None
             max_bytes = run.shape.max_bytes
-            source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=_DELAY, far=_TICKS)
+            source = Garbage("recorder", keys, run, max_bytes, rng, incarnation=0, delay=_DELAY, far=ticks)
             awaited, hears = proofs_of_connection(keys, run.agents, relayed=relayed), list[str]()
             may_send = None
             if access == "certificates":  # the session hears what agent 1 may hear
@@ -133,7 +134,7 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
                     process,
                     awaited,
                     shots=messages,
-                    until_tick=_LAST_TICK,
+                    until_tick=round((1.0 - _QUIET) * ticks),
                     burst=_BURST,
                     pause_s=_PAUSE_S,
                     timeout_s=_RUN_S,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from protocol.wire.messages import Control, Roster, Tick
+from protocol.wire.messages import Roster, Tick
 from tests.support.coordinator_clock import (
     CONTINUE,
     MS,
@@ -71,16 +71,6 @@ def test_the_answer_of_an_agent_that_left_still_counts() -> None:
     assert (tick.members, tick.answered) == ((1, 3, 4), (1, 2, 3, 4))
 
 
-def test_the_last_agent() -> None:
-    """Also with policy "continue" a run ends when no agent is left."""
-    node = started(coordinator(CONTINUE))
-    assert kinds(tell(node, [gone("agent1"), gone("agent2"), gone("agent3")])) == ["roster 0"] * 3
-    (control,) = tell(node, [gone("agent4")])
-    assert isinstance(control, Control)
-    assert (control.outcome, control.exit_code) == ("aborted", 4)
-    assert control.reason == "agent4 is gone at t = 0.00 s; no agent is left"
-
-
 @pytest.mark.parametrize(("speed", "period_ns"), [(1.0, 50 * MS), (2.0, 25 * MS), (0.5, 100 * MS)])
 def test_pacing(speed: float, period_ns: int) -> None:
     """At speed s tick k opens at the first moment from k T_s / s after tick 0, on the dot when answers are early."""
@@ -91,16 +81,6 @@ def test_pacing(speed: float, period_ns: int) -> None:
         assert node.wake_ns == due
         assert list(node.poll(due - 1)) == []
         assert kinds(node.poll(due)) == [f"tick {k}"]
-
-
-def test_pacing_does_not_drift() -> None:
-    """A late tick does not shift those after it: they are due relative to the first."""
-    node = started(coordinator(PACED))
-    assert kinds(tell(node, answers(0), START_NS + 70 * MS)) == ["tick 1"]
-    assert tell(node, answers(1), START_NS + 80 * MS) == []
-    assert node.wake_ns == START_NS + 100 * MS
-    assert list(node.poll(START_NS + 100 * MS - 1)) == []
-    assert kinds(node.poll(START_NS + 100 * MS)) == ["tick 2"]
 
 
 def test_polling_at_wake_always_does_something() -> None:
@@ -123,15 +103,6 @@ def test_newest_incarnation_takes_part(incarnations: tuple[int, ...]) -> None:
     roster, _ = tell(node, [ready(name) for name in ("plant", "agent1", "agent3", "agent4")])
     assert isinstance(roster, Roster)
     assert roster.incarnations == (1, max(incarnations), 1, 1)
-
-
-def test_answers_of_other_incarnations_do_not_count() -> None:
-    """A plan of another incarnation than the roster's is no answer."""
-    node = started(coordinator())
-    tell(node, answers(0, (1, 2, 3)))
-    for incarnation in (0, 2):
-        assert tell(node, [plan(setup(), 4, 0, incarnation=incarnation)]) == []
-    assert kinds(tell(node, answers(0, (4,)))) == ["tick 1"]
 
 
 def test_a_restarted_agent_joins_at_the_next_tick() -> None:

@@ -81,25 +81,6 @@ def test_largest_message(uavs: int, group: int, horizon: int) -> None:
     assert 0.7 < max(sizes.values()) / estimate(scenario).relay_bytes <= 1.0
 
 
-def test_actual_inputs_and_motor_lag_count() -> None:
-    """Actual inputs are logged with any motors that are not ideal; a controller that knows the lag has more states."""
-    path = find_scenario("resilient")
-    plain = estimate(read_scenario(path))
-    for settings in (
-        ["plant.motors.lag_s=0.05"],
-        ["plant.motors.thrust_step_N=0.1"],
-        ["plant.motors.rotors={arm_m=0.2,drag_to_thrust_m=0.02,thrust_N=[0.0,9.0]}"],
-        ["faults.event=[{at_s=1.0,do='degrade',target='uav1',efficiency=0.9}]"],
-    ):
-        found = estimate(read_scenario(path, settings))
-        each = (found.log_bytes - plain.log_bytes) / plain.ticks
-        assert 0.5 * 16 * 8 < each < 16 * 8 + 100, settings
-        assert found.step_s == plain.step_s
-    lagged = estimate(read_scenario(path, LAG))
-    assert lagged.step_s > plain.step_s
-    assert lagged.agent_bytes > plain.agent_bytes
-
-
 # Memory beyond that of the interpreter and of a short run: a long path, and the matrices of one large agent.
 LARGE = {
     "path": ("resilient", "maneuver.phase=[{name='hover',duration_s=500.0,displacement_m=[0.0,0.0,0.0]}]"),

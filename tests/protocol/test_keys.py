@@ -79,22 +79,6 @@ def test_receivers(kind: type[Message], expected: set[str]) -> None:
     assert listeners(sample(kind)) == expected
 
 
-@pytest.mark.parametrize("agent", AGENTS)
-def test_measurements_reach_their_agent_alone(agent: int) -> None:
-    """A measurement reaches the agent it is for and no agent whose id begins alike."""
-    assert listeners(sample(Measurement, agent=agent)) == {agent_name(agent), "recorder"}
-
-
-def test_unshared_plans_reach_no_other_agent() -> None:
-    """An unshared plan reaches plant, coordinator and recorder, once each, and no agent."""
-    message = sample(Plan, shared=False)
-    key = KEYS.of(message)
-    assert key == "transport/run-1/unshared/2"
-    assert listeners(message) == {"coordinator", "plant", "recorder"}
-    for name in ("coordinator", "plant", "recorder"):
-        assert sum(matches(expression, key) for expression in KEYS.subscriptions(name)) == 1
-
-
 def test_each_key_of_plans_has_its_own() -> None:
     """A shared plan is refused under the key of unshared ones and the reverse; neither key is another agent's."""
     shared, unshared = sample(Plan), sample(Plan, shared=False)

@@ -3,10 +3,9 @@
 import json
 from typing import Any
 
-import numpy as np
 import pytest
 
-from protocol.scenario.link_sections import GilbertElliottSection, LinkOverrideSection
+from protocol.scenario.link_sections import GilbertElliottSection
 from protocol.scenario.links import Link, LinkChanges, LinkError, link_change
 from protocol.wire.messages import LinkChange, MessageError
 from tests.support.runs import setup
@@ -157,20 +156,3 @@ def test_changes_come_in_order() -> None:
     changes.apply(change(2, 0, loss=0.2))
     assert caught.value.reason == "future"
     assert losses(found, 0) == [0.0, 0.0, 0.0]
-
-
-def test_many_changes_in_any_order() -> None:
-    """Changes in any order of their ticks leave the link as those in order."""
-    ticks = [int(tick) for tick in np.random.default_rng(3).integers(0, 50, 200)]
-    shuffled, ordered = links()["agent2"], links()["agent2"]
-    given = [(tick, section(delay_s=0.01 * i) if i % 2 else section(loss=i / 200)) for i, tick in enumerate(ticks)]
-    for tick, change_ in given:
-        shuffled.change(tick, change_)
-    for tick, change_ in sorted(given, key=lambda entry: entry[0]):
-        ordered.change(tick, change_)
-    assert [shuffled.impairments(tick) for tick in range(60)] == [ordered.impairments(tick) for tick in range(60)]
-
-
-def section(**settings: float) -> LinkOverrideSection:
-    """A change of all links between agents."""
-    return LinkOverrideSection.model_validate(settings)

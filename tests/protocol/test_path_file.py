@@ -58,18 +58,6 @@ def test_a_path_is_the_reference_where_it_has_rows(tmp_path: Path) -> None:
     assert after[0] == pytest.approx(np.tile(r[-1], (2, 1)))
 
 
-def test_two_rows_are_a_straight_phase(tmp_path: Path) -> None:
-    """A table of two rows and a ramp between the same points are the same path."""
-    way = [[0.0, 0.0, 0.0, 0.0], [2.0, 1.0, -2.0, 0.5]]
-    path = written(tmp_path, csv(np.array(way)))
-    tabled = Setup.of(read_scenario(path), str(path)).maneuver
-    straight = "maneuver.phase.2={name='turn',duration_s=2.0,displacement_m=[1.0,-2.0,0.5]}"
-    ramp = Setup.of(read_scenario(path, [straight]), str(path)).maneuver
-    t = np.linspace(-0.5, 5.0, 111)
-    for ours, theirs in zip(tabled.path(t), ramp.path(t), strict=True):
-        assert ours == pytest.approx(theirs, abs=1e-12)
-
-
 def test_a_path_is_flown(tmp_path: Path) -> None:
     """The team follows it as it follows phases: the error is at most the swing of a straight path of that speed."""
     path = written(tmp_path, csv(QUARTER))
@@ -91,18 +79,6 @@ def test_the_scenario_stands_for_itself_once_read(tmp_path: Path) -> None:
     again.write_text(scenario_text(scenario.tree(), []), encoding="utf-8")
     assert read_scenario(again).digest() == scenario.digest()
     assert "file" not in scenario.tree()["maneuver"]["phase"][1]
-
-
-def test_another_path_is_another_scenario(tmp_path: Path) -> None:
-    """One digit of one row changes the fingerprint: processes with different paths refuse each other."""
-
-    def digest(rows: np.ndarray) -> str:
-        return read_scenario(written(tmp_path, csv(rows))).digest()
-
-    other = QUARTER.copy()
-    other[80, 2] += 1e-9
-    assert digest(other) != digest(QUARTER)
-    assert digest(QUARTER) == digest(QUARTER)
 
 
 GARBAGE = [

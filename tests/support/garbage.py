@@ -50,6 +50,10 @@ VALUES: list[Any] = [
 NOT_FINITE = [np.nan, np.inf, -np.inf]
 
 
+class UnheardError(LookupError):
+    """No message has been delivered that could be changed."""
+
+
 class Garbage:
     """Generator of bad messages for one receiver.
 
@@ -89,10 +93,8 @@ class Garbage:
         self._keys_here = [expression.replace("*", "2") for expression in keys.subscriptions(name)]
         self.sorts: dict[str, Callable[[], tuple[str, bytes]]] = {
             "noise": self._noise,
-            "noise behind a header": self._noise_behind_a_header,
             "truncated": self._truncated,
             "flipped bits": self._flipped,
-            "replaced bytes": self._replaced,
             "oversized": self._oversized,
             "another version": self._other_version,
             "another kind": self._other_kind,
@@ -142,26 +144,35 @@ class Garbage:
     def next(self) -> tuple[str, str, bytes]:
         """Return sort, key and bytes of the next bad message."""
         sort = self._one_of(list(self.sorts))
-        return sort, *self.sorts[sort]()
+        try:
+            return sort, *self.sorts[sort]()
+        except UnheardError:
+            return sort, *self._noise()
 
     def _one_of(self, values: Iterable[T]) -> T:
         choice = list(values)
         return choice[int(self._rng.integers(len(choice)))]
 
     def _old(self) -> tuple[str, bytes]:
-        """Return key and bytes of a delivered message."""
+        """Return key and bytes of a delivered message.
+
+        Raises: UnheardError: there is none.
+        """
         if not self._delivered:
-            return self._keys_here[0], b""
+            raise UnheardError
         return self._one_of(self._first.items() if self._rng.random() < 0.1 else self._delivered)
 
-    def _message(self, *kinds: type[Message]) -> tuple[str, Message] | None:
-        """Return a delivered message of one of the given kinds, or of any kind if none is given."""
+    def _message(self, *kinds: type[Message]) -> tuple[str, Message]:
+        """Return a delivered message of one of the given kinds, or of any kind if none is given.
+
+        Raises: UnheardError: none was found.
+        """
         names = {kind.kind for kind in kinds}
         for _ in range(20):
             key, data = self._old()
-            if data and (not names or key.split("/")[2] in names):
+            if not names or key.split("/")[2] in names:
                 return key, decode(data)
-        return None
+        raise UnheardError
 
     def _new(self, message: Message, **changes: Any) -> Message:
         self._sequence += 1
@@ -178,29 +189,15 @@ class Garbage:
     def _noise(self) -> tuple[str, bytes]:
         return self._one_of(self._keys_here), self._rng.bytes(int(self._rng.integers(0, 200)))
 
-    def _noise_behind_a_header(self) -> tuple[str, bytes]:
-        head = self._one_of(
-            [b"", b"\x90", b"\x98\xa4tick", b"\x9d\xa4plan\xa6agent2", b"\xdd\xff\xff\xff\xff", b"\xdc"]
-        )
-        return self._one_of(self._keys_here), bytes([VERSION]) + head + self._rng.bytes(int(self._rng.integers(0, 60)))
-
     def _truncated(self) -> tuple[str, bytes]:
         key, data = self._old()
-        return key, data[: int(self._rng.integers(len(data)))] if data else b""
+        return key, data[: int(self._rng.integers(len(data)))]
 
     def _flipped(self) -> tuple[str, bytes]:
         key, data = self._old()
-        changed = bytearray(data or b"\0")
+        changed = bytearray(data)
         for at in self._rng.integers(8 * len(changed), size=int(self._rng.integers(1, 4))):
             changed[at // 8] ^= 1 << int(at % 8)
-        return key, bytes(changed)
-
-    def _replaced(self) -> tuple[str, bytes]:
-        key, data = self._old()
-        changed = bytearray(data or b"\0")
-        start = int(self._rng.integers(len(changed)))
-        piece = self._rng.bytes(int(self._rng.integers(1, 9)))
-        changed[start : start + len(piece)] = piece
         return key, bytes(changed)
 
     def _oversized(self) -> tuple[str, bytes]:
@@ -213,16 +210,12 @@ class Garbage:
 
     def _other_kind(self) -> tuple[str, bytes]:
         key, data = self._old()
-        if not data:
-            return key, data
         return key, self._packed(
             [self._one_of(["ticks", "", "PLAN", "plant_state", "tick", "x" * 500]), *self._wire(data)[1:]]
         )
 
     def _strange_fields(self) -> tuple[str, bytes]:
         key, data = self._old()
-        if not data:
-            return key, data
         values = self._wire(data)
         for _ in range(int(self._rng.integers(1, 4))):
             values[int(self._rng.integers(len(values)))] = self._one_of(VALUES)
@@ -230,16 +223,11 @@ class Garbage:
 
     def _number_of_fields(self) -> tuple[str, bytes]:
         key, data = self._old()
-        if not data:
-            return key, data
         values = self._wire(data)
         return key, self._packed(self._one_of([values[:-1], [*values, 0], values[:1], [values], [], values[1:]]))
 
     def _not_finite(self) -> tuple[str, bytes]:
-        found = self._message(Measurement, Plan, PlantState, StepReport)
-        if found is None:
-            return self._noise()
-        key, message = found
+        key, message = self._message(Measurement, Plan, PlantState, StepReport)
         values = self._wire(encode(self._new(message, tick=self.tick + 1)))
         arrays = [i for i, value in enumerate(values) if isinstance(value, msgpack.ExtType) and len(value.data) > 16]
         at = self._one_of(arrays)
@@ -252,7 +240,7 @@ class Garbage:
     def _deep(self) -> tuple[str, bytes]:
         key, data = self._old()
         opening, depth = self._one_of([b"\x91", b"\x81\xa1k"]), self._one_of([10, 400, 1000, 1030, 5000])
-        values = [msgpack.packb(value) for value in self._wire(data)] if data else [b"\xc0"]
+        values = [msgpack.packb(value) for value in self._wire(data)]
         values[int(self._rng.integers(len(values)))] = opening * depth + b"\xc0"
         return key, bytes([VERSION, 0xDC]) + struct.pack(">H", len(values)) + b"".join(values)
 
@@ -261,18 +249,12 @@ class Garbage:
 
     def _past(self) -> tuple[str, bytes]:
         """Return a message with a new sequence number and a past tick."""
-        found = self._message(Tick, Measurement, Plan, PlantState, StepReport, Roster)
-        if found is None:
-            return self._noise()
-        key, message = found
+        key, message = self._message(Tick, Measurement, Plan, PlantState, StepReport, Roster)
         return key, encode(self._new(message))
 
     def _future(self) -> tuple[str, bytes]:
         """Return a message with a new sequence number and a future tick."""
-        found = self._message(Tick, Measurement, Plan, PlantState, StepReport)
-        if found is None:
-            return self._noise()
-        key, message = found
+        key, message = self._message(Tick, Measurement, Plan, PlantState, StepReport)
         tick = self.tick + self._far + int(self._rng.integers(100))
         start = {"start_tick": tick} if isinstance(message, Plan) else {}
         return key, encode(self._new(message, tick=tick, **start))
@@ -280,7 +262,7 @@ class Garbage:
     def _far_future(self) -> tuple[str, bytes]:
         """Return a message of the coordinator with the largest allowed numbers or a tick far ahead."""
         if not self._delivered:
-            return self._noise()
+            raise UnheardError
         tick = self._one_of([2**48, 2**40, self.tick + self._far, self._setup.ticks])
         head: dict[str, Any] = {
             "sender": "coordinator",
@@ -298,40 +280,28 @@ class Garbage:
         return (key, encode(message)) if key in self._keys_here else self._noise()
 
     def _other_incarnation(self) -> tuple[str, bytes]:
-        found = self._message()
-        if found is None:
-            return self._noise()
-        key, message = found
+        key, message = self._message()
         others = [number for number in (0, self._incarnation + 1, 2**48) if number != self._incarnation]
         incarnation = self._one_of(others)
         return key, encode(self._new(message, tick=self.tick, incarnation=incarnation))
 
     def _other_key(self) -> tuple[str, bytes]:
         """Return a message under another message's key."""
-        found = self._message()
-        if found is None:
-            return self._noise()
-        key, message = found
+        key, message = self._message()
         others = [
             other for other in [*self._keys_here, f"{key}/2", f"{key}x", f"{self._keys.prefix}/plan/02"] if other != key
         ]
         return self._one_of(others), encode(self._new(message, tick=self.tick + 1))
 
     def _other_sender(self) -> tuple[str, bytes]:
-        found = self._message()
-        if found is None:
-            return self._noise()
-        key, message = found
+        key, message = self._message()
         names = ["coordinator", "plant", "recorder", "agent1", "agent2", "agent9", "agent256", self._name]
         sender = self._one_of([name for name in names if name != message.sender])
         return key, encode(self._new(message, sender=sender, tick=self.tick + 1))
 
     def _absurd(self) -> tuple[str, bytes]:
         """Return the next expected message with impossible content."""
-        found = self._message(Tick, Measurement, Plan, PlantState, Roster, StepReport)
-        if found is None:
-            return self._noise()
-        key, message = found
+        key, message = self._message(Tick, Measurement, Plan, PlantState, Roster, StepReport)
         huge = self._one_of([1e7, -1e200, 1.7e308])
         tick = self.tick + int(self._rng.integers(2))
         match message:
@@ -374,44 +344,28 @@ class Garbage:
 
     def _bad_parts(self) -> tuple[str, bytes]:
         """Return a bundle of the next tick with bad messages in it."""
-        found = self._message(Answer, Relay, Record)
-        if found is None:
-            return self._noise()
+        key, message = self._message(Answer, Relay, Record)
         bad = [self.sorts[self._one_of(self._single)]() for _ in range(int(self._rng.integers(4)))]
-        if isinstance(found[1], Answer):  # it holds two messages, under different keys
+        if isinstance(message, Answer):  # it holds two messages, under different keys
             bad = list(dict(bad).items())[:2]
         ends, parts = [self._keys.end(key)[:80] for key, _ in bad], [data for _, data in bad]
-        return found[0], encode(self._new(found[1], tick=self.tick + 1, keys=ends, parts=parts))
+        return key, encode(self._new(message, tick=self.tick + 1, keys=ends, parts=parts))
 
     def _renumbered_bundle(self) -> tuple[str, bytes]:
         """Return a bundle of the next tick with messages of an old one, some left out, some twice."""
-        found = self._message(Answer, Relay, Record)
-        if found is None:
-            return self._noise()
-        bundle = found[1]
+        key, bundle = self._message(Answer, Relay, Record)
         assert isinstance(bundle, Bundle)
         kept = [int(i) for i in self._rng.integers(len(bundle.parts), size=int(self._rng.integers(4)))]
         if isinstance(bundle, Answer):
             kept = sorted(set(kept))  # it cannot have a key twice
         keys, parts = [bundle.keys[i] for i in kept], [bundle.parts[i] for i in kept]
-        return found[0], encode(self._new(bundle, tick=self.tick + 1, keys=keys, parts=parts))
+        return key, encode(self._new(bundle, tick=self.tick + 1, keys=keys, parts=parts))
 
     def _unheard_of(self) -> tuple[str, bytes]:
         """Return a well-formed message of an unknown agent, or of a kind that this receiver does not expect."""
-        found = self._message(Plan, Measurement, StepReport)
-        notice = Rejected(
-            sender="agent9",
-            incarnation=self._incarnation,
-            sequence=0,
-            tick=0,
-            offender="x",
-            reason="past",
-            count=1,
-            example="",
-        )
-        if found is None:
-            return self._keys_here[0], encode(notice)
-        key, message = found
+        key, message = self._message(Plan, Measurement, StepReport)
+        head: dict[str, Any] = {"sender": "agent9", "incarnation": self._incarnation, "sequence": 0, "tick": 0}
+        notice = Rejected(offender="x", reason="past", count=1, example="", **head)
         if isinstance(message, Measurement):
             return key, encode(self._new(message, tick=self.tick + 1, agent=9))
         stranger = self._new(message, agent=9, sender=agent_name(9), tick=self.tick + 1)

@@ -46,13 +46,6 @@ def test_missing_file_is_refused(tmp_path: Path) -> None:
     assert (result.returncode, result.stderr) == (SCENARIO, "transport: nowhere.toml: no such file\n")
 
 
-def test_mistyped_scenario_name_is_met_with_the_nearest(tmp_path: Path) -> None:
-    """A name that is neither a file nor a ready scenario is refused with the nearest name."""
-    result = transport("run", "papr", cwd=tmp_path)
-    assert result.returncode == SCENARIO
-    assert "did you mean 'paper'?" in result.stderr
-
-
 def test_agent_that_is_not_in_the_scenario_is_refused(tmp_path: Path) -> None:
     """`--id 9` of four agents is a usage error."""
     result = transport("agent", "--id", "9", cwd=tmp_path)
@@ -100,11 +93,3 @@ def test_connecting_to_nothing_ends_by_name(tmp_path: Path) -> None:
     assert "connecting to tcp/127.0.0.1:9" in last
     assert "Traceback" not in result.stderr
     assert processes_of("alone") == {}
-
-
-def test_a_folder_without_a_run_cannot_be_plotted(tmp_path: Path) -> None:
-    """Plotting a folder without a run is refused on one line."""
-    result = transport("plot", ".", cwd=tmp_path)
-    assert result.returncode == USAGE
-    assert "Traceback" not in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1

@@ -169,17 +169,6 @@ def test_only_silent_processes_are_named(network: tuple[Plant, zenoh.Session]) -
     here.undeclare()  # type: ignore[no-untyped-call]
 
 
-def test_processes_that_left_are_named_last(network: tuple[Plant, zenoh.Session]) -> None:
-    """When all that are missing were there, they are named as such."""
-    plant, session = network
-    token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
-    token.undeclare()  # type: ignore[no-untyped-call]
-    here = session.liveliness().declare_token(KEYS.alive("agent1", 0, DIGEST, VERSION))
-    with pytest.raises(BusError, match="plant: coordinator came and left within 1 s"):
-        plant.bus.join(["coordinator", "agent1"], 1.0)
-    here.undeclare()  # type: ignore[no-untyped-call]
-
-
 SPEAKS = """
 import sys
 from protocol.network.bus import Bus

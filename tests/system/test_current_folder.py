@@ -45,11 +45,3 @@ def test_an_import_names_the_file_that_hides_a_package(folder: Path) -> None:
     last = done.stderr.splitlines()[-1]
     assert last.startswith(f"ImportError: payload-transport: {file} hides its package ")
     assert "imported from the current folder" not in done.stderr
-
-
-def test_a_folder_without_code_hides_nothing_unnamed(tmp_path: Path) -> None:
-    """A folder without code that is named like a package either has no effect or is named in the error."""
-    (tmp_path / "plant").mkdir()
-    done = imported(tmp_path)
-    named = f"payload-transport: {tmp_path / 'plant'} hides its package 'plant'"
-    assert done.returncode == 0 or named in done.stderr

@@ -13,7 +13,7 @@ import pytest
 from protocol.network.endpoints import process_names
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.commands import PATIENCE_S, settings, wait_for
-from tests.support.lab import EXIT_UNAVAILABLE, Cut, unavailable
+from tests.support.lab import unavailable
 from transport.log.run_log import read_log
 
 NAMES = [*process_names(read_scenario(find_scenario("resilient"))), "recorder"]
@@ -109,30 +109,3 @@ def test_nothing_stays(tmp_path: Path) -> None:
 
 def _send(pid: int, number: int) -> None:
     subprocess.run(["kill", f"-{number}", str(pid)], check=True)
-
-
-def test_cuts_are_read() -> None:
-    """A cut is HOST:AT for good or HOST:AT:FOR for a while."""
-    assert Cut.of("agent2:8:1") == Cut("agent2", 8.0, 1.0)
-    assert Cut.of("plant:0.5") == Cut("plant", 0.5, None)
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.support.lab", "--out", "x", "--cut", "plant"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert "expected HOST:AT or HOST:AT:FOR in seconds, got 'plant'" in done.stderr
-
-
-@pytest.mark.slow
-def test_an_unknown_host_is_refused(tmp_path: Path) -> None:
-    """A cut of an unknown host is refused before the lab is built; missing tools have their own exit code."""
-    words = [sys.executable, "-m", "tests.support.lab", "--out", str(tmp_path / "x"), "--cut", "agent9:1"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "--cut: expected a host of coordinator, plant, agent1" in done.stderr
-    assert not (tmp_path / "x").exists()
-    bare = subprocess.run(words, capture_output=True, text=True, check=False, env={"PATH": ""})
-    assert bare.returncode == EXIT_UNAVAILABLE
-    assert "no unshare" in bare.stderr

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import signal
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import pytest
 
 from protocol.wire.messages import Tick
-from tests.support.commands import PATIENCE_S, processes_of, settings, start, transport, wait_for
+from tests.support.commands import processes_of, settings, transport
 from transport.log.run_log import read_log
 
 REALTIME = "clock.mode=realtime"
@@ -76,17 +75,3 @@ def test_an_impossible_speed(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["outcome"], summary["exit_code"], summary["log_cut"]) == ("aborted", OVERRUN, None)
     assert processes_of("run") == {}
-
-
-def test_interrupted(tmp_path: Path) -> None:
-    """Ctrl-C ends a run in real time like any other run: exit code 130, a complete log, no process left."""
-    changes = settings(hover(60.0), REALTIME, "clock.speed=1")
-    process = start("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
-    log = tmp_path / "run" / "run.mcap"
-    assert wait_for(lambda: log.exists() and log.stat().st_size > 100_000), process.communicate(timeout=10)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == INTERRUPTED, errors
-    assert "Traceback" not in errors
-    assert processes_of("run") == {}
-    assert not read_log(log).cut

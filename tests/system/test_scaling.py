@@ -14,8 +14,7 @@ from rich.console import Console
 
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, Control, Message, StepReport, Tick
-from tests.support.commands import transport
-from tests.support.results import here, kept, tables
+from tests.support.results import here, kept
 from tests.support.runs import ticks
 from transport.experiments import design_experiments
 from transport.experiments.cases import Point, cases_of
@@ -73,12 +72,6 @@ def test_sizes_and_ownerships() -> None:
         assert len(case.scenario.system.uav) == point.labels["uavs"]
         assert len(case.scenario.owned) == point.labels["agents"]
         assert case.timed
-
-
-def test_deterministic_runs_are_repeated() -> None:
-    """Timing differs from run to run: every seed is simulated, unlike in experiments without timing."""
-    points = design_experiments.scaling(2, []).points
-    assert len(cases_of(points, [], 3, timed=True)) == 3 * len(cases_of(points, [], 3))
 
 
 # Bytes of a plan by docs/protocol.md and the msgpack specification, for identities, ticks and sequences below 128.
@@ -168,12 +161,6 @@ def test_exponent_of_a_power_law(power: float) -> None:
     """The slope of a power law is its exponent, whatever the unit."""
     uavs = [4, 6, 8, 10, 12]
     assert exponent(uavs, [0.3 * n**power for n in uavs]) == pytest.approx(power, abs=ROUNDING)
-
-
-def test_one_size_has_no_exponent() -> None:
-    """A slope needs two sizes; repetitions of one size give none."""
-    assert exponent([], []) is None
-    assert exponent([4, 4], [1.0, 2.0]) is None
 
 
 SCALING = design_experiments.scaling(16, SIZES)
@@ -299,13 +286,6 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder, result.stdout
 
 
-def rows_of(path: Path) -> list[dict[str, str]]:
-    """Return a table's rows without timing."""
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    return [{name: cell for name, cell in row.items() if not name.startswith("cpu_")} for row in rows]
-
-
 def test_a_trial_is_whole(trial: tuple[Path, str]) -> None:
     """Files, rows, table and sentences of a trial; the caption names the maneuver."""
     folder, printed = trial
@@ -329,30 +309,3 @@ def test_a_trial_is_whole(trial: tuple[Path, str]) -> None:
     assert "pairs: completes all 1 points (1 of 1 runs)" in rest
     assert "distributed against centralized, 4 UAVs: CPU of an agent's step x" in rest
     assert "machine: " in rest
-
-
-def test_resuming_repeats_no_run(trial: tuple[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same command with the same folder reports the same numbers, timing included, without a run."""
-    folder, printed = trial
-    before = tables(folder)
-
-    def simulate(*_: object) -> None:
-        raise AssertionError("simulated again")
-
-    monkeypatch.setattr("transport.flight.memory.simulate", simulate)
-    result = here(*SMALL, "--out", folder)
-    assert result.exit_code == DONE, result.output
-    assert f"{FLIGHTS} of {FLIGHTS} runs are done already" in result.stderr
-    assert result.stdout == printed
-    assert tables(folder) == before
-    assert kept(folder) == FLIGHTS
-
-
-@pytest.mark.slow
-def test_costs_and_messages_do_not_depend_on_jobs(trial: tuple[Path, str]) -> None:
-    """Two runs at a time give bitwise the same numbers, except for the timing."""
-    folder, _ = trial
-    result = transport(*SMALL, "--jobs", "2", "--out", "two", cwd=folder.parent)
-    assert result.returncode == DONE, result.stderr
-    for name in ("cases.csv", "points.csv"):
-        assert rows_of(folder.parent / "two" / name) == rows_of(folder / name)

@@ -12,7 +12,6 @@ from pathlib import Path
 import psutil
 import pytest
 
-from protocol.scenario.file import find_scenario, read_scenario
 from tests.campaigns import inspection, signals
 from tests.campaigns.inspection import COMMAND, TOOL, name_of, names_below, processes_below
 from tests.campaigns.signal_runs import KINDS, RESTART, RESUMED_S, TARGETS, Injection, SignalRun, random_run
@@ -22,21 +21,12 @@ from tests.support.commands import command_of, settings, wait_for
 
 ROOT = Path(__file__).parents[2]
 MANY = 1500
-# Of these, runs whose scenarios are read.
-FEW = 300
 HOVER = ("maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]",)
 REFUSED = ("controller.horizon=0",)
 # Its first four runs signal a process that draws, the viewer, an agent and its successor, and have no long stop.
 SEED = "665"
 # Four runs, two at a time, on a slow machine: each may wait ten seconds until the network gives up a process.
 PATIENCE_S = 240.0
-
-
-def test_runs_are_drawn_from_their_number() -> None:
-    """Equal seed and number give the same run, different ones different runs."""
-    runs = [random_run(seed, number) for seed in (0, 1) for number in range(50)]
-    assert runs == [random_run(seed, number) for seed in (0, 1) for number in range(50)]
-    assert len({(run.settings, run.injections) for run in runs}) == len(runs)
 
 
 def test_every_process_gets_every_signal() -> None:
@@ -50,13 +40,6 @@ def test_every_process_gets_every_signal() -> None:
     assert min(stops.values()) > 10
     assert all(injection.resumed_s is None for injection in injections if injection.kind != "STOP")
     assert {len(run.injections) for run in runs} == {1, 2}
-
-
-def test_every_run_is_a_valid_scenario() -> None:
-    """All settings that can be drawn are accepted."""
-    path = find_scenario("resilient")
-    for drawn in {random_run(0, number).settings for number in range(FEW)}:
-        read_scenario(path, drawn)
 
 
 @pytest.mark.slow
@@ -90,26 +73,6 @@ def test_every_process_of_a_run_is_a_target(tmp_path: Path) -> None:
         command.kill()
         command.wait()
     assert seen.keys() - {TOOL} == set(TARGETS), seen
-
-
-def test_names_of_processes() -> None:
-    """Processes are named by their command lines; a command line that is not known is its own name."""
-    for line, name in (
-        ("python -P -m transport run paper", COMMAND),
-        ("python -P -m transport.cli.fork_server 5", "fork-server"),
-        ("transport fork-server", "fork-server"),
-        ("transport agent --allow-large --id 2 --run a --incarnation 0", "agent2"),
-        ("transport agent --allow-large --id 2 --run a --incarnation 3", "agent2-3"),
-        ("python -m transport agent --id 3", "agent3"),
-        ("transport plot /runs/a", "report"),
-        ("transport view /runs/a --wait 3", "viewer"),
-        ("x86_64-linux-gnu-gcc-12 -o a b", TOOL),
-        ("/usr/bin/ld -o a", TOOL),
-        ("uname -p", TOOL),
-        ("python -m http.server", "python -m http.server"),
-        ("transport sing", "transport sing"),
-    ):
-        assert name_of(line.split()) == name
 
 
 def executed(tmp_path: Path, drawn: tuple[str, ...], *injections: Injection) -> tuple[int, dict[str, str]]:

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -150,24 +149,3 @@ def test_search_from_a_folder(site: Path) -> None:
         assert wait_for(lambda: any("keys.html" in link for link in results())), results()
         assert opened.hosts() == set()
         assert opened.console() == []
-
-
-def test_the_build_needs_all_its_files(tmp_path: Path) -> None:
-    """A link to a heading that does not exist ends the build: strict is in force."""
-    copy = tmp_path / "copy"
-    shutil.copytree(ROOT / "docs", copy / "docs", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("mkdocs.yml", "README.md", "CHANGELOG.md", "SECURITY.md", "CITATION.cff", "LICENSE"):
-        shutil.copy(ROOT / name, copy / name)
-    for name in ("deploy", "transport/analysis"):
-        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-    time = copy / "docs" / "time.md"
-    time.write_text(time.read_text(encoding="utf-8") + "\n[nowhere](scenario.md#no-such-heading)\n", encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")],
-        capture_output=True,
-        text=True,
-        cwd=copy,
-        check=False,
-    )
-    assert done.returncode != 0
-    assert "no-such-heading" in done.stderr

@@ -8,12 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.core import TyperGroup
-from typer.testing import CliRunner
 
-from tests.support.command_tree import below, command_of, root
+from tests.support.command_tree import below, command_of
 from transport.cli.lazy import LazyGroup
-from transport.cli.main import app
 
 # Names the project modules and the top-level packages that a program imports, on its last line.
 IMPORTED = """
@@ -73,13 +70,6 @@ def test_a_run_imports_viewer_and_report_when_needed() -> None:
     assert not names & {"transport.cli.view", "transport.cli.run_report", *FOREIGN - {"mcap"}}
 
 
-def test_every_group_is_seen() -> None:
-    """The tests below go through all groups."""
-    assert {name for name, command in root().commands.items() if isinstance(command, TyperGroup)} == {
-        name for names in GROUPS for name in names
-    }
-
-
 @pytest.mark.parametrize("names", COMMANDS, ids=" ".join)
 def test_the_list_of_commands_repeats_their_docstrings(names: tuple[str, ...]) -> None:
     """The line of a command in the help of its group is the first line of the command's own help."""
@@ -106,10 +96,3 @@ def test_help_has_an_example(names: tuple[str, ...]) -> None:
     example, path, rest = command_of(shlex.split(found[1]))
     assert tuple(path) == names
     assert example.make_context(names[-1], rest).params is not None
-
-
-def test_a_mistyped_command_is_met_with_the_nearest() -> None:
-    """A name that is no command is refused, and the nearest command is named."""
-    result = CliRunner().invoke(app, ["valdate", "paper"])
-    assert result.exit_code == 2
-    assert "'validate'" in result.stderr

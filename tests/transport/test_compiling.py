@@ -24,11 +24,3 @@ def test_compilation_is_announced_once(
 
     assert "compiling the model for this processor, once" in said()
     assert said() == ""
-
-
-def test_nothing_is_announced_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where nothing can be compiled, nothing is said."""
-    monkeypatch.setattr("model.compiler.find_compiler", lambda: None)
-    output = io.StringIO()
-    compile_model(1, Console(file=output, force_terminal=True))
-    assert output.getvalue() == ""

@@ -1,28 +1,22 @@
 """Bad messages in the middle of a flight: dropped, counted, and without any effect on it."""
 
-import gc
-import tracemalloc
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
 
-from protocol.admission.gate import Gate
 from protocol.network.endpoints import Endpoints
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode, encode
-from protocol.wire.keys import Keys
 from protocol.wire.messages import Bundle, Message, MessageError, Reason, Rejected
 from protocol.wire.rejections import MAX_SENDERS
 from tests.support import runs
 from tests.support.garbage import Garbage
 from tests.support.logs import HEADER, with_scenario
-from tests.support.messages import changed
 from tests.support.runs import reproducible, setup
 from tests.support.wire import Wire, without_network
 from transport.analysis.metrics import summarise
@@ -155,33 +149,3 @@ def test_a_flight_under_fire(folder: Path, settings: tuple[str, ...]) -> None:
     shot, counted = sum(count for (at, _), count in fire.shot.items() if at == "recorder"), counts.pop("recorder")
     assert counted > 0.5 * shot if run.scenario.clock.relayed else counted == shot  # bundles count by their messages
     assert counts == {name: fire.refused[name] for name in wire.receivers if name != "recorder"}
-
-
-@pytest.mark.slow
-def test_fire_costs_no_memory() -> None:
-    """Memory held for refused messages does not grow with their number."""
-    run = setup(*SETTINGS)
-    keys = Keys(run.scenario.name)
-    gate = Gate("recorder", keys, replace(run.shape, relayed=False))
-    source = Garbage("recorder", keys, run, gate.max_bytes, np.random.default_rng(SEED))
-    for message in runs.recorded(run)[:100]:
-        mine = changed(message, incarnation=runs.INCARNATION)
-        source.heard(keys.of(mine), encode(mine))
-        list(gate.accept(keys.of(mine), encode(mine)))
-    bad = [source.next()[1:] for _ in range(3000)]
-    strangers = [(f"{keys.prefix}/plan/{'x' * 1000}{i}", b"?") for i in range(1000)]
-
-    def refuse_all() -> int:
-        for key, data in [*bad, *strangers]:
-            list(gate.accept(key, data))
-        gc.collect()
-        return tracemalloc.get_traced_memory()[0]
-
-    tracemalloc.start()
-    try:
-        used = [refuse_all() for _ in range(4)]
-    finally:
-        tracemalloc.stop()
-    assert gate.rejections.total > 12_000  # only a node can refuse the others
-    assert used[-1] - used[-2] < LEFT_BEHIND_BYTES
-    assert used[-1] < MOST_BYTES

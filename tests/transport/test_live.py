@@ -26,12 +26,6 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert list(folder.iterdir()) == []
 
 
-def test_a_folder_that_is_gone(tmp_path: Path) -> None:
-    """Marking a folder that was removed raises nothing: the run goes on."""
-    live.write(tmp_path / "gone", HERE)
-    live.remove(tmp_path / "gone")
-
-
 def test_the_file_of_a_killed_run_is_ignored(tmp_path: Path) -> None:
     """A run whose process is gone is not active."""
     ended = subprocess.Popen(["true"])

@@ -13,7 +13,6 @@ from model import state
 from protocol.wire.messages import KINDS, Message, Plan, PlantState, StepReport
 from tests.support import logs, runs
 from transport.cli.main import app
-from transport.log.writer import LogWriter
 
 KILL = (
     *("clock.on_agent_loss='continue'", "controller.prediction='closed_loop'", "controller.relaxation='auto'"),
@@ -95,20 +94,6 @@ def test_beginning_alone(flight: tuple[Path, list[Message]], tmp_path: Path) -> 
     assert (content["messages"], content["run_id"], content["ticks_of_the_run"]) == (0, None, None)
     assert "its name, scenario, versions, machine" in " ".join(content["lost"])  # type: ignore[arg-type]
     assert ask("info", stump).exit_code == 0
-
-
-def test_message_that_never_came(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
-    """A message that did not reach the recorder is reported with its tick, although the file is whole."""
-    _, messages = flight
-    path = tmp_path / "run.mcap"
-    with LogWriter(path, logs.HEADER, period_ns=50_000_000) as writer:
-        for message in messages:
-            if not (isinstance(message, Plan) and (message.agent, message.tick) == (2, 7)):
-                writer.write(message, 0)
-    content = info(path)
-    assert content["cut"] is None
-    assert content["complete"] is False
-    assert content["lost"] == ["some messages of ticks 6 to 7 did not reach the recorder"]
 
 
 def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:

@@ -11,12 +11,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from tests.support import runs
 from transport.log.channels import ENCODING
 from transport.log.parser import MOST_CHUNK_BYTES, Parser
 from transport.log.run_log import LogError, read_log
 from transport.log.tail import LogTail
-from transport.log.writer import LogWriter
 
 CHUNK_BYTES = 2000
 CHANNELS = 7
@@ -139,23 +137,3 @@ def test_a_chunk_cannot_lie_about_its_size(tmp_path: Path) -> None:
         finally:
             tracemalloc.stop()
         assert "1 damaged part left out" in log.cut
-
-
-@pytest.mark.slow
-def test_memory_of_the_writer_does_not_grow(tmp_path: Path) -> None:
-    """Only the time and place of each chunk are kept, not an index of its messages."""
-    message = runs.tick(3)
-    with LogWriter(tmp_path / "long.mcap", {}, period_ns=1) as writer:
-
-        def held(count: int) -> int:
-            for number in range(count):
-                writer.write(message, 10**8 * number)  # each in a chunk of its own
-            return tracemalloc.get_traced_memory()[0]
-
-        tracemalloc.start()
-        try:
-            before = held(1_000)
-            after = held(9_000)
-        finally:
-            tracemalloc.stop()
-    assert after - before < 500 * 8_000

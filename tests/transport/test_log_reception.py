@@ -6,17 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.opcode import Opcode
-from mcap.writer import MCAP0_MAGIC
 from msgspec.structs import replace
 
 from protocol.wire.codec import encode, header_of
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Message, MessageError, Plan, PlantState, Record, Rejected, Relay, Tick
+from protocol.wire.messages import Message, MessageError, Plan, Record, Rejected, Relay
 from protocol.wire.node import Outbox
 from tests.support import runs
 from tests.support.logs import HEADER, with_scenario
-from transport.log.parser import records
 from transport.log.run_log import RunLog, read_log
 from transport.log.tail import LogTail
 from transport.log.writer import LogWriter
@@ -24,7 +21,6 @@ from transport.log.writer import LogWriter
 TICKS = 30
 RUN = runs.setup("controller.horizon=5", runs.ticks(TICKS))
 KEYS = Keys("log")
-PROCESSES = ("coordinator", "plant", "agent1", "agent2", "agent3", "agent4")
 
 Entry = tuple[str, bytes]
 
@@ -114,23 +110,6 @@ def test_bad_messages_change_nothing(tmp_path: Path, flight: list[Message], rela
     assert sum(counts.values()) >= 3
     tail = [message for message in LogTail(tmp_path / "run.mcap").read() if not isinstance(message, Rejected)]
     assert {encode(message) for message in tail if isinstance(message, Message)} == accepted(log)
-
-
-def test_a_damaged_chunk_costs_no_other(tmp_path: Path, flight: list[Message]) -> None:
-    """Messages behind a damaged chunk are read, although it had many ticks."""
-    path = write(tmp_path / "run.mcap", [entry(message) for message in flight])
-    data = bytearray(path.read_bytes())
-    with path.open("rb") as file:
-        found_in = records(file, len(MCAP0_MAGIC))
-        chunks = [(offset, len(body)) for opcode, offset, body in found_in if opcode == Opcode.CHUNK]
-    for offset, size in chunks[:-2]:
-        data[offset + size // 2] ^= 0xFF
-    path.write_bytes(data)
-    log = read_log(path)
-    found = [encode(entry.message) for entry in log.messages]
-    assert found == [encode(message) for message in flight][-len(found) :]
-    assert 0 < len(found) < len(flight)
-    assert max(tick.tick for tick in log.of(Tick)) == max(state.tick for state in log.of(PlantState)) == TICKS - 1
 
 
 def test_without_a_scenario_order_is_checked(tmp_path: Path, flight: list[Message]) -> None:

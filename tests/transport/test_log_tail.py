@@ -18,7 +18,6 @@ from transport.log.channels import ENCODING
 from transport.log.parser import records
 from transport.log.run_log import read_log
 from transport.log.tail import LogTail
-from transport.scene.history import KINDS, RunHistory
 
 TICKS = 40
 RUN = runs.setup(runs.ticks(TICKS))
@@ -65,28 +64,6 @@ def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
     at = next(i for i, pair in enumerate(zip(found, expected, strict=False)) if pair[0] != pair[1])
     assert found == expected[:at] + expected[at - len(found) :]
     assert 0 < at < len(found) < len(expected)
-
-
-def test_the_kinds_of_a_viewer_give_the_same_record(log: Path) -> None:
-    """A viewer's record is the same with all messages as with those of its kinds."""
-    taken = LogTail(log, KINDS).read()
-    everything = [entry.message for entry in read_log(log).messages]
-    assert {message.kind for message in everything} - {message.kind for message in taken} == {"tick", "measurement"}
-    records = [RunHistory(RUN) for _ in range(2)]
-    records[0].add(taken)
-    records[1].add(everything)
-    contents = [
-        [
-            repr(found(agent, tick))
-            for found in (record.plan, record.report)
-            for agent in range(1, 6)
-            for tick in range(TICKS + 1)
-        ]
-        for record in records
-    ]
-    assert contents[0] == contents[1]
-    assert len(set(contents[0])) == 1 + 4 * TICKS * 2  # four agents; None for a fifth and a later tick
-    assert repr(records[0].plant_states) == repr(records[1].plant_states)
 
 
 def test_one_bad_message_costs_itself(log: Path, tmp_path: Path) -> None:

@@ -56,14 +56,6 @@ def test_iterations_approach_the_centralized_optimum() -> None:
     assert 0.0 < excess[5] < 0.1 * excess[1]
 
 
-def test_iterations_have_no_effect_with_one_agent() -> None:
-    """An agent that owns all UAVs has no partner for exchange: its second plan of a tick equals its first."""
-    found = plans(ALL, "controller.negotiation_iterations=2")
-    assert len(found) == 2 * TICKS
-    for k in range(TICKS):
-        np.testing.assert_allclose(found[k, 1, 0].inputs, found[k, 1, 1].inputs, rtol=0.0, atol=SAME_OPTIMUM)
-
-
 def test_every_exchange_is_a_plan_of_its_own() -> None:
     """Each agent sends one plan per iteration, with a decreasing counter, and one report per tick."""
     found = plans("controller.negotiation_iterations=3")
@@ -83,13 +75,6 @@ def test_the_plant_uses_only_the_last_plan() -> None:
             np.testing.assert_array_equal(flown, found[plant_state.tick, agent, 0].inputs[0])
             differ += not np.array_equal(flown, found[plant_state.tick, agent, 1].inputs[0])
     assert differ > 3 * TICKS
-
-
-def test_the_first_iteration_equals_a_run_with_one() -> None:
-    """Before the first exchange the plans of the first tick equal those of a run with one iteration."""
-    once, twice = plans(), plans("controller.negotiation_iterations=2")
-    for agent in (1, 2, 3, 4):
-        np.testing.assert_array_equal(once[0, agent, 0].inputs, twice[0, agent, 1].inputs)
 
 
 def test_delayed_links_do_not_negotiate() -> None:

@@ -129,12 +129,6 @@ def test_processes_that_were_unreachable_return(record: Recording) -> None:
     assert (end.outcome, end.reason) == ("aborted", "coordinator is gone")
 
 
-def test_nothing_to_say(record: Recording) -> None:
-    """A run without wrong messages is recorded without rejections."""
-    said = flight(5)
-    assert [encode(message) for message in record(*said)] == [encode(message) for message in said]
-
-
 def test_a_pause_is_used_to_write(record: Recording, tmp_path: Path) -> None:
     """After a pause without messages all earlier ones are in the file for readers, and recording goes on."""
     said, seen = flight(5), []

@@ -1,6 +1,5 @@
 """The report of a run folder: schema of the summary, reproducible files, cut logs, printed table."""
 
-import csv
 import io
 import json
 from importlib.resources import files
@@ -14,8 +13,6 @@ from rich.console import Console
 from protocol.wire.messages import Message, Reason
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, record_run
-from transport.analysis.steps import WALL_CLOCK
-from transport.log.run_log import LogError
 from transport.report.report import summary_table, write_report
 
 SCHEMA = json.loads(files("transport.analysis").joinpath("summary.schema.json").read_text(encoding="utf-8"))
@@ -111,32 +108,6 @@ def test_a_cut_log_is_reported(tmp_path: Path, flight: tuple[Path, list[Message]
     text = printed(summary)
     assert len(text.splitlines()) <= MOST_LINES
     assert "incomplete" in text
-
-
-def test_equal_runs_have_equal_tables(tmp_path: Path) -> None:
-    """steps.csv of two runs of one scenario differs in the *_ms columns only: lockstep is exact."""
-    run = runs.setup(runs.SHORT)
-    tables = []
-    for folder in (tmp_path / "a", tmp_path / "b"):
-        record_run(run, folder)
-        write_report(folder, figures=False)
-        with (folder / "steps.csv").open(encoding="utf-8", newline="") as stream:
-            tables.append(list(csv.DictReader(stream)))
-    kept = [
-        [{name: value for name, value in row.items() if not name.endswith(WALL_CLOCK)} for row in table]
-        for table in tables
-    ]
-    assert kept[0] == kept[1]
-    assert len(kept[0]) == 30 * 4
-    # Floats are written so that they read back as the same bits.
-    cost = kept[0][-1]["cost"]
-    assert repr(float(cost)) == cost
-
-
-def test_a_folder_without_a_log_is_refused(tmp_path: Path) -> None:
-    """A folder that holds no log raises a LogError that names it."""
-    with pytest.raises(LogError, match=r"run\.mcap"):
-        write_report(tmp_path)
 
 
 def test_the_table_has_the_main_results(flight: tuple[Path, list[Message]]) -> None:

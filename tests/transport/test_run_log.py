@@ -182,19 +182,6 @@ def test_damage_never_invents_a_message(tmp_path: Path, whole: bytes, flight: li
         assert log.cut or len(log.messages) == len(expected)
 
 
-def test_damage_costs_one_chunk(tmp_path: Path, whole: bytes, flight: list[Message]) -> None:
-    """The messages behind a damaged chunk are read, even if it is the first, which has the channels."""
-    path = tmp_path / "damaged.mcap"
-    data = bytearray(whole)
-    data[4000] ^= 0xFF  # in the middle of the first chunk
-    path.write_bytes(data)
-    log = read_log(path)
-    expected, found = bits(flight), read_bits(log)
-    assert 0 < len(found) < len(expected)
-    assert found == expected[-len(found) :]
-    assert "1 damaged part left out" in log.cut
-
-
 def test_zeros_at_the_end_are_no_records(tmp_path: Path, whole: bytes) -> None:
     """Zeros that a file system leaves behind an unfinished file are ignored."""
     path = tmp_path / "zeros.mcap"

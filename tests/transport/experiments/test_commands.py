@@ -105,15 +105,6 @@ def test_another_version_does_not_mix(tmp_path: Path, monkeypatch: pytest.Monkey
     assert "expected the version of this package that started the experiment, got another" in result.stderr
 
 
-def test_more_points_are_added(tmp_path: Path) -> None:
-    """Resuming with other points simulates the new ones, and reports the requested ones."""
-    assert here(*LATE, "--out", tmp_path / "out").exit_code == DONE
-    result = here(*LATE, "--delay", "0.2", "--out", tmp_path / "out")
-    assert result.exit_code == DONE, result.output
-    assert "2 of 3 runs are done already" in result.stderr
-    assert tables(tmp_path / "out")[1].count(b"completed") == 3
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"latency", "scaling"}))
 def test_a_trial_says_so(name: str, tmp_path: Path) -> None:

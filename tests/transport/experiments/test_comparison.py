@@ -66,14 +66,6 @@ def test_equal_computation(exponent: float, budget: str, agents: int) -> None:
     assert not span.is_open
 
 
-def test_repetitions_give_an_interval() -> None:
-    """The interval reaches from the smallest to the largest period of the repetitions: a slow minute widens it."""
-    slow = (1.0, 1.1, 0.9)
-    loads = [load(period_s, *(0.4 * LONGEST_S / period_s * factor for factor in slow)) for period_s in PERIODS_S]
-    span = equal_periods(loads, AGENT)
-    assert (span.low_s, span.high_s) == pytest.approx((0.036, 0.044), rel=1e-12)
-
-
 def test_periods_beyond_the_grid() -> None:
     """The range is open if a team computes more, or less, at every period, in all or some repetitions."""
     more, less = [load(0.1, 1.5), load(0.05, 3.0)], [load(0.1, 0.1), load(0.05, 0.2)]

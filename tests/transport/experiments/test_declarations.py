@@ -57,13 +57,6 @@ def test_every_point_is_valid(name: str) -> None:
     assert set(repetitions) <= {1, 2}
 
 
-def test_only_chance_is_repeated() -> None:
-    """Deterministic points run once, random points once per seed."""
-    points = built("matrix", of=("paper",), delay=[0.0, 0.1], loss=[0.0, 0.3]).points
-    seeds = [(case.point, case.scenario.seed) for case in cases_of(points, [], 2)]
-    assert seeds == [(0, 0), (1, 0), (1, 1), (2, 0), (3, 0), (3, 1)]
-
-
 @pytest.mark.parametrize(
     ("setting", "expected"),
     [
@@ -136,19 +129,6 @@ def test_each_death_is_of_one_agent_for_good() -> None:
     assert points == deaths(own, 20, 0).points != deaths(own, 20, 1).points
 
 
-def test_thresholds_reach_the_scenarios() -> None:
-    """Each network has all thresholds and all plans sent."""
-    experiment = built("sharing", of=("resilient",), threshold=[0.05, 0.01], heartbeat=0.5)
-    assert [(p.group, p.labels["share_threshold"]) for p in experiment.points] == [
-        (network, threshold) for network in NETWORKS for threshold in (0.0, 0.01, 0.05)
-    ]
-    for case in cases_of(experiment.points, [], 1):
-        threshold = experiment.points[case.point].labels["share_threshold"]
-        controller = case.scenario.controller
-        assert controller.share == ("on_change" if threshold else "always")
-        assert not threshold or (controller.share_threshold, controller.share_heartbeat_s) == (threshold, 0.5)
-
-
 def test_horizons_weights_and_networks() -> None:
     """Each horizon on each network, with each weight where the horizon ends with one, else with the cost-to-go."""
     experiment = horizon(scenarios(*BOTH), [5, 10, 30], [1.0, 20.0], 0.2)
@@ -218,26 +198,6 @@ def test_settings_decide_what_can_be_changed() -> None:
     assert given["negotiation iterations"] == {"1", "4"}
     assert given["actuation"] == {"immediate"}
     assert "0.25" not in given["relaxation"]
-
-
-@pytest.mark.slow
-def test_one_part_at_a_time() -> None:
-    """A variant differs from the scenario as it is in one setting, on the same network; no two runs are equal."""
-    experiment = built("ablation")
-    cases = cases_of(experiment.points, [], 1)
-    assert len({case.key for case in cases}) == len(cases) == len(experiment.points)
-    trees = {
-        (*experiment.points[case.point].labels.values(), case.scenario.name): case.scenario.tree() for case in cases
-    }
-    for (network, part, value, scenario), tree in trees.items():
-        own = trees[network, AS_IT_IS, "", scenario]
-        differing = {
-            f"{section}.{key}"
-            for section in ("controller", "clock", "links")
-            for key in own[section].keys() | tree[section].keys()
-            if own[section].get(key) != tree[section].get(key)
-        }
-        assert differing == (set() if part == AS_IT_IS else {PARTS[str(part)][0]}), (scenario, network, part, value)
 
 
 REFUSED: list[tuple[str, dict[str, Any], str]] = [

@@ -149,15 +149,6 @@ def test_anything_can_be_reported(experiment: Experiment, mix: str, tmp_path: Pa
     assert max(len(line.rstrip()) for line in text.splitlines()) <= width
 
 
-def test_figures_are_reproducible(tmp_path: Path) -> None:
-    """Equal numbers give equal files, and no setting of matplotlib is changed."""
-    before = dict(mpl.rcParams)
-    measured = made(LATENCY, MIXES["repeated"])
-    first = [path.read_bytes() for path in draw(LATENCY, measured, tmp_path)]
-    assert [path.read_bytes() for path in draw(LATENCY, measured, tmp_path)] == first
-    assert dict(mpl.rcParams) == before
-
-
 def test_a_table_names_confidence_intervals_only_where_it_has_them() -> None:
     """A point with a single completed run has none."""
     titles = {mix: means_in_words(made(LATENCY, MIXES[mix])) for mix in MIXES}

@@ -11,7 +11,6 @@ import pytest
 import transport
 from transport.interface.settings import KEY_OF, ShortSettings
 
-PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "transport")
 SOURCE = Path(transport.__file__).read_text(encoding="utf-8")
 
 
@@ -55,9 +54,3 @@ def test_errors_have_one_base() -> None:
     errors = [getattr(transport, name) for name in transport.__all__ if name.endswith("Error")]
     assert len(errors) > 5
     assert all(issubclass(error, transport.TransportError) for error in errors)
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_packages_are_marked_as_typed(package: str) -> None:
-    """Type checkers of users read our annotations."""
-    assert (Path(transport.__file__).parents[1] / package / "py.typed").exists()
