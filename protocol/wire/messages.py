@@ -29,6 +29,7 @@ from protocol.wire.message import (
     KeyEnds,
     Message,
     MessageError,
+    Names,
     Parts,
     PlanTicks,
     Reason,
@@ -223,6 +224,18 @@ class StepReport(Message, tag="report", frozen=True, kw_only=True):
         """Check the arrays, and that each peer has its ages."""
         Message.check(self)
         lengths_fit(peers=self.peers, plan_ages=self.plan_ages, state_ages=self.state_ages)
+
+
+class Note(Message, tag="note", frozen=True, kw_only=True):
+    """Agent to the record: numbers that a controller of the user has for the log, or why its step has failed."""
+
+    route: ClassVar[Route] = Route(sender=AGENT, receivers=(RECORDER, WATCHER), each="agent")
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {"values": lambda message: (len(message.names),)}
+
+    agent: Agent
+    problem: Text  # controller, method, error, file and line; empty if the step has not failed
+    names: Names  # of the numbers
+    values: Array  # the numbers, in the same order
 
 
 class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):

@@ -81,7 +81,7 @@ class Exits(Rods):
 if "exits" in __name__:
     os._exit(0)
 """
-NO_FORK = "raised RuntimeError: an engine must not fork its process; use subprocess, or the start method 'spawn'"
+NO_FORK = "raised RuntimeError: a class of yours must not fork its process; use subprocess, or the start method 'spawn'"
 
 
 def states(folder: Path) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 import threadpoolctl
 
 from agent.node import AgentNode
+from agent.own import checked_controller
 from model.arrays import Array
 from model.state import INPUTS
 from protocol.scenario.setup import Setup
@@ -84,6 +85,9 @@ class Replay:
             for message in (entry.message for entry in self.log.messages)
             if isinstance(message, Plan | StepReport) and message.agent == self.agent
         }
+        name, was = self.setup.scenario.agents.controller, self.log.header.get("controller", "")
+        if was.startswith(f"{name} ") and (now := checked_controller(self.setup)) != was:
+            self.notes.append(f"the run was recorded with controller {was}, this is {now}")
         with threadpoolctl.threadpool_limits(1):  # as in every process of a run, for the same bits
             for process in processes:
                 node = AgentNode(self.setup, self.agent, process.incarnation)

@@ -98,11 +98,12 @@ def replay(
     comparison = Comparison(commands=RATE_NAMES if run.setup.system.commands_rates else INPUT_NAMES)
     # In real time the log does not record when the agent noticed a lost message.
     ignored = ("report.lost",) if setup.scenario.clock.mode == "realtime" else ()
-    for step in again.steps():
-        if end is not None and step.tick > end:
-            break
-        if step.tick >= begin:
-            comparison.add(step, ignored=ignored)
+    with exit_on(ScenarioError, code=EXIT_SCENARIO):  # a controller that cannot be found or started
+        for step in again.steps():
+            if end is not None and step.tick > end:
+                break
+            if step.tick >= begin:
+                comparison.add(step, ignored=ignored)
     if stop_at is not None and not stopped:
         again.notes.append(f"--pdb: the agent has no measurement of tick {stop_at} that could be replayed")
     if not comparison.ticks:

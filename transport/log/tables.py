@@ -5,7 +5,7 @@ from typing import Any
 
 from model.arrays import Array
 from model.state import INPUTS, PAYLOAD, PER_UAV
-from protocol.wire.messages import KINDS, STAGES, ActualInputs, Measurement, Message, Plan, PlantState, StepReport
+from protocol.wire.messages import KINDS, STAGES, ActualInputs, Measurement, Message, Note, Plan, PlantState, StepReport
 from transport.log.run_log import RunLog
 
 Row = dict[str, Any]
@@ -37,6 +37,7 @@ _SPREAD = {
     Measurement.kind: ("payload", "uavs", "uav_states", "inputs"),
     Plan.kind: ("uavs", "uav_states", "inputs", "corrections"),
     StepReport.kind: ("peers", "plan_ages", "state_ages", "force", "times_ms"),
+    Note.kind: ("names", "values"),
     PlantState.kind: ("x", "u", "plan_ticks"),
     ActualInputs.kind: ("uavs", "inputs"),
 }
@@ -99,6 +100,8 @@ def _spread(message: Message, commands: tuple[str, ...]) -> Iterator[Row]:
                     for what, age in zip(("plan", "state"), both, strict=True)
                 },
             }
+        case Note():
+            yield _named("", message.names, message.values)
         case PlantState():
             row = _named("payload_", PAYLOAD_NAMES, message.x[:PAYLOAD])
             for i, plan_tick in enumerate(message.plan_ticks):
