@@ -130,7 +130,6 @@ class OwnPlanner:
     def _start(self) -> None:
         """Make and start an object of the class, without knowledge of the run so far."""
         setup, uavs = self._setup, len(self._owned)
-        limits = setup.settings.limits
         self._run = Run(
             agent=self._agent,
             owned=self._owned,
@@ -138,8 +137,8 @@ class OwnPlanner:
             model=setup.model,
             x_hover=setup.hover.x.copy(),
             u_hover=setup.hover.u.copy(),
-            lower=limits.lower(uavs),
-            upper=limits.upper(uavs),
+            lower=setup.settings.lower(uavs),
+            upper=setup.settings.upper(uavs),
             period_s=setup.settings.sampling_period_s,
             ticks=setup.ticks,
             horizon=setup.settings.horizon,

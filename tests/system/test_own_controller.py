@@ -35,7 +35,13 @@ def test_processes_and_memory_have_the_same_bits(tmp_path: Path, monkeypatch: py
     monkeypatch.chdir(EXAMPLES)
     faults = [{"at_s": 0.5, "do": "kill", "target": "agent2"}, {"at_s": 1.0, "do": "restart", "target": "agent2"}]
     phases = [{"name": "climb", "duration_s": 2.0, "displacement_m": [0.0, 0.0, -0.5]}]
-    given: dict[str, Any] = {"controller": "pid:PID", "delay_s": 0.1, "loss": 0.2, "faults": faults, "on_agent_loss": "continue"}
+    given: dict[str, Any] = {
+        "controller": "pid:PID",
+        "delay_s": 0.1,
+        "loss": 0.2,
+        "faults": faults,
+        "on_agent_loss": "continue",
+    }
     runs = [
         transport.fly("resilient", phases=phases, processes=processes, folder=folder, progress=False, **given)
         for processes, folder in ((False, None), (True, tmp_path / "run"))
