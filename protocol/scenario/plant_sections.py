@@ -1,5 +1,6 @@
 """Sections of a scenario about the plant: engine, bodies, motors, wind, sensors."""
 
+import re
 from typing import Annotated, Literal
 
 from annotated_types import Interval
@@ -7,13 +8,12 @@ from pydantic import AfterValidator
 from pydantic_core import PydanticCustomError
 
 from mpc.settings import Key, NotNegative, NotNegativeVector, Positive, Range, Section, Vector
-from protocol.scenario.own_class import is_class_name
 
 _NOISE = (1e-12, 1e4)
 
 
 def _engine(value: str) -> str:
-    if value in ("rods", "mujoco") or is_class_name(value):
+    if value in ("rods", "mujoco") or re.fullmatch(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*", value):
         return value
     raise PydanticCustomError("engine", "expected 'rods', 'mujoco' or 'package.module:Class'")
 
@@ -112,9 +112,10 @@ class PlantSection(Section):
     """actual mass and inertia of the payload over those of `[system.payload]`, which the controller assumes"""
     uav_mass_factor: Annotated[MassFactor, Key(label="actual over assumed UAV mass")] = 1.0
     """actual mass and inertia of every UAV over those that the controller assumes"""
-    inner_loop: Literal["model"] = "model"
+    inner_loop: Literal["model", "betaflight"] = "model"
     """inner loop that makes moments from commanded body rates, 1000 times a second, with
-    `controller.inputs=rates`: the one that the controllers predict with"""
+    `controller.inputs=rates`: the one that the controllers predict with, or the flight firmware Betaflight, one process
+    for each UAV ([engines.md](engines.md#flight-firmware); needs the extra `firmware`)"""
     motors: MotorsSection = MotorsSection()
     wind: WindSection = WindSection()
     noise: NoiseSection = NoiseSection()

@@ -120,11 +120,6 @@ def _controller(scenario: Scenario) -> Problems:
         for key, (needed, why) in _SHARING.items():
             if (got := getattr(section, key)) != needed:
                 yield f"controller.{key}", f"{needed!r} with controller.share 'on_change', {why}", repr(got)
-    if scenario.agents.controller != "mpc":
-        why = "with a class as agents.controller, which has neither corrections nor proposals"
-        for key, needed in (("share", "always"), ("negotiation_iterations", 1)):
-            if (got := getattr(section, key)) != needed:
-                yield f"controller.{key}", f"{needed!r} {why}", repr(got)
     # A lag is none, or long enough for the exponential of the discretisation.
     shortest_s = _SHORTEST_LAG * section.sampling_period_s
     motors_s = scenario.plant.motors.lag_s
@@ -170,7 +165,7 @@ def _faults(scenario: Scenario) -> Problems:
 
 
 def _plant(scenario: Scenario) -> Problems:
-    """Steps too long for a period or for contacts, settings without effect on the engine, drag that reverses motion."""
+    """Steps too long for a period or for contacts, settings without effect, drag that reverses motion."""
     plant, mujoco, period_s = scenario.plant, scenario.plant.mujoco, scenario.controller.sampling_period_s
     if plant.step_s > period_s:
         yield "plant.step_s", f"at most the sampling period {period_s}", plant.step_s
@@ -180,6 +175,15 @@ def _plant(scenario: Scenario) -> Problems:
             yield "plant.ground_m", expected, "'rods', which has no ground"
         if mujoco != MujocoSection():
             yield "plant.mujoco", expected, "'rods'"
+    if plant.inner_loop != "model":
+        if scenario.controller.inputs != "rates":
+            yield "plant.inner_loop", "controller.inputs = 'rates' with a firmware", repr(scenario.controller.inputs)
+        if scenario.clock.mode == "realtime":
+            yield (
+                "plant.inner_loop",
+                "'model' with mode realtime, as a firmware has virtual time",
+                repr(plant.inner_loop),
+            )
     if mujoco.step_s > min(period_s, LONGEST_MUJOCO_STEP_S):
         expected = f"at most the sampling period {period_s} and {LONGEST_MUJOCO_STEP_S} s, as contacts are stiff"
         yield "plant.mujoco.step_s", expected, mujoco.step_s

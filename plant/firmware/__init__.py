@@ -1,0 +1,1 @@
+"""Flight firmware as inner loop: Betaflight's simulator target, one process for each UAV, in virtual time."""

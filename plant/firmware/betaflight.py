@@ -1,0 +1,219 @@
+"""Betaflight as inner loop: one unmodified firmware for each UAV, in lockstep with the plant.
+
+Signs: the plant's body axes are forward, right, down, its world is north, east, down. The firmware measures about
+forward, left, up; its packets take angular velocities about forward, right, down, the acceleration negated, and the
+attitude of its axes in a world with z up.
+"""
+
+import math
+import tempfile
+import weakref
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from model.arrays import Array
+from model.parameters import Uav
+from model.state import OMEGA, THETA, StateView
+from plant.firmware.process import FirmwareError, Process, executable, settings, virtual_time
+from plant.motors import Rotors
+from protocol.scenario.errors import ScenarioError
+from protocol.scenario.plant_sections import RotorsSection
+from protocol.scenario.setup import Setup
+
+# Settings of the firmware that are not its defaults, for every UAV. The receiver's channels are body rates as they
+# are, without smoothing or lead: the controllers already plan with the inner loop. AUX1 arms.
+_SETTINGS = """\
+aux 0 0 0 1700 2100 0 0
+set pwr_on_arm_grace = 0
+set small_angle = 180
+set runaway_takeoff_prevention = OFF
+set blackbox_device = NONE
+set rc_smoothing = OFF
+set rates_type = ACTUAL
+set simplified_pids_mode = OFF
+set min_check = 1050
+set motor_idle = 550""".splitlines()
+# Output of the motors when armed, and the channel of the throttle from there to full, us: as set above.
+_IDLE, _THROTTLE_US = 0.055, (1050, 2000)
+_AXES = ("roll", "pitch", "yaw")
+# Units of the firmware's gains, per deg/s, deg and deg/s^2 (its flight/pid.h), as shares of full output.
+_P, _I, _D = 0.032029e-3, 0.244381e-3, 0.000529e-3
+# Integral over proportional gain, in 1/time constant, and derivative over proportional gain, s. With the ratios of the
+# firmware's defaults, 0.5 at 40 ms and 0.011, rates overshoot by an eighth; the model has neither term.
+_INTEGRAL, _DERIVATIVE_S = 0.04, 0.004
+_LARGEST_GAIN = 250
+# Virtual time before tick 0, s: the receiver hears from here on, arms, raises the throttle, and is ready.
+_HEARS_S, _ARMS_S, _LIFTS_S, _READY_S = 1.5, 2.6, 2.8, 3.5
+_LOW_US, _MIDDLE_US, _HIGH_US = 1000, 1500, 2000
+
+
+class Betaflight:
+    """The inner loops of all UAVs as firmwares; an `InnerLoop`.
+
+    Outputs that the firmware makes of one state act from the next step on, 1 ms later.
+
+    Args:
+        setup: The run.
+        step_s: Time between two calls, s.
+
+    Attributes:
+        failure: Why the run ends; empty while all firmwares work.
+    Raises: ScenarioError: a firmware cannot be started.
+    """
+
+    def __init__(self, setup: Setup, step_s: float) -> None:
+        section = setup.scenario.plant.motors.rotors
+        most_N = setup.settings.limits.thrust_N[1]
+        rotors = [section or _rotors(uav, most_N) for uav in setup.system.uavs]
+        self._mixing = np.stack([Rotors(each).mixing for each in rotors])
+        self._most_N = np.array([each.thrust_N[1] for each in rotors])
+        self._rates_rads = np.radians([10.0 * rate for rate in _rate_settings(setup)])
+        self._model, self._gravity, self._step_s = setup.model, setup.system.gravity, step_s
+        self._velocity: Array | None = None
+        self.failure = ""
+        self._processes: list[Process] = []
+        weakref.finalize(self, _end, self._processes)
+        try:
+            self._start(setup, rotors)
+        except FirmwareError as error:
+            raise ScenarioError(setup.scenario.name, "plant.inner_loop", str(error)) from error
+
+    def _start(self, setup: Setup, rotors: list[RotorsSection]) -> None:
+        """Start the firmwares and let them arm in hover."""
+        x, command = setup.initial_state(), setup.hover.u.reshape(-1, 4) * [1.0, 0.0, 0.0, 0.0]
+        made: dict[tuple[str, ...], bytes] = {}
+        with tempfile.TemporaryDirectory() as name:
+            for i, (uav, section) in enumerate(zip(setup.system.uavs, rotors, strict=True)):
+                lines = (*_SETTINGS, *_tuning(setup, uav, section, command[i, 0]))
+                if lines not in made:
+                    made[lines] = settings(lines, self._step_s)
+                folder = Path(name) / str(i)
+                folder.mkdir()
+                (folder / "eeprom.bin").write_bytes(made[lines])
+                self._processes.append(Process(folder, self._step_s))
+            sensors, flying = self._sensors(x), self._channels(command)
+            for k in range(math.ceil(_READY_S / self._step_s)):
+                t = k * self._step_s
+                channels = flying.copy()
+                if t < _LIFTS_S:
+                    channels[:, 2] = _LOW_US
+                if t < _ARMS_S:
+                    channels[:, 4] = _LOW_US
+                for i, process in enumerate(self._processes):
+                    process.outputs()
+                    process.give(sensors[i], channels[i] if t >= _HEARS_S else ())
+
+    def reset(self, x: Array, u: Array) -> None:  # noqa: ARG002
+        """Forget the velocity: the state may have jumped."""
+        self._velocity = None
+
+    def moments(self, time_s: float, command: Array, x: Array) -> Array:  # noqa: ARG002
+        """Return thrust and moments that the rotors of the firmwares give, (N, 4), N and N m."""
+        try:
+            outputs = np.array([process.outputs() for process in self._processes])
+            for process, sensors, channels in zip(
+                self._processes, self._sensors(x), self._channels(command), strict=True
+            ):
+                process.give(sensors, channels)
+        except FirmwareError as error:
+            self.failure = self.failure or str(error)
+            return command * [1.0, 0.0, 0.0, 0.0]
+        # The speed of a rotor follows the output, its thrust the square of the speed.
+        thrusts = self._most_N[:, None] * np.clip(outputs, 0.0, 1.0) ** 2
+        inputs: Array = np.einsum("nij,nj->ni", self._mixing, thrusts)
+        return inputs
+
+    def _sensors(self, x: Array) -> Array:
+        """Return what the sensors of each UAV measure, (N, 10): angular velocity, acceleration, attitude."""
+        uavs = StateView(x).uavs
+        velocity = self._model.velocities(x)[1:]
+        before = velocity if self._velocity is None else self._velocity
+        self._velocity = velocity
+        felt_I = (velocity - before) / self._step_s - [0.0, 0.0, self._gravity]
+        roll, pitch, yaw = uavs[:, THETA].T / 2.0
+        cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+        w, x_, y, z = (
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        )
+        q = np.array([x_, y, z]).T
+        # Rotated into the body frame by the conjugate.
+        t = -2.0 * np.cross(q, felt_I)
+        felt = felt_I + w[:, None] * t - np.cross(q, t)
+        return np.column_stack([uavs[:, OMEGA], felt * [-1.0, 1.0, 1.0], w, x_, -y, -z])
+
+    def _channels(self, command: Array) -> npt.NDArray[np.int64]:
+        """Return the channels of the receivers for commanded thrusts and rates, (N, 16), us."""
+        low, high = _THROTTLE_US
+        outputs = np.sqrt(np.clip(command[:, 0] / (4.0 * self._most_N), 0.0, 1.0))
+        channels = np.full((len(command), 16), float(_LOW_US))
+        channels[:, 2] = low + (high - low) * np.maximum((outputs - _IDLE) / (1.0 - _IDLE), 0.0)
+        sticks = 500.0 * command[:, 1:] / self._rates_rads * [1.0, -1.0, 1.0]  # forward, nose down, is positive
+        channels[:, [0, 1, 3]] = np.clip(_MIDDLE_US + sticks, _LOW_US, _HIGH_US)
+        channels[:, 4] = _HIGH_US
+        rounded: npt.NDArray[np.int64] = np.rint(channels).astype(np.int64)
+        return rounded
+
+
+def version(setup: Setup) -> str:
+    """Return name and version of the firmware that a run will start.
+
+    Raises: ScenarioError: it is not installed, or there is no compiler.
+    """
+    try:
+        executable()
+        virtual_time()
+    except FirmwareError as error:
+        raise ScenarioError(setup.scenario.name, "plant.inner_loop", str(error)) from error
+    return f"betaflight {metadata.version('betaflight')}"
+
+
+def _end(processes: list[Process]) -> None:
+    for process in processes:
+        process.end()
+
+
+def _rotors(uav: Uav, most_N: float) -> RotorsSection:
+    """Return the rotors of a UAV whose scenario names none: its mass sits at their places."""
+    arm_m = math.sqrt(2.0 * uav.inertia[0, 0] / uav.mass)
+    return RotorsSection(arm_m=arm_m, drag_to_thrust_m=0.1 * arm_m, thrust_N=(0.0, most_N / 4.0))
+
+
+def _rate_settings(setup: Setup) -> list[int]:
+    """Return the settings of the largest rates, 10 deg/s: full sticks are at least the limits of the commands."""
+    limits = np.degrees(setup.settings.limits.rates_rads) / 10.0
+    return [min(math.ceil(limit), 200) for limit in limits]
+
+
+def _tuning(setup: Setup, uav: Uav, section: RotorsSection, thrust_N: float) -> list[str]:
+    """Return rates and gains of a UAV, such that body rates follow with the scenario's time constants around hover.
+
+    An output d per axis changes each rotor's thrust by f' d; with gains p and d of the moment b (p error - d omega'),
+    omega' = p b / (J + d b) error.
+    """
+    most_N = section.thrust_N[1]
+    slope_N = 2.0 * math.sqrt(thrust_N / 4.0 * most_N)
+    lines = []
+    for axis, name in enumerate(_AXES):
+        moment_Nm = slope_N * np.abs(Rotors(section).mixing[1 + axis]).sum()
+        gain = 1.0 / setup.settings.rate_time_constant_s[axis]  # 1/s
+        p = gain * uav.inertia[axis, axis] / moment_Nm / max(1.0 - gain * _DERIVATIVE_S, 0.5)
+        p_degrees = math.radians(p)
+        rate = _rate_settings(setup)[axis]
+        given = {
+            f"{name}_rc_rate": rate,
+            f"{name}_srate": rate,
+            f"{name}_expo": 0,
+            f"f_{name}": 0,
+            f"p_{name}": p_degrees / _P,
+            f"i_{name}": _INTEGRAL * gain * p_degrees / _I,
+            f"d_{name}": _DERIVATIVE_S * p_degrees / _D,
+            f"d_max_{name}": 0,
+        }
+        lines += [f"set {key} = {min(round(value), _LARGEST_GAIN)}" for key, value in given.items()]
+    return lines

