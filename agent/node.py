@@ -8,7 +8,9 @@ free, and of several measurements the newest.
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from typing import Any
 
+from agent.own import PROJECT, OwnPlanner, OwnStep
 from agent.step import Planner, Step
 from agent.team_estimate import Known
 from protocol.admission.arrivals import Arrivals
@@ -32,7 +34,8 @@ class AgentNode:
         self._agent = agent
         self._setup = setup
         self._stopwatch = stopwatch
-        self._planner = Planner(setup, agent, stopwatch)
+        make = Planner if setup.scenario.agents.controller == PROJECT else OwnPlanner
+        self._planner: Any = make(setup, agent, stopwatch)
         self._waits = setup.scenario.clock.mode == "lockstep"
         self._membership = Membership()
         self.publish_ns = 0
@@ -56,7 +59,7 @@ class AgentNode:
         links = [*self._plans.links.values(), *self._measurements.links.values()]
         self._link_changes = LinkChanges(links, setup.samples_s)
         self._measurement: Measurement | None = None  # of the open tick, until its step begins
-        self._step: Step | None = None  # being negotiated
+        self._step: Step | OwnStep | None = None  # being negotiated
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are physically here, by tick
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and exchanges to come, and agent
         self._last_tick = -1
@@ -75,7 +78,10 @@ class AgentNode:
                 self._handle(event, now_ns)
             case Presence(alive=False) if event.name == COORDINATOR:
                 self.finished = lost(self._out, self._last_tick, "coordinator is gone")
-        return self._work(now_ns) if self._waits and self.finished is None else ()
+        if self.finished is not None:
+            last: list[Message] = self._planner.end(max(self._last_tick, 0), self._out)
+            return last
+        return self._work(now_ns) if self._waits else ()
 
     def poll(self, now_ns: int) -> Sequence[Message]:
         """In real time, plan from the newest measurement once all received messages are taken in."""
@@ -173,9 +179,9 @@ class AgentNode:
             out += self._plan(self._step)
         return out
 
-    def _plan(self, step: Step) -> list[Message]:
+    def _plan(self, step: Step | OwnStep) -> list[Message]:
         """Return the next proposal of a step, or its plan and report, which conclude it."""
-        messages = self._planner.plan(step, self._out, self.publish_ns)
+        messages: list[Message] = self._planner.plan(step, self._out, self.publish_ns)
         if step.negotiation == 0:
             self._step = None
         return messages
@@ -202,7 +208,7 @@ class AgentNode:
             started_ns=started_ns,
         )
 
-    def _take_proposals(self, step: Step) -> list[Plan]:
+    def _take_proposals(self, step: Step | OwnStep) -> list[Plan]:
         """Return the others' proposals of the present iteration that their links pass without delay, by agent."""
         k = step.known.measurement.tick
         proposals = sorted(self._proposals.pop((k, step.negotiation), {}).items())
@@ -220,7 +226,7 @@ class AgentNode:
         senders = set(measurement.shared) & self._membership.took_part(measurement.tick - 1) - {self._agent}
         return senders <= self._arrived.get(measurement.tick - 1, set())
 
-    def _has_proposals_for(self, step: Step) -> bool:
+    def _has_proposals_for(self, step: Step | OwnStep) -> bool:
         """Return whether the proposals of the present iteration are here from all others."""
         here = self._proposals.get((step.known.measurement.tick, step.negotiation), {})
         return self._membership.agents - {self._agent} <= here.keys()

@@ -4,9 +4,10 @@
 count and when a tick may begin.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -164,6 +165,10 @@ class Planner:
         self._idle_since_ns = self._stopwatch()
         return [plan, report]
 
+    def end(self, tick: int, out: Outbox) -> list[Message]:  # noqa: ARG002
+        """Return nothing: this controller has nothing to end with the run."""
+        return []
+
     def adopt(self, step: Step, proposals: Sequence[Plan]) -> None:
         """Take the others' proposals and the own one into the next iteration of the negotiation."""
         U, c = step.U.copy(), None if step.law is None else step.law.c.copy()
@@ -206,10 +211,10 @@ class Planner:
         k, solution, team = step.known.measurement.tick, result.solution, self._team
         newest = [team.announced.newest(agent, before=k) for agent in team.peers]
         worst, measured = solution.residuals.worst, team.estimator.measured
-        return out.stamp(
-            StepReport,
-            tick=k,
-            agent=self._agent,
+        return step_report(
+            step.known,
+            self._agent,
+            out,
             status=solution.status,
             solver=solution.solver,
             fallback=solution.fallback,
@@ -219,9 +224,26 @@ class Planner:
             plan_ages=tuple(-1 if plan is None else k - plan.tick for plan in newest),
             state_ages=tuple(team.estimator.age(agent, k) for agent in team.peers),
             measurement_age=-1 if measured < 0 else k - measured,
-            delivered=len(step.known.plans),
-            lost=step.known.lost,
-            late=sum(plan.tick < k - 1 for plan in step.known.plans),
             force=np.zeros(3) if team.forces is None else team.forces[:3],
-            times_ms=np.array([step.times_ns[stage] / 1e6 for stage in STAGES]),
+            times_ns=step.times_ns,
         )
+
+
+_WITHOUT_SOLVER: Mapping[str, Any] = {"fallback": False, "iterations": 0, "residual": -1.0, "force": np.zeros(3)}
+
+
+def step_report(known: Known, agent: int, out: Outbox, *, times_ns: Mapping[str, int], **fields: Any) -> StepReport:
+    """Return the report of a step from what the agent, 1-based, knew, and the other fields of the message.
+
+    Fields that describe a solver are those of a step without one, unless they are given.
+    """
+    return out.stamp(
+        StepReport,
+        tick=known.measurement.tick,
+        agent=agent,
+        delivered=len(known.plans),
+        lost=known.lost,
+        late=sum(plan.tick < known.measurement.tick - 1 for plan in known.plans),
+        times_ms=np.array([times_ns[stage] / 1e6 for stage in STAGES]),
+        **{**_WITHOUT_SOLVER, **fields},
+    )

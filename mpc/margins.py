@@ -183,13 +183,27 @@ class Loop:
         motion = Model(plant.system(self._system)).linearise(actual.x, actual.u)
         T, period_s, m, r = self._T[: self._system.n, : self._r], self.period_s, self._m, self._r
         F, G = T.T @ motion.A_c @ T, plant.gain * (T.T @ motion.B_c)
-        if plant.lag_s > 0.0:
+        by_state, by_command = self._inner_loop()
+        if plant.lag_s == 0.0:
+            F, G = F + G @ by_state, G @ by_command
+        else:
             # Actual inputs in units of their effect: moments of small vehicles are tiny in N m.
             unit = 1.0 / np.abs(G).max(axis=0)
-            F = np.block([[F, G * unit], [np.zeros((m, r)), -np.eye(m) / plant.lag_s]])
-            G = np.vstack([np.zeros((r, m)), np.diag(1.0 / (unit * plant.lag_s))])
+            F = np.block([[F, G * unit], [by_state / (unit * plant.lag_s)[:, None], -np.eye(m) / plant.lag_s]])
+            G = np.vstack([np.zeros((r, m)), by_command / (unit * plant.lag_s)[:, None]])
         late, part_s = divmod(plant.delay_s, period_s)
         return self._step_matrix(_held(F, G, part_s), _held(F, G, period_s - part_s), round(late))
+
+    def _inner_loop(self) -> tuple[Array, Array]:
+        """Return thrust and moments by state, in coordinates of the motion, and by command. Source: (59)."""
+        by_state, by_command = np.zeros((self._m, self._system.n)), np.eye(self._m)
+        if self._system.rate_gains is not None:
+            for i, uav in enumerate(self._system.uavs):
+                moments = np.arange(state.INPUTS * i + 1, state.INPUTS * (i + 1))
+                gains = uav.inertia * self._system.rate_gains
+                by_state[np.ix_(moments, np.arange(self._system.n)[state.uav_slice(i)][state.OMEGA])] = -gains
+                by_command[np.ix_(moments, moments)] = gains
+        return by_state @ self._T[: self._system.n, : self._r], by_command
 
     def _step_matrix(self, before: tuple[Array, Array], after: tuple[Array, Array], late: int) -> Array:
         """Return the step of the loop from the plant's steps before and after the arrival of a delayed command."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from model.arrays import Array
 from model.parameters import System
-from model.state import OMEGA, StateView
+from model.state import StateView
 from protocol.scenario.setup import Setup
 
 # Starts processes, so it is imported by runs with a firmware only.
@@ -59,12 +59,21 @@ class RateLoop:
 
     def moments(self, time_s: float, command: Array, x: Array) -> Array:  # noqa: ARG002
         """Return thrust and moments for commanded body rates, (N, 4), N and N m."""
-        omega = StateView(x).uavs[:, OMEGA]
-        inputs = command.copy()
-        turning = np.einsum("nij,nj->ni", self._inertia, omega)
-        wanted = np.einsum("nij,nj->ni", self._inertia, self._gains * (command[:, 1:] - omega))
-        inputs[:, 1:] = np.clip(wanted + np.cross(omega, turning), -self._limits_Nm, self._limits_Nm)
+        omega, inputs = StateView(x).omega_B, command.copy()
+        momentum = _times(self._inertia, omega)
+        wanted = _times(self._inertia, self._gains * (command[:, 1:] - omega))
+        # The cross product, at a fifth of the time that numpy.cross takes for a few vectors.
+        wanted += omega[:, _NEXT] * momentum[:, _LAST] - omega[:, _LAST] * momentum[:, _NEXT]
+        inputs[:, 1:] = np.minimum(np.maximum(wanted, -self._limits_Nm), self._limits_Nm)
         return inputs
+
+
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Return the product of each matrix with its vector, (N, 3)."""
+    return np.asarray(np.matmul(matrices, vectors[:, :, None])[:, :, 0])
 
 
 def inner_loop(setup: Setup, step_s: float) -> InnerLoop | None:

@@ -1,4 +1,4 @@
-"""The program, scenarios and engine of docs/bring-your-own.md work."""
+"""The program, controller, scenarios and engine of docs/bring-your-own.md work."""
 
 import re
 import subprocess
@@ -10,7 +10,7 @@ import pytest
 
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
-from tests.support.runs import SCENARIOS, plant_states, recorded
+from tests.support.runs import SCENARIOS, plant_states, recorded, ticks
 
 # The engine of the document and the one here, both far below what a controller notices.
 ENGINES_M = 1e-5
@@ -28,7 +28,7 @@ def blocks(language: str) -> list[str]:
 
 def test_the_path_of_the_document(tmp_path: Path) -> None:
     """An eight of 2 m, from rest to rest, where the phase before ended; the scenario around it is valid."""
-    program, _ = blocks("python")
+    _, program, _ = blocks("python")
     subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True, timeout=60)
     phases, _ = blocks("toml")
     ready = (SCENARIOS / "resilient.toml").read_text(encoding="utf-8")
@@ -53,10 +53,22 @@ def test_the_constraint_of_the_document(tmp_path: Path) -> None:
     assert [(c.expression, c.penalty, c.soft) for c in run.settings.constraint] == [("r0[2] >= -11.0", 0.5, True)]
 
 
+def test_the_controller_of_the_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The class hovers, from Python by name and from the command line's setting alike."""
+    controller, _, _ = blocks("python")
+    (tmp_path / "my_level.py").write_text(controller, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    path = SCENARIOS / "resilient.toml"
+    run = Setup.of(read_scenario(path, ["agents.controller=my_level:Level", ticks(20)]), str(path))
+    x = np.array([entry.x for entry in plant_states(recorded(run))])
+    assert len(x) == 20
+    assert np.abs(x - run.initial_state()).max() < ENGINES_M
+
+
 @pytest.mark.slow
 def test_the_engine_of_the_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The class integrates the paper's maneuver like the engine of the project."""
-    _, engine = blocks("python")
+    _, _, engine = blocks("python")
     (tmp_path / "mine.py").write_text(engine, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     path = SCENARIOS / "resilient.toml"

@@ -1,6 +1,5 @@
 """Sections of a scenario about the plant: engine, bodies, motors, wind, sensors."""
 
-import re
 from typing import Annotated, Literal
 
 from annotated_types import Interval
@@ -8,12 +7,13 @@ from pydantic import AfterValidator
 from pydantic_core import PydanticCustomError
 
 from mpc.settings import Key, NotNegative, NotNegativeVector, Positive, Range, Section, Vector
+from protocol.scenario.own_class import is_class_name
 
 _NOISE = (1e-12, 1e4)
 
 
 def _engine(value: str) -> str:
-    if value in ("rods", "mujoco") or re.fullmatch(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*", value):
+    if value in ("rods", "mujoco") or is_class_name(value):
         return value
     raise PydanticCustomError("engine", "expected 'rods', 'mujoco' or 'package.module:Class'")
 

@@ -120,6 +120,11 @@ def _controller(scenario: Scenario) -> Problems:
         for key, (needed, why) in _SHARING.items():
             if (got := getattr(section, key)) != needed:
                 yield f"controller.{key}", f"{needed!r} with controller.share 'on_change', {why}", repr(got)
+    if scenario.agents.controller != "mpc":
+        why = "with a class as agents.controller, which has neither corrections nor proposals"
+        for key, needed in (("share", "always"), ("negotiation_iterations", 1)):
+            if (got := getattr(section, key)) != needed:
+                yield f"controller.{key}", f"{needed!r} {why}", repr(got)
     # A lag is none, or long enough for the exponential of the discretisation.
     shortest_s = _SHORTEST_LAG * section.sampling_period_s
     motors_s = scenario.plant.motors.lag_s

@@ -16,6 +16,7 @@ from model.maneuver import PhaseKind, Profile
 from model.parameters import GRAVITY
 from mpc.settings import ControllerSettings, Key, NotNegative, Positive, Section, Vector
 from protocol.scenario.link_sections import LinksSection
+from protocol.scenario.own_class import is_class_name
 from protocol.scenario.plant_sections import PlantSection
 from protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS
 from protocol.wire.names import MAX_UAVS
@@ -35,6 +36,12 @@ def _relaxation(value: float | str) -> float | str:
     if value == "auto" or (isinstance(value, float | int) and 0.0 < value <= 1.0):
         return value
     raise PydanticCustomError("relaxation", "expected a number in (0, 1] or 'auto'")
+
+
+def _own_controller(value: str) -> str:
+    if value == "mpc" or is_class_name(value):
+        return value
+    raise PydanticCustomError("controller", "expected 'mpc' or 'package.module:Class'")
 
 
 Inertia = Annotated[list[float] | list[list[float]], AfterValidator(_inertia), Key(type="3 numbers or 3 rows of 3")]
@@ -163,13 +170,19 @@ class ControllerSection(ControllerSettings):
 
 
 class AgentsSection(Section):
-    """UAVs each agent owns; agent 1 owns the first list. One agent for each UAV by default."""
+    """UAVs and controller of each agent. One agent for each UAV by default."""
 
     owned: Annotated[
         Annotated[list[Annotated[list[int], Field(min_length=1)]], Field(min_length=1)] | None,
         Key(type="list of lists of UAV ids", label="UAVs of each agent", short="owned"),
     ] = None
     """UAVs of each agent: agent 1 owns the first list, and so on; each UAV once. If omitted: one agent for each UAV"""
+    controller: Annotated[
+        str,
+        AfterValidator(_own_controller),
+        Key(type="mpc, package.module:Class", label="controller", short="controller"),
+    ] = "mpc"
+    """controller of every agent: that of this project, or [your own class](bring-your-own.md#your-own-controller)"""
 
 
 class ClockSection(Section):

@@ -22,6 +22,7 @@ MAX_NEGOTIATION_ITERATIONS = 20
 MAX_TICK = 2**48
 MAX_TEXT = 1_000
 MAX_KEY = 80
+MAX_NAMES, MAX_NAME = 64, 80  # numbers of a note, characters of their names
 MAX_PARTS = 1_024
 
 # Why a message is refused: docs/protocol.md says what each means.
@@ -59,6 +60,7 @@ Finite = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 # Keys without the prefix of the run, and encoded messages.
 KeyEnds = Annotated[tuple[Annotated[str, Meta(max_length=MAX_KEY)], ...], Meta(max_length=MAX_PARTS)]
+Names = Annotated[tuple[Annotated[str, Meta(max_length=MAX_NAME)], ...], Meta(max_length=MAX_NAMES)]
 Parts = Annotated[tuple[bytes, ...], Meta(max_length=MAX_PARTS)]
 
 # Shape of an array from the other fields of its message; None for an axis of any length.

@@ -29,6 +29,7 @@ from protocol.wire.message import (
     KeyEnds,
     Message,
     MessageError,
+    Names,
     Parts,
     PlanTicks,
     Reason,
@@ -146,7 +147,7 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
     payload: Array  # states r0, v0, Theta0, omega0, (12,), SI
     uavs: Ids  # owned UAVs, 1-based ids, ascending
     uav_states: Array  # their states e, Omega, Theta, omega, (owned, 12), SI
-    inputs: Array  # inputs their actuators applied until now, (owned, 4), N and N m
+    inputs: Array  # inputs their actuators applied until now, (owned, 4), N and N m or rad/s
 
 
 class Plan(Message, tag="plan", frozen=True, kw_only=True):
@@ -175,7 +176,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     shared: bool  # whether the other agents receive it: it travels under another key if not
     uavs: Ids  # owned UAVs, 1-based ids, ascending
     uav_states: Array  # their states at `tick`, (owned, 12), SI
-    inputs: Array  # absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m
+    inputs: Array  # absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m or rad/s
     corrections: Array  # corrections of these inputs to the shared control law, (N_p, 4 owned); no rows without one
     status: PlanStatus  # result of the solve; anything but "solved" means the shifted previous plan
 
@@ -225,10 +226,22 @@ class StepReport(Message, tag="report", frozen=True, kw_only=True):
         lengths_fit(peers=self.peers, plan_ages=self.plan_ages, state_ages=self.state_ages)
 
 
+class Note(Message, tag="note", frozen=True, kw_only=True):
+    """Agent to the record: numbers that a controller of the user has for the log, or why its step has failed."""
+
+    route: ClassVar[Route] = Route(sender=AGENT, receivers=(RECORDER, WATCHER), each="agent")
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {"values": lambda message: (len(message.names),)}
+
+    agent: Agent
+    problem: Text  # controller, method, error, file and line; empty if the step has not failed
+    names: Names  # of the numbers
+    values: Array  # the numbers, in the same order
+
+
 class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
     """Plant to the record and the coordinator: the true state at tick k and the inputs until k + 1.
 
-    State x, (12 + 12 N,), SI; inputs u over [t_k, t_{k+1}), (4 N,), N and N m. `plan_ticks` has the tick of the plan
+    State x, (12 + 12 N,), SI; commands u over [t_k, t_{k+1}), (4 N,), SI. `plan_ticks` has the tick of the plan
     each UAV's actuators followed, (N,): -1 before any plan, -2 for the fail-safe, -3 with the motors off.
     """
 
@@ -246,9 +259,10 @@ class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
 
 
 class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):
-    """Plant to the record: mean of the actual inputs over [t_k, t_{k+1}), where the motors make them differ.
+    """Plant to the record: mean thrust and moments over [t_k, t_{k+1}), where motors or inner loops make them differ.
 
-    Sent only in a run whose motors are not ideal. With those of `PlantState`, the commands, it explains the motion.
+    Sent only in a run whose motors are not ideal, or with commanded body rates. With those of `PlantState`, the
+    commands, it explains the motion.
     """
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(RECORDER,), grows="tick")

@@ -11,7 +11,7 @@ class RunShape:
     """Shape of a run, from its scenario (`protocol.scenario.setup.Setup.shape`)."""
 
     owned: Mapping[int, tuple[int, ...]]  # ids of the UAVs of each agent, both 1-based
-    limits: Mapping[int, tuple[Array, Array]]  # smallest and largest inputs of each agent, (4 owned,), N and N m
+    limits: Mapping[int, tuple[Array, Array]]  # smallest and largest inputs of each agent, (4 owned,), SI
     ticks: int
     delay: int  # ticks from a plan to its first input
     negotiation_iterations: int

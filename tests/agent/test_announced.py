@@ -74,20 +74,6 @@ def test_shift_and_hold(age: int, delay: int) -> None:
     np.testing.assert_array_equal(rows(1, U), shifted)
 
 
-@pytest.mark.parametrize("age", range(1, STEPS + 3))
-@pytest.mark.parametrize("delay", [0, 1])
-def test_taken_to_be_one_tick_old(age: int, delay: int) -> None:
-    """As published, a plan loses one step whatever its age; the own plan is shifted by its age."""
-    plan, own = labelled(1, 7, delay=delay), labelled(2, 7, delay=delay)
-    start = plan.start_tick + age
-    inputs = announced(plan, own, alignment="by_one", own=2)
-    U = inputs.sequence(start, STEPS, before=start + 1)
-    np.testing.assert_array_equal(rows(1, U), np.vstack([plan.inputs[1:], plan.inputs[-1:]]))
-    np.testing.assert_array_equal(rows(2, U), [own.inputs[min(age + step, STEPS - 1)] for step in range(STEPS)])
-    c = inputs.corrections(start, STEPS, before=start + 1)
-    np.testing.assert_array_equal(rows(1, c), np.vstack([plan.corrections[1:], np.zeros((1, 8))]))
-
-
 @pytest.mark.parametrize("age", range(STEPS + 3))
 def test_held(age: int) -> None:
     """A held plan counts by its input for the present tick only; a correction that has ended is zero."""

@@ -42,13 +42,6 @@ def test_an_iteration_needs_all_proposals(node: AgentNode, last: int) -> None:
     assert answers(node, proposal(last, 0, 1)) == [0, "report"]
 
 
-def test_others_may_be_an_iteration_ahead(node: AgentNode) -> None:
-    """Proposals of the next iteration that overtake those of this one are kept."""
-    assert answers(node, proposal(2, 0, 2), proposal(3, 0, 2), proposal(2, 0, 1), proposal(3, 0, 1)) == []
-    assert answers(node, proposal(4, 0, 2)) == [1]
-    assert answers(node, proposal(4, 0, 1)) == [0, "report"]
-
-
 def test_proposals_before_the_measurement() -> None:
     """Proposals received before the own measurement are kept until the tick opens."""
     run = setup(*NEGOTIATION)
@@ -68,11 +61,6 @@ def test_an_agent_that_leaves_is_not_waited_for(node: AgentNode, left: int) -> N
     assert answers(node, gone) == ([1] if left == 2 else [0, "report"])
     if left == 2:
         assert answers(node, *[proposal(agent, 0, 1) for agent in alive]) == [0, "report"]
-
-
-def test_the_last_one_left(node: AgentNode) -> None:
-    """An agent alone on the roster completes all iterations at once."""
-    assert answers(node, roster({1: 1}, version=2)) == [1, 0, "report"]
 
 
 def test_proposals_do_not_stand_for_answers(node: AgentNode) -> None:

@@ -8,7 +8,7 @@ from model import state
 from model.arrays import Array
 from mpc.controller import Controller, Linear
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import STAGES, Message, Plan, Presence, StepReport
+from protocol.wire.messages import Message, Plan, Presence, StepReport
 from tests.support.nodes import AgentNode, refused
 from tests.support.runs import end, integrated, measurement, plan, roster, setup
 
@@ -236,17 +236,6 @@ def test_report(run: Setup, node: AgentNode) -> None:
     assert 0.0 <= fourth.residual < 1e-6  # passed the solver's residual check
 
 
-def test_stopwatch(run: Setup) -> None:
-    """Times per stage come from the stopwatch, in ms; the total has neither waiting nor publishing."""
-    now = iter(range(0, 10**9, 2_000_000))
-    node = AgentNode(run, 1, stopwatch=lambda: next(now))
-    _, report = answer(tell(node, roster(), measurement(run, 1, 0)))
-    np.testing.assert_array_equal(report.times_ms, [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 0.0, 10.0])
-    node.publish_ns = 500_000  # set by the process loop; reported with the next step
-    _, report = answer(tell(node, *[plan(run, agent, 0) for agent in OTHERS], measurement(run, 1, 1)))
-    assert report.times_ms[STAGES.index("publish")] == 0.5
-
-
 def test_plan_is_the_controllers(run: Setup, node: AgentNode) -> None:
     """The plan is the controller's at the estimate, the inputs in force and the announced plans of the others."""
     first, _ = step(run, node, 0)
@@ -265,18 +254,6 @@ def test_plan_is_the_controllers(run: Setup, node: AgentNode) -> None:
     y_ref = run.reference.outputs(0.05 * np.arange(1.0, 7.0))
     expected = Controller(run.model, run.hover, run.settings, (0,)).step(x, u0, U, y_ref)
     np.testing.assert_allclose(made.inputs, expected.U, rtol=0.0, atol=ESTIMATE_TOLERANCE)
-
-
-@pytest.mark.parametrize(("actuation", "delay"), [("immediate", 0), ("next_tick", 1)])
-def test_start_of_plans(actuation: str, delay: int) -> None:
-    """Plans start at their own tick with actuation "immediate", one later with "next_tick"."""
-    run = setup(SHORT_HORIZON, f"clock.actuation={actuation}")
-    node = AgentNode(run, 1)
-    tell(node, roster())
-    for k in range(3):
-        plans = [plan(run, agent, k - 1, delay=delay) for agent in OTHERS] if k else []
-        made, _ = answer(tell(node, *plans, measurement(run, 1, k)))
-        assert (made.tick, made.start_tick) == (k, k + delay)
 
 
 @pytest.mark.parametrize("received", ["predicted", "as_received"])

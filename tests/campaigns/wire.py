@@ -26,8 +26,6 @@ import zenoh
 
 from protocol.network.endpoints import process_names
 from protocol.network.session import fetch_answer
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
 from protocol.wire.keys import RECORDER, Keys, matches
 from tests.support import attacker
 from tests.support.attacker import Deliveries, Mesh, bombard, intruding, proofs_of_connection, table
@@ -35,6 +33,7 @@ from tests.support.commands import free_base, settings, start, wait_for
 from tests.support.garbage import Garbage
 from tests.support.keyrings import keyring
 from tests.support.logs import record_run
+from tests.support.runs import ready
 from transport.report.report import write_report
 
 _TICKS = 800
@@ -103,7 +102,7 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
         "secret": (),
         "certificates": (f"network.keys={keyring('one')}",),
     }[access]
-    run = Setup.of(read_scenario(find_scenario("paper"), flight), "paper")
+    run = ready("paper", *flight)
     keys, names, relayed = Keys(name), process_names(run.scenario), True
     names = [*names, *([] if access == "open" else [RECORDER])]
     command = ["run", "paper", *settings(*flight, f"network.base_port={base}", *network), "--out", name, "--no-figures"]
@@ -230,7 +229,7 @@ def _calm(folder: Path, flight: Sequence[str]) -> list[dict[str, str]]:
     """Return the steps of the same run in memory; they do not depend on how messages travel."""
     calm = folder / "calm"
     if not calm.exists():
-        record_run(Setup.of(read_scenario(find_scenario("paper"), flight), "paper"), calm)
+        record_run(ready("paper", *flight), calm)
         write_report(calm, figures=False)
     return table(calm)
 

@@ -112,3 +112,14 @@ def test_forces_are_held_over_all_steps() -> None:
         found, estimate = model.integrate(x, u, SHORT_STEP_S, steps, forces=F)
         assert np.abs(found - end).max() < estimate
     assert np.abs(end - exact(model, x, u, SHORT_STEP_S)).max() > 1e3 * estimate  # they do something
+
+
+@pytest.mark.parametrize("N", [1, 4])
+def test_rods_stay_unit_and_do_not_spin(N: int) -> None:
+    """|e_i| = 1 and e_i . Omega_i = 0 after `integrate`, paper section II-A."""
+    model, _, x, u = moving_system(N)
+    for _ in range(20):
+        x, _ = model.integrate(x, u, 0.05, 20)
+        view = StateView(x)
+        assert np.abs(np.linalg.norm(view.e_P, axis=-1) - 1.0).max() < SAME_ROUNDING
+        assert np.abs((view.e_P * view.Omega_P).sum(axis=-1)).max() < SAME_ROUNDING * np.abs(view.Omega_P).max()

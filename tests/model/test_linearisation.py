@@ -10,7 +10,6 @@ from model.arrays import Array, ShapeError
 from model.linearisation import Model
 from model.parameters import System
 from model.state import StateView
-from tests.support.invariants import vehicle_motion
 from tests.support.paper_form import attitude
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
@@ -22,6 +21,17 @@ JACOBIAN_TOLERANCE = 1e-10
 ACROSS_TOLERANCE = 1e-9
 # A handful of products and sums per position.
 OUTPUT_TOLERANCE = 1e-13
+
+
+def vehicle_motion(system: System, x: Array) -> tuple[Array, Array]:
+    """Return UAV positions by paper (1) and velocities by paper (4), each (N, 3), inertial frame, m and m/s."""
+    view = StateView(x)
+    R0 = attitude(view.Theta0)
+    rho = np.array([uav.rho for uav in system.uavs])
+    rods = np.array([[uav.rod_length] for uav in system.uavs])
+    position = view.r0_I + (rho - rods * view.e_P) @ R0.T
+    velocity = (view.v0_P + np.cross(view.omega0_P, rho) - rods * np.cross(view.Omega_P, view.e_P)) @ R0.T
+    return position, velocity
 
 
 def retracted(x: Array) -> Array:

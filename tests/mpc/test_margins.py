@@ -5,29 +5,40 @@ import pytest
 
 from model.hover import hover
 from model.linearisation import Model
-from model.parameters import table_1
+from model.parameters import System, table_1
 from mpc.controller import Controller
 from mpc.margins import FARTHEST, GROWTH, Loop, Mismatch, margins
 from mpc.settings import ControllerSettings, Limits, Weights
 
 SYSTEM = table_1()
+RATES = System(payload=SYSTEM.payload, uavs=SYSTEM.uavs, rate_gains=[25.0, 25.0, 10.0])
 SHARED = ControllerSettings(prediction="closed_loop", terminal="riccati")
 # Rounding of eigenvalues of modes that come in equal pairs: the square root of that of the matrix.
 ROUNDING = 1e-6
 
 
-def _loop(settings: ControllerSettings = SHARED, *, next_tick: bool = False, age: int = 1, whole: bool = False) -> Loop:
-    model, at_rest = Model(SYSTEM), hover(SYSTEM)
-    team = [Controller(model, at_rest, settings, (uav,)) for uav in range(SYSTEM.N)]
+def _loop(
+    settings: ControllerSettings = SHARED,
+    *,
+    next_tick: bool = False,
+    age: int = 1,
+    whole: bool = False,
+    system: System = SYSTEM,
+) -> Loop:
+    model, at_rest = Model(system), hover(system)
+    team = [Controller(model, at_rest, settings, (uav,)) for uav in range(system.N)]
     return Loop(team, next_tick=next_tick, age=age, with_corrections=whole)
 
 
-@pytest.mark.parametrize(("next_tick", "age"), [(False, 1), (True, 1), (False, 3), (True, 3)])
-def test_with_the_plant_as_known_the_loop_is_the_regulator(next_tick: bool, age: int) -> None:
+@pytest.mark.parametrize(
+    ("next_tick", "age", "system"),
+    [(False, 1, SYSTEM), (True, 1, SYSTEM), (False, 3, SYSTEM), (True, 3, SYSTEM), (True, 3, RATES)],
+)
+def test_with_the_plant_as_known_the_loop_is_the_regulator(next_tick: bool, age: int, system: System) -> None:
     """Estimates are exact, so the step has the regulator's eigenvalues, for any age of the states."""
-    loop = _loop(next_tick=next_tick, age=age)
+    loop = _loop(next_tick=next_tick, age=age, system=system)
     found = np.linalg.eigvals(loop.matrix(Mismatch()))
-    regulator = Controller(Model(SYSTEM), hover(SYSTEM), SHARED, (0,)).regulation.regulator
+    regulator = Controller(Model(system), hover(system), SHARED, (0,)).regulation.regulator
     assert regulator is not None
     expected = np.linalg.eigvals(regulator.A_closed)
     assert np.abs(found[:, None] - expected[None]).min(axis=0).max() < ROUNDING

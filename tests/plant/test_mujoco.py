@@ -13,11 +13,9 @@ from model.parameters import System, payload_half_size, resting_height, table_1
 from model.state import StateView
 from plant.mujoco_engine import MujocoEngine
 from plant.rods import Rods
-from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.plant_sections import MujocoSection, PlantSection
-from protocol.scenario.setup import Setup
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
-from tests.support.runs import plant_states, recorded
+from tests.support.runs import plant_states, ready, recorded
 
 # The engine's coordinates are quaternions and relative rates: there and back is rounding.
 ROUNDING = 1e-9
@@ -50,18 +48,12 @@ def advanced(engine: MujocoEngine | Rods, x: Array, u: Array, duration_s: float,
 @lru_cache
 def flight(name: str, *settings: str) -> Array:
     """Return the states of a ready scenario flown in memory to its end, (ticks, n)."""
-    return np.array([entry.x for entry in plant_states(recorded(setup_of(name, *settings)))])
-
-
-def setup_of(name: str, *settings: str) -> Setup:
-    """Return a ready scenario with changes."""
-    path = find_scenario(name)
-    return Setup.of(read_scenario(path, settings), path.name)
+    return np.array([entry.x for entry in plant_states(recorded(ready(name, *settings)))])
 
 
 def payload_errors(name: str, *settings: str) -> Array:
     """Return the distances of the payload from its reference, (ticks,), m."""
-    run, x = setup_of(name), flight(name, *settings)
+    run, x = ready(name), flight(name, *settings)
     times_s = run.settings.sampling_period_s * np.arange(run.ticks, dtype=np.float64)
     return np.asarray(np.linalg.norm(x[:, state.R0] - run.maneuver.path(times_s)[0], axis=1))
 

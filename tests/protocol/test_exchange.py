@@ -84,40 +84,6 @@ def answer(agent: int, k: int) -> Answer:
     return made
 
 
-def measurements(k: int) -> list[Message]:
-    """Return the measurements of a tick."""
-    return [runs.measurement(RUN, agent, k) for agent in ALL]
-
-
-@pytest.mark.parametrize("name", ["coordinator", "plant", "agent2", "recorder"])
-def test_direct(name: str) -> None:
-    """In real time each message is sent alone and at once, under its own key; in lockstep the coordinator relays."""
-    assert setup().scenario.clock.relayed
-    run = setup("clock.mode=realtime", "clock.speed=1.0")
-    assert not run.scenario.clock.relayed
-    line = Line(name, run)
-    for message in (runs.tick(0), plan(2, 0), report(2, 0), runs.measurement(run, 2, 0), runs.plant_state(run, 0)):
-        line.send(message)
-        assert line.taken() == [(KEYS.end(KEYS.of(message)), encode(message))]
-    line.receive(answer(2, 0))
-    line.exchange.settle()
-    line.exchange.flush()
-    assert line.taken() == []
-
-
-def test_an_agents_answer() -> None:
-    """Plan and report of a tick travel in one answer, sent when the agent would wait, and once."""
-    line = Line("agent2", incarnation=INCARNATION)
-    for k in range(3):
-        line.send(plan(2, k), report(2, k))
-        assert line.sent() == []
-        line.exchange.settle()
-        assert line.sent() == [f"answer/2 {k} #{k}: plan/2 report/2"]
-        line.exchange.settle()
-        line.exchange.flush()
-        assert line.sent() == []
-
-
 def test_proposals_go_to_all_at_once() -> None:
     """The proposals of a negotiation are sent alone and at once: the agents wait for each other within the tick."""
     line = Line("agent2", incarnation=INCARNATION)
@@ -127,22 +93,6 @@ def test_proposals_go_to_all_at_once() -> None:
     line.send(plan(2, 3), report(2, 3))
     line.exchange.settle()
     assert line.sent() == ["answer/2 3 #0: plan/2 report/2"]
-
-
-def test_the_plants_record() -> None:
-    """Measurements are sent at once; state and measurements go to the record in one message, in their order."""
-    line = Line("plant")
-    line.send(*measurements(0))
-    expected = [f"measurement/{agent}" for agent in ALL]
-    assert line.sent() == expected
-    line.exchange.settle()
-    assert line.sent() == [f"record 0 #0: {' '.join(expected)}"]
-    line.send(runs.plant_state(RUN, 0), *measurements(1))
-    assert line.sent() == expected
-    line.exchange.settle()
-    assert line.sent() == [f"record 1 #1: plant_state {' '.join(expected)}"]
-    line.exchange.flush()
-    assert line.sent() == []
 
 
 @pytest.mark.parametrize("order", [(1, 2, 3, 4), (4, 2, 1, 3)])

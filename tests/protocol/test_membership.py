@@ -56,12 +56,3 @@ def test_plans_sent_before_leaving_count() -> None:
     assert membership.admits(sent(2, k=4))
     assert is_refused(membership, sent(2, k=7))
     assert membership.admits(sent(2, 2, k=8))
-
-
-def test_participants_of_a_tick() -> None:
-    """Plans of a tick can come from agents that joined by then, and from those that left later."""
-    membership = Membership()
-    membership.update(roster({1: 1, 2: 1}))
-    membership.update(roster({1: 1}, k=5, version=2))
-    membership.update(roster({1: 1, 3: 4}, k=8, version=3))
-    assert [membership.took_part(tick) for tick in (4, 5, 7, 8)] == [{1, 2}, {1}, {1}, {1, 3}]

@@ -9,10 +9,8 @@ import pytest
 from model import state
 from protocol.scenario.file import ScenarioError, read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message
-from tests.support.runs import PAPER, plant_states
+from tests.support.runs import PAPER, completed, plant_states
 from transport.cli.scenario import scenario_text
-from transport.flight.memory import simulate
 
 HEADING = "t_s,x_m,y_m,z_m\n"
 # A quarter of a circle of 2 m radius, 0.4 m/s on average, one row per sampling period; from a place of its own.
@@ -62,9 +60,7 @@ def test_a_path_is_flown(tmp_path: Path) -> None:
     """The team follows it as it follows phases: the error is at most the swing of a straight path of that speed."""
     path = written(tmp_path, csv(QUARTER))
     run = Setup.of(read_scenario(path, ["controller.prediction=closed_loop", "controller.relaxation=0.25"]), str(path))
-    messages: list[Message] = []
-    assert simulate(run, messages.append).outcome == "completed"
-    x = np.array([plant_state.x for plant_state in plant_states(messages)])
+    x = np.array([plant_state.x for plant_state in plant_states(completed(run))])
     r, _ = run.maneuver.path(run.settings.sampling_period_s * np.arange(len(x), dtype=np.float64))
     assert np.linalg.norm(x[:, state.R0] - r, axis=1).max() < 0.6
     assert np.degrees(np.abs(x[:, state.THETA0])).max() < 2.5

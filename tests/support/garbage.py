@@ -115,8 +115,8 @@ class Garbage:
         self._single = [sort for sort in self.sorts if sort != "oversized"]
         if setup.scenario.clock.relayed:
             self.sorts |= {"bad parts": self._bad_parts, "renumbered bundle": self._renumbered_bundle}
-        if name == "recorder":  # whose readers know neither tick nor tokens
-            for sort in ("future", "far future", "another incarnation"):
+        if name == "recorder":  # whose readers know neither tick nor tokens: other bits may be a later message
+            for sort in ("flipped bits", "future", "far future", "another incarnation"):
                 del self.sorts[sort]
             self._single = [sort for sort in self._single if sort in self.sorts]
 

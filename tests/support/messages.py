@@ -109,6 +109,8 @@ def _value(hint: inspect.Type, field: str) -> Any:
     match hint:
         case inspect.VarTupleType(item_type=inspect.IntType(ge=least)):
             return {1: (2, 4), 0: (0, 5), -1: (1, -1)}.get(least or 0, (3, -2))
+        case inspect.VarTupleType(item_type=inspect.StrType()) if field != "keys":
+            return "error_m", "thrust_N"
         case inspect.VarTupleType():
             return ("plan/2", "report/2") if field == "keys" else (b"plan", b"\x00report")
         case inspect.IntType():

@@ -92,17 +92,3 @@ def accelerations(system: System, x: Array, force_I: Array) -> tuple[Array, Arra
         np.linalg.solve(mass_matrix(system, x), right_hand_side(system, x, force_I)), dtype=np.float64
     )
     return solution[:3], solution[3:6], solution[6:].reshape(-1, 3)
-
-
-def vehicle_accelerations(system: System, x: Array, derivative: Array) -> Array:
-    """Return the second derivative of paper (1), (N, 3), inertial frame, m/s^2, from x' = derivative."""
-    view, rate = StateView(x), StateView(derivative)
-    w, R0 = cross(view.omega0_P), attitude(view.Theta0)
-    a0 = rate.v0_P + w @ view.v0_P
-    result = []
-    for uav, e, Omega, Omega_dot in zip(system.uavs, view.e_P, view.Omega_P, rate.Omega_P, strict=True):
-        attachment = a0 + np.cross(rate.omega0_P, uav.rho) + w @ w @ uav.rho
-        # The rod turns with the absolute rate Omega; its absolute derivative is Omega' + omega0 x Omega.
-        swing = np.cross(Omega_dot + w @ Omega, e) + np.cross(Omega, np.cross(Omega, e))
-        result.append(R0 @ (attachment - uav.rod_length * swing))
-    return np.array(result)

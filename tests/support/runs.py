@@ -39,10 +39,16 @@ ALL = (1, 2, 3, 4)
 INCARNATION = 1  # Of every agent: 0 is an earlier incarnation, 2 a later one.
 
 
-@lru_cache
 def setup(*settings: str) -> Setup:
     """Return the run of the paper's scenario with some settings changed."""
-    return Setup.of(read_scenario(PAPER, settings), PAPER.name)
+    return ready("paper", *settings)
+
+
+@lru_cache
+def ready(name: str, *settings: str) -> Setup:
+    """Return the run of a ready scenario with some settings changed."""
+    path = SCENARIOS / f"{name}.toml"
+    return Setup.of(read_scenario(path, settings), path.name)
 
 
 def integrated(run: Setup, x: Array, u: Array) -> Array:
@@ -67,6 +73,14 @@ def recorded(run: Setup, flight: Callable[[Setup, Callable[[Message], None]], Co
 def plant_states(messages: Sequence[Message]) -> list[PlantState]:
     """Return the plant states among messages, in order."""
     return [message for message in messages if isinstance(message, PlantState)]
+
+
+def completed(run: Setup) -> list[Message]:
+    """Return all messages of a run in memory, which has to be completed."""
+    messages: list[Message] = []
+    end = simulate(run, messages.append)
+    assert end.outcome == "completed", end
+    return messages
 
 
 def reproducible(message: Message) -> Message:

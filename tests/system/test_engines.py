@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from model.arrays import Array
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.messages import PlantState
 from tests.support.commands import SHORT, free_base, processes_of, settings, start, transport, wait_for
-from tests.support.runs import plant_states, recorded
+from tests.support.runs import plant_states, ready, recorded
 from transport.log.run_log import read_log
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "foreign_plant.py"
@@ -83,12 +81,7 @@ class Exits(Rods):
 if "exits" in __name__:
     os._exit(0)
 """
-NO_FORK = "raised RuntimeError: an engine must not fork its process; use subprocess, or the start method 'spawn'"
-
-
-def setup_of(name: str, *changes: str) -> Setup:
-    """Return a ready scenario with changes."""
-    return Setup.of(read_scenario(find_scenario(name), changes), name)
+NO_FORK = "raised RuntimeError: a class of yours must not fork its process; use subprocess, or the start method 'spawn'"
 
 
 def states(folder: Path) -> Array:
@@ -119,7 +112,7 @@ def test_a_foreign_plant_flies(changes: tuple[str, ...], tmp_path: Path) -> None
     assert (summary["outcome"], summary["engine"], summary["rejections"]) == ("completed", "external", [])
     assert summary["log_cut"] is None
     assert not (tmp_path / "mine" / "logs" / "plant.log").exists()
-    own = np.array([entry.x for entry in plant_states(recorded(setup_of("resilient", *changes)))])
+    own = np.array([entry.x for entry in plant_states(recorded(ready("resilient", *changes)))])
     assert np.abs(states(tmp_path / "mine") - own).max() < FOREIGN_M
 
 
@@ -129,7 +122,7 @@ def test_mujoco_across_processes(tmp_path: Path) -> None:
     changes = (SHORT, "plant.engine=mujoco")
     done = transport("run", "resilient", *settings(*changes), "--out", "out", "--no-figures", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    own = np.array([entry.x for entry in plant_states(recorded(setup_of("resilient", *changes)))])
+    own = np.array([entry.x for entry in plant_states(recorded(ready("resilient", *changes)))])
     assert states(tmp_path / "out").tobytes() == own.tobytes()
     assert re.fullmatch(r"mujoco \d+\.\d+\.\d+", json.loads((tmp_path / "out" / "summary.json").read_text())["engine"])
 

@@ -11,9 +11,9 @@ import pytest
 
 from model.parameters import table_1
 from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
 from protocol.wire.codec import VERSION
-from tests.support.commands import SHORT, command, free_base, settings
+from tests.support.commands import command, free_base, settings
+from tests.support.runs import ready
 from tests.test_architecture import LAYERS
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "foreign_agent.py"
@@ -50,15 +50,6 @@ def simulate(folder: Path, *changes: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_a_foreign_agent_takes_part(tmp_path: Path) -> None:
-    """In a run of 1.5 s the agent joins, the plant applies each of its plans, and all processes end in order."""
-    summary = simulate(tmp_path, SHORT)
-    assert summary["ticks"] == 30
-    assert summary["messages"]["late"] == 0
-    assert summary["attitude_max_deg"] < 2.0
-
-
-@pytest.mark.slow
 def test_a_foreign_agent_flies_the_maneuver(tmp_path: Path) -> None:
     """In the paper's 25 s the agent knows only the others' plans; payload attitude and separation stay in bounds."""
     summary = simulate(tmp_path)
@@ -88,7 +79,7 @@ def test_its_numbers_are_those_of_the_scenario() -> None:
             assert isinstance(node.value, ast.Tuple)
             texts = [ast.unparse(value).removeprefix("np.array") for value in node.value.elts]
             values |= {name: ast.literal_eval(text) for name, text in zip(names, texts, strict=True)}
-    run = Setup.of(read_scenario(find_scenario("resilient")), "resilient")
+    run = ready("resilient")
     uav = table_1().uavs[2]
     assert values["VERSION"] == VERSION
     assert (values["AGENTS"], values["STEPS"]) == (len(run.agents), run.settings.horizon)

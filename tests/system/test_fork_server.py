@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -160,24 +159,3 @@ def test_environment_and_folder_of_now(begin: Begin, tmp_path: Path, monkeypatch
     assert is_forked(child)
     assert child.wait(60.0) == 0
     assert max(map(len, child.log.read_text().splitlines())) <= 50
-
-
-def test_threads_get_their_own_processes(begin: Begin) -> None:
-    """Each of several threads that start processes at once gets the process it has asked for."""
-    wrong: list[str] = []
-
-    def is_called(child: Child, name: str) -> bool:
-        return command_of(str(child.process.pid))[-1:] == [name]
-
-    def start(thread: int) -> None:
-        for number in range(4):
-            name = f"thread{thread}-{number}"
-            if not wait_for(partial(is_called, begin(f"{name}.log", "plot", name), name)):
-                wrong.append(name)
-
-    threads = [threading.Thread(target=start, args=(thread,)) for thread in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert wrong == []

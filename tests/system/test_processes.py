@@ -8,14 +8,11 @@ from typing import Any
 import jsonschema
 import pytest
 
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.messages import Message
 from tests.support import runs
 from tests.support.commands import SHORT, command, free_base, processes_of, settings, transport, wait_for
 from tests.support.troubles import ITERATIONS
-from transport.flight.memory import simulate
 from transport.log.run_log import read_log
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "transport" / "analysis" / "summary.schema.json").read_text())
@@ -77,9 +74,7 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
     assert summary["solver"]["failures"] == 0
     assert summary["messages"]["lost"] == summary["messages"]["late"] == summary["messages"]["rejected"] == 0
 
-    setup = Setup.of(read_scenario(find_scenario("paper")), "paper")
-    memory: list[Message] = []
-    simulate(setup, memory.append)
+    memory = runs.recorded(runs.ready("paper"))
     log = [recorded.message for recorded in read_log(folder / "run.mcap").messages]
     assert reproducible(log) == reproducible(memory)
 
@@ -125,9 +120,7 @@ def test_two_runs_are_equal(short: tuple[Path, dict[str, Any]], tmp_path: Path) 
 def test_network_equals_memory(changes: tuple[str, ...], tmp_path: Path) -> None:
     """Every message except for the wall-clock times of reports is bitwise equal on the network and in memory."""
     run_json(tmp_path / "run", "paper", *settings(SHORT, *changes))
-    setup = Setup.of(read_scenario(find_scenario("paper"), [SHORT, *changes]), "paper")
-    memory: list[Message] = []
-    simulate(setup, memory.append)
+    memory = runs.recorded(runs.ready("paper", SHORT, *changes))
     log = [recorded.message for recorded in read_log(tmp_path / "run" / "run.mcap").messages]
     assert reproducible(log) == reproducible(memory)
 

@@ -15,8 +15,6 @@ from typer.testing import CliRunner
 
 from deploy.keys import make_passwords
 from protocol.network.endpoints import process_names
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
 from protocol.wire.keys import Keys
 from tests.support import attacker
 from tests.support.attacker import table
@@ -32,6 +30,7 @@ from tests.support.commands import (
 )
 from tests.support.keyrings import NAMES, keyring
 from tests.support.logs import record_run
+from tests.support.runs import ready
 from transport.cli.main import app
 from transport.cli.operate import Exporter, process_endpoints
 from transport.report.report import write_report
@@ -55,7 +54,7 @@ FLOODED = 20
 
 def calm(folder: Path, *changes: str) -> list[dict[str, str]]:
     """Return the steps of the same run in memory."""
-    record_run(Setup.of(read_scenario(find_scenario("paper"), changes), "paper"), folder)
+    record_run(ready("paper", *changes), folder)
     write_report(folder, figures=False)
     return table(folder)
 
@@ -68,7 +67,7 @@ def test_a_run_under_attack(tmp_path: Path) -> None:
     """
     base, keys = free_base(), Keys("out")
     secure = (f"network.base_port={base}", f"network.keys={keyring('one')}")
-    scenario = Setup.of(read_scenario(find_scenario("paper"), (*FLIGHT, *secure)), "paper").scenario
+    scenario = ready("paper", *FLIGHT, *secure).scenario
     count = len(process_names(scenario))
     endpoints = [f"tls/127.0.0.1:{base + i}" for i in range(count)]
     changes = settings(*FLIGHT, *secure)

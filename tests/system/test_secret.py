@@ -12,7 +12,7 @@ import zenoh
 from protocol.network.security import SHARED, Security, SecurityError, new_secret
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.attacker import session
-from tests.support.commands import settings, start, transport, wait_for
+from tests.support.commands import settings, start, wait_for
 from transport.flight.run_files import RunError, own_keys
 
 # Slower than real time, so that there is time to connect; ended by the test.
@@ -58,20 +58,6 @@ def test_only_the_secret_connects(active: Path) -> None:
     with session(list(endpoints.values()), credentials(user, password), PATIENCE_S) as opened:
         found = [str(reply.ok.key_expr) for reply in opened.liveliness().get("transport/*/alive/**") if reply.ok]
     assert {key.split("/")[3] for key in found} >= {"coordinator", "plant", "agent1", "agent4"}
-
-
-@pytest.mark.slow
-def test_commands_find_the_secret(active: Path) -> None:
-    """`status`, `link` and `top` reach the run through its folder; by endpoint alone they do not."""
-    for command in (["status"], ["link", "set", "--delay", "0.1"], ["top", "--once"]):
-        result = transport(*command, "--run", str(active), cwd=active.parent)
-        assert result.returncode == 0, result.stderr
-    endpoint = json.loads((active / "live.json").read_bytes())["endpoints"]["coordinator"]
-    result = transport("status", "--run", "guarded", "--connect", endpoint, cwd=active.parent)
-    assert result.returncode == 4
-    keys = str(active / "keys")
-    result = transport("status", "--run", "guarded", "--connect", endpoint, "--keys", keys, cwd=active.parent)
-    assert result.returncode == 0, result.stderr
 
 
 def _without_permissions(monkeypatch: pytest.MonkeyPatch, *places: Path) -> None:

@@ -1,22 +1,19 @@
 """Runs in which agents share a plan only on a relevant change: receivers, and bitwise reproducibility."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import pytest
 
-from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
-from protocol.wire.messages import Measurement, Message, Plan, PlantState, StepReport, Tick
-from tests.support.commands import settings, transport
-from tests.support.runs import SCENARIOS, SHORT, recorded, reproducible
+from protocol.wire.messages import Message, Plan, StepReport, Tick
+from tests.support.runs import SHORT, ready, recorded, reproducible
 from tests.support.shuffled import fly_shuffled
 from transport.analysis.counted import counted
 from transport.analysis.metrics import summarise
 from transport.analysis.replay import Replay
 from transport.flight import memory
-from transport.log.run_log import Recorded, RunLog, read_log
+from transport.log.run_log import Recorded, RunLog
 
 ON_CHANGE = ("controller.share=on_change", "controller.share_threshold=0.02", "controller.share_heartbeat_s=0.4")
 BAD = ("links.delay_s=0.1", "links.jitter_s=0.05", "links.loss=0.3")
@@ -28,7 +25,7 @@ RETURN = (
 
 def run_of(*changes: str) -> Setup:
     """Return a run of 1.5 s of the ready scenario with the shared control law."""
-    return Setup.of(read_scenario(SCENARIOS / "resilient.toml", [SHORT, *ON_CHANGE, *changes]), "resilient")
+    return ready("resilient", SHORT, *ON_CHANGE, *changes)
 
 
 def log_of(messages: Sequence[Message]) -> RunLog:
@@ -114,16 +111,3 @@ def test_a_replay_hears_what_the_agent_heard() -> None:
         for now, then in zip(step.answers, step.recorded, strict=True):
             assert then is not None
             assert encode(reproducible(now)) == encode(reproducible(then))
-
-
-def test_processes_give_the_same_bits(tmp_path: Path) -> None:
-    """Across real processes every plan, report, measurement, plant state and tick equals that of the in-memory run."""
-    changes = [SHORT, *ON_CHANGE, *BAD]
-    result = transport("run", "resilient", *settings(*changes), "--out", "run", "--no-figures", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert "sent to the other agents" in result.stdout
-    flown = [entry.message for entry in read_log(tmp_path / "run" / "run.mcap").messages]
-    expected = recorded(run_of(*BAD))
-    assert any(isinstance(m, Plan) and not m.shared for m in flown)
-    for kind in (Plan, StepReport, Measurement, PlantState, Tick):
-        assert of(kind, flown) == of(kind, expected), kind

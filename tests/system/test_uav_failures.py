@@ -1,11 +1,8 @@
 """Failure of a whole UAV in flight: cases the remaining team survives, cases it does not, and the record."""
 
-import json
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,15 +11,11 @@ from model.arrays import Array
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
-from protocol.wire.messages import ActualInputs, Control, Message, Roster, StepReport
-from tests.support.commands import SHORT, settings, transport
+from protocol.wire.messages import Control, Message, Roster, StepReport
 from tests.support.logs import log_of
 from tests.support.runs import SCENARIOS
 from transport.analysis.series import Series, series_of
 from transport.flight.memory import simulate
-from transport.log.run_log import read_log
-from transport.log.writer import LogWriter
-from transport.report.report import write_report
 
 # The paper's maneuver at its speeds, shortened: the fault is in the climb, before a corner.
 MANEUVER = (
@@ -161,42 +154,3 @@ def test_no_controller_anticipates_the_fault() -> None:
         (0, (), (), "all processes are ready"),
         (at, (3,), (3,), "uav3 released at t = 1.00 s"),
     ]
-
-
-@pytest.mark.parametrize("ideal", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["lag", "ideal"])
-def test_processes_fly_the_same(ideal: bool, tmp_path: Path) -> None:
-    """Across processes a motor failure and a release give bitwise the in-memory run, with ideal and with other motors.
-
-    Motors that are not ideal lag, as the controllers know, and those of one UAV degrade.
-    """
-    failure = "{at_s=0.5,do='motor_off',target='uav3'},{at_s=0.55,do='release',target='uav3'}"
-    motors = ("plant.motors={lag_s=0.05,thrust_step_N=0.01}", "controller.motor_lag_s=0.05")
-    degraded = "{at_s=0.3,do='degrade',target='uav1',efficiency=0.95}"
-    events = f"faults.event=[{failure if ideal else f'{degraded},{failure}'}]"
-    changes = settings(SHORT, events, *(() if ideal else motors))
-    result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    folder, again = tmp_path / "run", tmp_path / "again"
-    again.mkdir()
-    shutil.copy(folder / "scenario.toml", again)
-    run = Setup.of(read_scenario(again / "scenario.toml"), "again")
-    with LogWriter(again / "run.mcap", read_log(folder / "run.mcap").header, period_ns=run.period_ns) as writer:
-        assert simulate(run, lambda message: writer.write(message, 0)).outcome == "completed"
-    write_report(again, figures=False)
-    found, expected = (series_of(run, read_log(place / "run.mcap")) for place in (folder, again))
-    np.testing.assert_array_equal(found.x, expected.x)
-    np.testing.assert_array_equal(found.u, expected.u)
-    actual = [
-        [(m.tick, m.inputs.tobytes()) for m in read_log(place / "run.mcap").of(ActualInputs)]
-        for place in (folder, again)
-    ]
-    assert actual[0] == actual[1]
-    assert len(actual[0]) == (0 if ideal else run.ticks)
-    for place in (folder, again):
-        faults = json.loads((place / "summary.json").read_text())["faults"]
-        first = (6, "fault", ["uav1"], "motors of uav1 degraded to 0.95 of their inputs by script")
-        assert [(fault["tick"], fault["kind"], fault["processes"], fault["what"]) for fault in faults] == [
-            *(() if ideal else (first,)),
-            (10, "fault", ["uav3"], "uav3 motors off at t = 0.50 s by script"),
-            (11, "fault", ["uav3"], "uav3 released at t = 0.55 s by script"),
-        ]

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from model.state import StateView
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, Message, PlantState
+from tests.support.runs import ready
 from transport.flight.memory import simulate
 
 # Payload attitude in a run with a death, deg.
@@ -24,7 +23,7 @@ QUIET = (
 
 def flown(*settings: str) -> tuple[Control, np.ndarray]:
     """Simulate `resilient`; return the end, and the largest roll or pitch of the payload at each tick, deg."""
-    run = Setup.of(read_scenario(find_scenario("resilient"), [CONTINUE, *settings]), "resilient")
+    run = ready("resilient", CONTINUE, *settings)
     messages: list[Message] = []
     end = simulate(run, messages.append)
     x = np.array([message.x for message in messages if isinstance(message, PlantState)])

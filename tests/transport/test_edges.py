@@ -7,7 +7,7 @@ from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
 from protocol.wire.messages import Control
 from tests.support.logs import SINGLE_UAV
-from tests.support.runs import PAPER, SCENARIOS, SHORT
+from tests.support.runs import SCENARIOS, SHORT, ready
 from transport.flight.memory import simulate
 
 LIGHT = "system.payload={{mass_kg={0},inertia_kgm2=[{1},{1},{1}]}}"
@@ -15,15 +15,13 @@ LIGHT = "system.payload={{mass_kg={0},inertia_kgm2=[{1},{1},{1}]}}"
 
 def flown(name: str, *given: str) -> Control:
     """Return the outcome of a ready scenario with some settings, simulated in memory."""
-    path = SCENARIOS / f"{name}.toml"
-    return simulate(Setup.of(read_scenario(path, given), path.name))
+    return simulate(ready(name, *given))
 
 
 def refusal(name: str, *given: str) -> str:
     """Return the one-line error for a ready scenario with some settings."""
-    path = SCENARIOS / f"{name}.toml"
     with pytest.raises(ScenarioError) as caught:
-        Setup.of(read_scenario(path, given), path.name)
+        ready(name, *given)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -90,8 +88,7 @@ UNREACHABLE = [(200.0, 0.0), (0.0, -200.0), (0.0, 200.0), (9e4, 0.0)]
 @pytest.mark.parametrize(("x", "z"), UNREACHABLE)
 def test_way_points_no_vehicle_reaches(x: float, z: float) -> None:
     """Paths of 100 m/s and more give a warning, and the run diverges at the error bound, with the numbers."""
-    path = SCENARIOS / "resilient.toml"
-    run = Setup.of(read_scenario(path, [phase(2.0, x, z)]), path.name)
+    run = ready("resilient", phase(2.0, x, z))
     (doubt,) = run.doubts()
     assert doubt.startswith(f"phase 'dash': {max(abs(x), abs(z)):g} m in 2 s; at full thrust it takes ")
     end = simulate(run)
@@ -103,9 +100,9 @@ def test_way_points_no_vehicle_reaches(x: float, z: float) -> None:
 def test_ready_maneuvers_raise_no_doubt() -> None:
     """Ready scenarios give no warning; a segment does exactly if its time is below the bound."""
     for path in SCENARIOS.glob("*.toml"):
-        assert Setup.of(read_scenario(path), path.name).doubts() == []
+        assert ready(path.stem).doubts() == []
     # Upwards 45 N on 2.25 kg per UAV give 20 m/s^2, less gravity 10.19; both halves of 20 m take 2 sqrt(20 / 10.19) s.
-    doubts = [Setup.of(read_scenario(PAPER, [phase(t, 0.0, -20.0)]), PAPER.name).doubts() for t in (2.79, 2.81)]
+    doubts = [ready("paper", phase(t, 0.0, -20.0)).doubts() for t in (2.79, 2.81)]
     assert doubts == [["phase 'dash': 20 m in 2.79 s; at full thrust it takes 2.8 s"], []]
 
 

@@ -6,11 +6,10 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.messages import Message, Roster
-from tests.support.runs import SCENARIOS, SHORT, recorded, reproducible
+from tests.support.runs import SHORT, ready, recorded, reproducible
 from tests.support.troubles import HEAVY, ITERATIONS, NEXT_TICK
 from tests.support.wire import Wire, without_network
 from tests.transport.test_garbage import recording
@@ -37,7 +36,7 @@ SLOW = {
 
 def run_of(*changes: str) -> Setup:
     """Return a run of 1.5 s of the ready scenario with the shared control law."""
-    return Setup.of(read_scenario(SCENARIOS / "resilient.toml", [SHORT, *changes]), "resilient")
+    return ready("resilient", SHORT, *changes)
 
 
 def said(messages: list[Message]) -> dict[tuple[str, int], bytes]:

@@ -143,38 +143,6 @@ def test_one_uav_cut_off_from_its_controller() -> None:
     assert all(report.plan_ages == (1, 1, 1) for report in reports(messages, 1)[1:])
 
 
-def test_partition_that_names_the_plant() -> None:
-    """A partition between plant with agent 2 and the other agents blocks messages in both directions."""
-    messages = flight("links.partition=[{between=['agent2','plant'],start_s=0.5,end_s=0.8}]")
-    apart = range(10, 16)
-    for plant_state in plant_states(messages):
-        hidden = 9 if plant_state.tick in apart else plant_state.tick
-        assert plant_state.plan_ticks == (hidden, plant_state.tick, hidden, hidden)
-    for report in reports(messages, 2):
-        assert report.measurement_age == 0
-        assert set(report.plan_ages) == {report.tick - 9 if 10 < report.tick <= 16 else min(report.tick, 1) or -1}
-    for report in reports(messages, 1):
-        assert report.measurement_age == (report.tick - 9 if report.tick in apart else 0)
-        cut, *others = report.plan_ages
-        assert others == [1, 1] or report.tick == 0
-        assert cut == (report.tick - 9 if 10 < report.tick <= 16 else min(report.tick, 1) or -1)
-
-
-def test_rate_limit_in_flight() -> None:
-    """A link of 5 messages a second hands on every fourth plan; the rest count as lost, once each."""
-    found = reports(flight("links.rate_hz=5"), 1)
-    assert [report.plan_ages[0] for report in found[1:]] == [1 + (k - 1) % 4 for k in range(1, TICKS)]
-    assert sum(report.lost for report in found) == 3 * sum((k - 1) % 4 != 0 for k in range(1, TICKS))
-
-
-def test_a_scripted_change_in_flight() -> None:
-    """A scripted link change applies to all messages sent from its instant on, for all processes."""
-    messages = flight("links.change=[{at_s=0.5,delay_s=0.15},{at_s=1.0,delay_s=0.0}]")
-    for agent in (1, 2, 3, 4):
-        ages = [report.plan_ages[0] for report in reports(messages, agent)]
-        assert ages == [-1, *[1] * 10, 2, 3, *[3] * 8, *[1] * 9]
-
-
 def said(messages: Sequence[Message]) -> dict[tuple[str, int, int], bytes]:
     """Return the encoded messages by sender, incarnation and sequence number, without wall-clock times."""
     return {(m.sender, m.incarnation, m.sequence): encode(reproducible(m)) for m in messages}

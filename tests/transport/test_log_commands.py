@@ -86,16 +86,6 @@ def test_log_cut_at_sixty_percent(flight: tuple[Path, list[Message]], tmp_path: 
     assert (tmp_path / "figures" / "performance.png").exists()
 
 
-def test_beginning_alone(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
-    """For a file cut within its header, everything is reported as lost."""
-    stump = tmp_path / "stump.mcap"
-    stump.write_bytes((flight[0] / "run.mcap").read_bytes()[:60])
-    content = info(stump)
-    assert (content["messages"], content["run_id"], content["ticks_of_the_run"]) == (0, None, None)
-    assert "its name, scenario, versions, machine" in " ".join(content["lost"])  # type: ignore[arg-type]
-    assert ask("info", stump).exit_code == 0
-
-
 def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path) -> None:
     """CSV and Parquet have a table for each kind of message, with the numbers of the messages bit for bit."""
     folder, messages = flight

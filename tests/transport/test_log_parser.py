@@ -69,22 +69,6 @@ def test_it_reads_what_the_library_reads(tmp_path: Path, compression: Compressio
     assert parser.metadata == {"run": {"run_id": "r1", "note": "Ω0"}}
 
 
-def test_flushed_messages_are_in_the_file(tmp_path: Path) -> None:
-    """A file that is never finished has all flushed messages; cut at any byte, it has a beginning of them."""
-    data = written(tmp_path / "run.mcap", 200, CompressionType.LZ4, finished=False).read_bytes()
-    expected, sizes = [entry["data"] for entry in islice(entries(), 200)], []
-    cut = tmp_path / "cut.mcap"
-    for end in [*range(0, len(data), 197), len(data)]:
-        cut.write_bytes(data[:end])
-        parser = Parser(cut)
-        readable = [entry.data for entry in parser.entries()]
-        assert not parser.damaged
-        assert readable == expected[: len(readable)]
-        sizes.append(len(readable))
-    assert sizes == sorted(sizes)
-    assert sizes[-1] == 200
-
-
 def bomb(path: Path, chunks: int, messages: int, size: int, compression: CompressionType) -> Path:
     """Return a small file of chunks with messages that have only zeros."""
     with path.open("wb") as file:

@@ -5,16 +5,12 @@ from io import BytesIO
 from pathlib import Path
 
 import pytest
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message
 from mcap.writer import MCAP0_MAGIC
 
 from protocol.wire import messages as protocol
-from protocol.wire.codec import encode
 from tests.support import runs
 from tests.support.logs import record_run
-from transport.log.channels import ENCODING
 from transport.log.parser import records
 from transport.log.run_log import read_log
 from transport.log.tail import LogTail
@@ -64,39 +60,3 @@ def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
     at = next(i for i, pair in enumerate(zip(found, expected, strict=False)) if pair[0] != pair[1])
     assert found == expected[:at] + expected[at - len(found) :]
     assert 0 < at < len(found) < len(expected)
-
-
-def test_one_bad_message_costs_itself(log: Path, tmp_path: Path) -> None:
-    """A bad message is skipped, in a chunk or outside; so is one shorter than its header, and a chunk in a chunk."""
-    messages = [entry.message for entry in read_log(log).messages if entry.message.kind == "plant_state"][:4]
-    path = tmp_path / "run.mcap"
-    with path.open("wb") as file:
-        file.write(MCAP0_MAGIC)
-        for packed, two in ((True, messages[:2]), (False, messages[2:])):
-            builder = RecordBuilder()
-            for number, topic, encoding in ((1, "/plant_state", ENCODING), (2, "/tokens", "json")):
-                Channel(id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=0).write(builder)
-            for number, data in ((2, b"{}"), (1, encode(two[0])), (1, b"{}"), (2, b"[]"), (1, encode(two[1]))):
-                Message(channel_id=number, log_time=0, data=data, publish_time=0, sequence=0).write(builder)
-            inside = bytes(builder.end())  # type: ignore[no-untyped-call]
-            nested = chunk_of(inside)
-            file.write(chunk_of(inside + nested) if packed else inside)
-        file.write(chunk_of(inside + bytes([Opcode.MESSAGE]) + (4).to_bytes(8, "little") + b"\1\0\0\0"))
-    for found in (LogTail(path).read(), [entry.message for entry in read_log(path).messages]):
-        assert [message.tick for message in found if not isinstance(message, protocol.Rejected)] == [0, 1, 2, 3]
-        refused = [message for message in found if isinstance(message, protocol.Rejected)]
-        assert {(notice.offender, notice.reason) for notice in refused} >= {("plant_state", "wrong_version")}
-
-
-def chunk_of(data: bytes) -> bytes:
-    """Return a chunk with this content."""
-    builder = RecordBuilder()
-    Chunk(
-        compression="",
-        data=data,
-        message_end_time=0,
-        message_start_time=0,
-        uncompressed_crc=0,
-        uncompressed_size=len(data),
-    ).write(builder)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]

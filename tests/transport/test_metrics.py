@@ -9,8 +9,6 @@ from msgspec.structs import replace
 from model import state
 from model.arrays import Array
 from model.failure import released_state
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
 from protocol.wire.messages import ActualInputs, Control, Message, Outcome, Plan, Reason, Rejected, StepReport
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, plan, plant_state, report
@@ -109,7 +107,7 @@ def test_a_released_uav_does_not_count() -> None:
 
 def test_after_a_delivery_only_the_payload_counts() -> None:
     """Once all UAVs are released, the cost is that of the payload, and the live cost of `transport top` is the same."""
-    run = Setup.of(read_scenario(find_scenario("delivery")), "delivery")
+    run = runs.ready("delivery")
     tick = 430  # 0.5 s after the release, on the ground
 
     def delivered(x: Array, u: Array) -> None:

@@ -8,10 +8,8 @@ import pytest
 from model import state
 from model.arrays import Array
 from mpc.cost import Cost
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, PlantState, StepReport
-from tests.support.runs import SCENARIOS, reproducible
+from tests.support.runs import ready, reproducible
 from transport.flight.memory import simulate
 
 # A climb, and a hover long enough to settle. Nothing moves sideways: swinging, the payload is higher than at rest.
@@ -38,8 +36,7 @@ class Flown:
     """Results of a run of `resilient`."""
 
     def __init__(self, *settings: str) -> None:
-        path = SCENARIOS / "resilient.toml"
-        self.run = Setup.of(read_scenario(path, settings), path.name)
+        self.run = ready("resilient", *settings)
         self.messages: list[Message] = []
         self.outcome = simulate(self.run, self.messages.append).outcome
         plant_states = [message for message in self.messages if isinstance(message, PlantState)]

@@ -3,13 +3,9 @@
 import numpy as np
 import pytest
 
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message
 from tests.support.logs import log_of
-from tests.support.runs import SHORT
+from tests.support.runs import SHORT, completed, ready
 from transport.analysis.series import Series, series_of
-from transport.flight.memory import simulate
 
 SCALE = 128.0  # a power of two: every weight keeps its digits
 SCALED = {  # all weights and penalties of the scenario
@@ -32,10 +28,8 @@ ATTITUDE_DEG, COST = 2.5, 3.0
 
 def flown(name: str, *settings: str) -> Series:
     """A flight in memory, completed."""
-    run = Setup.of(read_scenario(find_scenario(name), settings), name)
-    messages: list[Message] = []
-    assert simulate(run, messages.append).outcome == "completed"
-    return series_of(run, log_of(messages))
+    run = ready(name, *settings)
+    return series_of(run, log_of(completed(run)))
 
 
 @pytest.mark.parametrize("name", SCALED)

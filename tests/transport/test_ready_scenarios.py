@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, StepReport
+from protocol.wire.messages import StepReport
 from tests.support.logs import log_of
+from tests.support.runs import completed, ready
 from transport.analysis.series import Series, series_of
-from transport.flight.memory import simulate
 
 # What separation may fall short of its limit: the constraint is linearised, softened, and kept at sampling instants.
 SHORTFALL_M = 0.01
@@ -26,11 +25,8 @@ REAR = slice(2, 4)
 
 def flown(name: str, *settings: str) -> tuple[Setup, Series, list[StepReport]]:
     """A ready scenario, flown to its end in memory."""
-    path = find_scenario(name)
-    run = Setup.of(read_scenario(path, settings), path.name)
-    messages: list[Message] = []
-    control = simulate(run, messages.append)
-    assert control.outcome == "completed", control
+    run = ready(name, *settings)
+    messages = completed(run)
     series = series_of(run, log_of(messages))
     assert len(series.ticks) == run.ticks
     return run, series, [message for message in messages if isinstance(message, StepReport)]

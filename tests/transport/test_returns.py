@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 from model.state import StateView
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, PlantState
-from tests.support.runs import SCENARIOS
-from transport.flight.memory import simulate
+from tests.support.runs import completed, plant_states, ready, ticks
 
+CONTINUE = "clock.on_agent_loss=continue"
 MANEUVER = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=2.5,displacement_m=[0,0,-1.25]},"
@@ -23,15 +20,9 @@ def test_a_late_return_brings_the_team_together(back_s: float) -> None:
 
     While its UAV holds itself up the others fly on with a tilted payload; the return itself does not add to that.
     """
-    settings = [
-        MANEUVER,
-        'clock.on_agent_loss="continue"',
-        f"faults.event=[{{at_s=1.0,target='agent2',do='kill'}},{{at_s={back_s},target='agent2',do='restart'}}]",
-    ]
-    run = Setup.of(read_scenario(SCENARIOS / "resilient.toml", settings), "resilient")
-    messages: list[Message] = []
-    assert simulate(run, messages.append).outcome == "completed"
-    x = np.array([message.x for message in messages if isinstance(message, PlantState)])
+    faults = f"faults.event=[{{at_s=1.0,target='agent2',do='kill'}},{{at_s={back_s},target='agent2',do='restart'}}]"
+    run = ready("resilient", MANEUVER, CONTINUE, faults)
+    x = np.array([state.x for state in plant_states(completed(run))])
     attitude_deg = np.abs(np.degrees(StateView(x).Theta0[:, :2])).max(axis=1)
     back = round(back_s / 0.05)
     assert attitude_deg.max() < 10.0
@@ -43,12 +34,6 @@ def test_a_late_return_brings_the_team_together(back_s: float) -> None:
 
 def test_a_return_at_the_end_holds_nothing() -> None:
     """A return scripted for the instant at which the run ends neither delays nor breaks that end."""
-    settings = [
-        "maneuver.phase=[{name='hover',duration_s=0.3,displacement_m=[0,0,0]}]",
-        'clock.on_agent_loss="continue"',
-        "faults.event=[{at_s=0.25,do='restart',target='agent2'}]",
-    ]
-    run = Setup.of(read_scenario(SCENARIOS / "resilient.toml", settings), "resilient")
+    run = ready("resilient", ticks(6), CONTINUE, "faults.event=[{at_s=0.25,do='restart',target='agent2'}]")
     assert max(fault.tick for fault in run.faults) == run.ticks
-    end = simulate(run, lambda _: None)
-    assert (end.outcome, end.exit_code) == ("completed", 0)
+    completed(run)

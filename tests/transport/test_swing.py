@@ -9,7 +9,6 @@ import pytest
 from model import state
 from model.arrays import Array
 from model.rotations import rotation
-from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import PlantState
 from tests.support import runs
@@ -17,7 +16,6 @@ from tests.support.logs import SINGLE_UAV, log_of, plant_state
 from transport.analysis.metrics import summarise
 from transport.analysis.series import series_of
 from transport.analysis.swing import AT_REST_M, Swing, swing_of
-from transport.flight.memory import simulate
 
 # The last hover of the paper's maneuver, after a second of translation.
 HOLD = (
@@ -171,8 +169,8 @@ def test_velocity_in_the_inertial_frame() -> None:
 @pytest.mark.parametrize(("name", "decays"), [("centralized", False), ("centralized_lq", True)])
 def test_the_papers_maneuver(name: str, decays: bool) -> None:
     """A horizon of 1 s leaves a sustained swing of 0.55 m; with the infinite horizon behind it the swing dies out."""
-    run = Setup.of(read_scenario(find_scenario(name), []), name)
-    messages = runs.recorded(run, simulate)
+    run = runs.ready(name)
+    messages = runs.recorded(run)
     payload = summarise(run, log_of(messages))["payload_tracking"]
     assert payload["decays"] is decays
     assert (payload["swing_m"] < 0.4) is decays

@@ -6,9 +6,9 @@ import pytest
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
-from protocol.wire.messages import Message, StepReport
+from protocol.wire.messages import StepReport
 from tests.support.logs import log_of
-from tests.support.runs import SCENARIOS
+from tests.support.runs import SCENARIOS, completed
 from transport.analysis.series import series_of
 from transport.flight.memory import simulate
 
@@ -25,8 +25,7 @@ def team(uavs: int, template: str, *settings: str) -> Setup:
 def test_larger_teams_complete_the_maneuver(uavs: int, delay_s: float) -> None:
     """Section V with six and eight UAVs: all 25 s, level and apart, on a perfect network and 0.1 s late."""
     run = team(uavs, "resilient", f"links.delay_s={delay_s}")
-    messages: list[Message] = []
-    assert simulate(run, messages.append).outcome == "completed"
+    messages = completed(run)
     series = series_of(run, log_of(messages))
     assert len(series.ticks) == run.ticks == 500
     reports = [message for message in messages if isinstance(message, StepReport)]

@@ -15,6 +15,7 @@ from protocol.wire.messages import (
     Control,
     FaultNote,
     Message,
+    Note,
     Plan,
     Rejected,
     Roster,
@@ -42,7 +43,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         "reason": control.reason if control else "",
         "exit_code": control.exit_code if control else None,
         "processes": int(processes) if processes.isdecimal() else None,
-        "controller": _controller(setup),
+        "controller": {"name": log.header.get("controller", "mpc"), **_controller(setup)},
         **_durations(setup, log, series),
         **_flight(setup, series),
         "agent_step_ms": _step_times(reports),
@@ -108,6 +109,7 @@ def events(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str,
 
     degraded = degradations(setup.faults)
     before: Roster | None = None
+    noted: set[str] = set()  # each problem of a controller counts once, of the first agent
     off: set[tuple[str, int]] = set()  # UAVs with their motors off, and released ones
     for message, received_ns in ((entry.message, entry.received_ns) for entry in log.messages):
         if isinstance(message, FaultNote):
@@ -117,6 +119,9 @@ def events(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str,
             for uav, efficiency in ((uav, share) for tick, uav, share in degraded if tick == message.tick):
                 what = f"motors of {uav_name(uav)} degraded to {efficiency:g} of their inputs by script"
                 add(message, received_ns, "fault", what, [uav_name(uav)])
+        elif isinstance(message, Note) and message.problem and message.problem not in noted:
+            noted.add(message.problem)
+            add(message, received_ns, "notice", f"{message.sender}: {message.problem}", [message.sender])
         elif isinstance(message, Roster):
             now_off = {("off", uav) for uav in message.off} | {("released", uav) for uav in message.released}
             if now_off != off:

@@ -15,6 +15,7 @@ import numpy as np
 import threadpoolctl
 
 from agent.node import AgentNode
+from agent.own import checked_controller
 from model.arrays import Array
 from model.state import INPUTS
 from protocol.scenario.setup import Setup
@@ -84,6 +85,9 @@ class Replay:
             for message in (entry.message for entry in self.log.messages)
             if isinstance(message, Plan | StepReport) and message.agent == self.agent
         }
+        name, was = self.setup.scenario.agents.controller, self.log.header.get("controller", "")
+        if was.startswith(f"{name} ") and (now := checked_controller(self.setup)) != was:
+            self.notes.append(f"the run was recorded with controller {was}, this is {now}")
         with threadpoolctl.threadpool_limits(1):  # as in every process of a run, for the same bits
             for process in processes:
                 node = AgentNode(self.setup, self.agent, process.incarnation)
@@ -291,9 +295,10 @@ class Comparison:
     identical: int = 0  # number of plans that are equal bit for bit
     unrecorded: list[int] = field(default_factory=list)  # ticks with an answer of the node but not in the log
     tallies: dict[str, Tally] = field(default_factory=dict)  # by field, in the order they first differ
-    # For each tick compared: tick, largest difference of thrust (N) and moment (N m) of the plan's first step, then of
-    # all its steps, and whether any field of the plan differs.
+    # For each tick compared: tick, largest difference of thrust (N) and of moments or rates (SI) of the plan's first
+    # step, then of all its steps, and whether any field of the plan differs.
     rows: list[tuple[int, float, float, float, float, bool]] = field(default_factory=list)
+    commands: tuple[str, ...] = INPUT_NAMES  # names of the inputs in plans
 
     @property
     def first(self) -> Difference | None:
@@ -315,7 +320,7 @@ class Comparison:
         for answer, recorded in zip(step.answers, step.recorded, strict=True):
             if recorded is None:
                 continue
-            found = [d for d in differences(answer, recorded) if d.field not in ignored]
+            found = [d for d in differences(answer, recorded, self.commands) if d.field not in ignored]
             if isinstance(answer, Plan):
                 self.plans += 1
                 self.identical += not found
@@ -328,7 +333,7 @@ class Comparison:
                 self.rows.append((step.tick, *_inputs_apart(answer, recorded), bool(found)))
 
 
-def differences(answer: Answer, recorded: Answer) -> Iterator[Difference]:
+def differences(answer: Answer, recorded: Answer, commands: tuple[str, ...] = INPUT_NAMES) -> Iterator[Difference]:
     """Yield the fields in which two messages of one kind differ by at least a bit."""
     for name in (name for name in answer.__struct_fields__ if name not in _NOT_COMPARED):
         got, expected = getattr(answer, name), getattr(recorded, name)
@@ -337,7 +342,7 @@ def differences(answer: Answer, recorded: Answer) -> Iterator[Difference]:
         where, unit, size, texts = "", "", None, (str(got), str(expected))
         if isinstance(got, np.ndarray) and got.shape == expected.shape:
             at = _worst(got, expected)
-            where, unit = _entry(answer, name, at)
+            where, unit = _entry(answer, name, at, commands)
             size = float(abs(got[at] - expected[at]))
             texts = repr(float(got[at])), repr(float(expected[at]))
         elif isinstance(got, int | float) and not isinstance(got, bool):
@@ -374,10 +379,10 @@ def _worst(got: Array, expected: Array) -> tuple[int, ...]:
     return tuple(int(i) for i in np.unravel_index(int(apart.argmax()), got.shape))
 
 
-def _entry(message: Answer, name: str, at: tuple[int, ...]) -> tuple[str, str]:
+def _entry(message: Answer, name: str, at: tuple[int, ...], commands: tuple[str, ...]) -> tuple[str, str]:
     """Return a description of an array entry and its unit."""
     if isinstance(message, Plan) and name in ("inputs", "corrections"):
-        quantity, unit = split_unit(INPUT_NAMES[at[1] % INPUTS])
+        quantity, unit = split_unit(commands[at[1] % INPUTS])
         uav = message.uavs[at[1] // INPUTS]
         return f"[{at[0]}, {at[1]}], UAV{uav} {quantity}, step {at[0]} of the horizon", unit
     if isinstance(message, Plan):
@@ -387,7 +392,7 @@ def _entry(message: Answer, name: str, at: tuple[int, ...]) -> tuple[str, str]:
 
 
 def _inputs_apart(plan: Plan, recorded: Plan) -> tuple[float, float, float, float]:
-    """Return the largest difference of thrust and moments, N and N m: at the first step, then over the horizon."""
+    """Return the largest difference of thrust and of the other inputs: at the first step, then over the horizon."""
     steps = min(len(plan.inputs), len(recorded.inputs))
     apart = np.abs(plan.inputs[:steps] - recorded.inputs[:steps]).reshape(steps, -1, INPUTS)
     thrust, moments = apart[:, :, 0].max(axis=1), apart[:, :, 1:].max(axis=(1, 2))

@@ -17,18 +17,19 @@ WALL_CLOCK = "_ms"
 _REPORT = ("status", "solver", "fallback", "iterations", "residual")
 _FLIGHT = ("cost", "attitude_deg", "payload_error_m", "uav_error_m", "separation_min_m", "constraint_violation")
 _FORCE = ("force_x_N", "force_y_N", "force_z_N")
-_INPUTS = ("thrust{}_N", "moment{}_x_Nm", "moment{}_y_Nm", "moment{}_z_Nm")
+_MOMENTS = ("thrust{}_N", "moment{}_x_Nm", "moment{}_y_Nm", "moment{}_z_Nm")
+_RATES = ("thrust{}_N", "rate{}_x_rad_s", "rate{}_y_rad_s", "rate{}_z_rad_s")
 
 
 def steps_columns(setup: Setup) -> list[str]:
-    """Return the names of the columns, which depend on the number of UAVs only."""
+    """Return the names of the columns, which depend on the number of UAVs and the kind of their inputs."""
     return [
         *("tick", "t_s", "agent"),
         *_REPORT,
         *("plan_age_max", "state_age_max", "delivered", "late", "lost"),
         *_FORCE,
         *_FLIGHT,
-        *(name.format(uav) for uav in range(1, setup.system.N + 1) for name in _INPUTS),
+        *(name.format(uav) for uav in range(1, setup.system.N + 1) for name in _inputs(setup)),
         *(f"{stage}{WALL_CLOCK}" for stage in STAGES),
     ]
 
@@ -66,9 +67,13 @@ def steps_rows(setup: Setup, log: RunLog) -> Iterator[dict[str, Any]]:
             row["constraint_violation"] = float(series.violation[k])
             for i in owned:
                 inputs = series.u[k, state.input_slice(i)]
-                row |= {name.format(i + 1): float(value) for name, value in zip(_INPUTS, inputs, strict=True)}
+                row |= {name.format(i + 1): float(value) for name, value in zip(_inputs(setup), inputs, strict=True)}
         row |= {f"{stage}{WALL_CLOCK}": float(ms) for stage, ms in zip(STAGES, report.times_ms, strict=True)}
         yield row
+
+
+def _inputs(setup: Setup) -> tuple[str, ...]:
+    return _RATES if setup.system.commands_rates else _MOMENTS
 
 
 def _oldest(ages: tuple[int, ...]) -> int | None:

@@ -24,7 +24,7 @@ from transport.cli.recorded_run import complete_run, run_folder
 from transport.log.channels import kind_of, topic_of
 from transport.log.run_folder import missing, ranges
 from transport.log.run_log import LogError, RunLog, read_log, setup_in
-from transport.log.tables import Row, columns, tables
+from transport.log.tables import INPUT_NAMES, RATE_NAMES, Row, columns, tables
 
 LogArgument = Annotated[
     Path | None,
@@ -245,10 +245,11 @@ def export(
 
 def _export_tables(file: LogFile, out: Path, kinds: list[str], *, parquet: bool) -> list[dict[str, Any]]:
     period_s = None if file.setup is None else file.setup.settings.sampling_period_s
+    commands = RATE_NAMES if file.setup is not None and file.setup.system.commands_rates else INPUT_NAMES
     written: list[dict[str, Any]] = []
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for kind, rows in tables(file.log, period_s).items():
+        for kind, rows in tables(file.log, period_s, commands).items():
             if kinds and kind not in kinds:
                 continue
             target = out / f"{kind}.{'parquet' if parquet else 'csv'}"

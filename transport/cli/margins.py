@@ -13,7 +13,7 @@ from typer import Option
 from protocol.wire.exit_codes import EXIT_USAGE
 from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption
 from transport.cli.output import Format, exit_on, show_json
-from transport.cli.scenario_setup import read_setup
+from transport.cli.scenario_setup import read_setup, scenario_errors
 from transport.report.margins import ACTUATIONS, draw, hover_margins, notes, rows
 from transport.report.style import RC
 
@@ -34,7 +34,9 @@ def margins(
 
     Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure margins.png
     """
-    found = hover_margins(read_setup(scenario, settings, allow_large=large))
+    setup = read_setup(scenario, settings, allow_large=large)
+    with scenario_errors(settings):
+        found = hover_margins(setup)
     if output is Format.json:
         show_json(found.tree())
     else:

@@ -23,10 +23,13 @@ from transport.cli.recorded_run import RunArgument, run_folder
 from transport.flight.header import versions
 from transport.log.run_folder import RecordedRun, open_run
 from transport.log.run_log import LogError
+from transport.log.tables import INPUT_NAMES, RATE_NAMES
 from transport.report.figures import draw_replay
 
 # Smaller differences of inputs, N or N m, are rounding: other numbers on the way to the same decision.
 _ROUNDING = 1e-6
+# Parts of a plan that replay.csv compares.
+_PARTS = ("first_step", "horizon")
 
 
 # Fixed values: the recorded messages fit no other number of UAVs, iterations or ticks.
@@ -92,14 +95,15 @@ def replay(
             breakpoint()  # the next call is node.receive(measurement, 0)
 
     again = Replay(setup, run.log, agent, before)
-    comparison = Comparison()
+    comparison = Comparison(commands=RATE_NAMES if run.setup.system.commands_rates else INPUT_NAMES)
     # In real time the log does not record when the agent noticed a lost message.
     ignored = ("report.lost",) if setup.scenario.clock.mode == "realtime" else ()
-    for step in again.steps():
-        if end is not None and step.tick > end:
-            break
-        if step.tick >= begin:
-            comparison.add(step, ignored=ignored)
+    with exit_on(ScenarioError, code=EXIT_SCENARIO):  # a controller that cannot be found or started
+        for step in again.steps():
+            if end is not None and step.tick > end:
+                break
+            if step.tick >= begin:
+                comparison.add(step, ignored=ignored)
     if stop_at is not None and not stopped:
         again.notes.append(f"--pdb: the agent has no measurement of tick {stop_at} that could be replayed")
     if not comparison.ticks:
@@ -153,8 +157,9 @@ def _write(run: RecordedRun, comparison: Comparison, out: Path) -> list[Path]:
         table = out / "replay.csv"
         with table.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
-            first = ("thrust_first_step_N", "moment_first_step_Nm", "thrust_horizon_N", "moment_horizon_Nm")
-            writer.writerow(["tick", "t_s", *first, "differs"])
+            turning, unit = ("rate", "rad_s") if run.setup.system.commands_rates else ("moment", "Nm")
+            parts = [f"{what}_{part}_{of}" for part in _PARTS for what, of in (("thrust", "N"), (turning, unit))]
+            writer.writerow(["tick", "t_s", *parts, "differs"])
             for tick, *apart, differs in comparison.rows:
                 writer.writerow([tick, tick * period_s, *apart, int(differs)])
     except OSError as error:

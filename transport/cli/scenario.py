@@ -9,7 +9,6 @@ import tomli_w
 import typer
 from typer import Option
 
-from plant.trial import tried_engine
 from protocol.scenario.budget import check_budget, estimate
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
@@ -19,6 +18,7 @@ from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.scenario_setup import read_setup, scenario_errors
+from transport.flight.trial import tried
 
 # Number of UAVs beyond which a user should know that the model takes long to build.
 _LONG = 48
@@ -113,7 +113,7 @@ def validate(
     """
     setup = read_setup(scenario, settings, allow_large=large)
     with scenario_errors(settings):
-        engine = tried_engine(setup)
+        classes = tried(setup)
     doubts = list(setup.doubts())
     if output is Format.json:
         show_json({"scenario": setup.scenario.tree(), "digest": setup.scenario.digest(), "warnings": doubts})
@@ -124,7 +124,8 @@ def validate(
     hover = ", ".join(f"{thrust:.2f}" for thrust in setup.hover.u[::4])
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
     about = f"{sizes}, hover thrust {hover} N, digest {setup.scenario.digest()}"
-    typer.echo(f"valid: {about}, engine {engine}", err=True)
+    own = ", ".join(f"{what} {name}" for what, name in classes.items() if name != "mpc")
+    typer.echo(f"valid: {about}, {own}", err=True)
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
 
 

@@ -8,12 +8,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from plant.engines import checked_engine, engine_version
+from agent.own import controller_version
+from plant.engines import engine_version
 from protocol.scenario.budget import check_budget
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
+from transport.flight.trial import checked
 from transport.log.run_log import RunLog
 
 # Keys and sections of a scenario that make a run random unless they are zero.
@@ -101,7 +103,7 @@ def cases_of_point(
         raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
     setup = Setup.of(scenario, str(path))  # refuses an impossible setup before the first run
     samples_s = setup.samples_s
-    checked_engine(setup)
+    checked(setup)
     cases = []
     for seed in range(seeds if timed or is_random(scenario) else 1):
         seeded = scenario.model_copy(update={"seed": seed})
@@ -127,10 +129,12 @@ def _scenario(path: Path, point: Point, settings: Sequence[str]) -> Scenario:
 def key_of(scenario: Scenario, samples_s: Mapping[str, tuple[float, ...]]) -> str:
     """Return the fingerprint of what determines a result.
 
-    That is the scenario without addresses, the measured delays, the version of the package and that of the engine.
+    That is the scenario without addresses, the measured delays, the version of the package and those of the
+    engine and the controller.
     """
     tree = {name: part for name, part in scenario.tree().items() if name != "network"}
     content = [tree, sorted(samples_s.items()), version("payload-transport"), engine_version(scenario.plant.engine)]
+    content.append(controller_version(scenario.agents.controller))
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -11,15 +11,17 @@ from model import native
 from protocol.scenario.setup import Setup
 
 
-def run_header(setup: Setup, run: str, processes: int, scenario_toml: str, engine: str) -> Mapping[str, str]:
-    """Return the metadata of a run's log; the engine of the plant with its version, as far as that is known."""
+def run_header(
+    setup: Setup, run: str, processes: int, scenario_toml: str, classes: Mapping[str, str]
+) -> Mapping[str, str]:
+    """Return the metadata of a run's log; `classes` are engine and controller with their versions, as far as known."""
     return {
         "run_id": run,
         "scenario": scenario_toml,
         "seed": str(setup.scenario.seed),
         "processes": str(processes),
         "versions": versions(),
-        "engine": engine,
+        **classes,
         "machine": machine(),
         "command_started_ns": str(_command_started_ns()),
     }

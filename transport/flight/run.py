@@ -11,7 +11,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from plant.trial import tried_engine
 from protocol.network.endpoints import Endpoints, endpoints_of_all, process_names
 from protocol.network.process import Place
 from protocol.network.security import Security, SecurityError
@@ -26,7 +25,7 @@ from protocol.wire.exit_codes import (
     EXIT_USAGE,
 )
 from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.names import COORDINATOR, PLANT
+from protocol.wire.names import COORDINATOR
 from transport.flight import live
 from transport.flight.fault_script import FaultScript
 from transport.flight.harness import ORDERLY_ENDS, Child, Harness, check_ports, free_ports, keys_setting
@@ -35,6 +34,7 @@ from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
 from transport.flight.run_files import RunError, create, open_log, own_keys, refuse_existing
 from transport.flight.signals import collected_signals
+from transport.flight.trial import named, tried
 from transport.log.run_folder import forget_latest
 from transport.log.writer import LogWriter
 
@@ -71,7 +71,7 @@ def simulate(
 
     Returns: The end of the run; every process has ended and the log is complete.
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
-        ScenarioError: the plant's engine cannot be used.
+        ScenarioError: engine or controller cannot be used.
     """
     refuse_existing(folder)
     scenario = setup.scenario
@@ -79,11 +79,11 @@ def simulate(
     with ExitStack() as stack:
         stack.enter_context(_refusals())
         check_usable(_OPEN_FILES + _OPEN_FILES_EACH * len(names))
-        engine = "external" if PLANT in external else tried_engine(setup)
+        classes = tried(setup, external)
         compile_model(setup.system.N, console)
         places = stack.enter_context(_reserved(scenario, names))
         run = folder.name if Keys.allows(folder.name) else scenario.name
-        header = run_header(setup, run, len(names), create(folder, setup), engine)
+        header = run_header(setup, run, len(names), create(folder, setup), classes)
         called = {name: [*place.listen, *place.connect][0] for name, place in places.items()}
         recording = places.pop(RECORDER)
         started_here = {name: place for name, place in places.items() if name not in external}
@@ -161,7 +161,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
     names = process_names(setup.scenario)
     text = create(folder, setup)
     with RunProgress(setup, console) as progress, _refusals():
-        header = run_header(setup, place.run, len(names), text, setup.scenario.plant.engine)
+        header = run_header(setup, place.run, len(names), text, named(setup))
         writer = open_log(folder, setup, header, progress.say)
         try:
             recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)

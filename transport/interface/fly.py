@@ -7,7 +7,6 @@ from typing import Unpack
 
 import tomli_w
 
-from plant.engines import checked_engine
 from protocol.scenario.file import ScenarioError
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
@@ -16,6 +15,7 @@ from transport.flight import memory
 from transport.flight.header import run_header
 from transport.flight.progress import compile_model
 from transport.flight.run_files import RunError
+from transport.flight.trial import checked
 from transport.interface.progress import console, run_progress
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario
@@ -105,7 +105,7 @@ def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
     began_ns = time.time_ns()
     compile_model(setup.system.N, console(shown=shown))
     text = tomli_w.dumps(setup.scenario.tree())
-    header = run_header(setup, setup.scenario.name, 1, text, checked_engine(setup))
+    header = run_header(setup, setup.scenario.name, 1, text, checked(setup))
     header = {**header, "command_started_ns": str(began_ns)}
     messages: list[Recorded] = []
     with run_progress(setup, shown=shown) as show:

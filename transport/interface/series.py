@@ -9,7 +9,7 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import StepReport
+from protocol.wire.messages import ActualInputs, StepReport
 from transport.analysis.series import Series, series_of
 from transport.interface.settings import ArgumentError, public
 from transport.log.run_log import RunLog
@@ -48,8 +48,11 @@ QUANTITIES: Mapping[str, Quantity] = {
     "uav_attitude_deg": Quantity("deg", (_UAV, _ANGLES), "UAV roll, pitch and yaw; NaN after a release."),
     "thrust_N": Quantity("N", (_UAV,), "Thrust applied from t_k on."),
     "thrust_limits_N": Quantity("N", (("smallest", "largest"),), "Limits of the thrust of each UAV."),
-    "moment_Nm": Quantity("N m", (_UAV, _XYZ), "Moments about the UAV's body axes, applied from t_k on."),
+    "moment_Nm": Quantity(
+        "N m", (_UAV, _XYZ), "Moments about the UAV's body axes, applied from t_k on; with body rates their mean."
+    ),
     "moment_limit_Nm": Quantity("N m", (_XYZ,), "Limit of the moments of each UAV, either sign."),
+    "rate_command_radps": Quantity("rad/s", (_UAV, _XYZ), "Body rates commanded from t_k on; NaN with moments."),
     "separation_m": Quantity("m", (), "Smallest distance between two UAVs."),
     "cost": Quantity("", (), "Stage cost, docs/equations.md (21)."),
     "constraint_violation": Quantity("", (), "Largest violation as a share of the constraint's range; 0 if all hold."),
@@ -148,6 +151,7 @@ class RunSeries(Mapping[str, Array]):
         T, N = len(s.ticks), setup.system.N
         uavs = s.x[:, state.PAYLOAD :].reshape(T, N, state.PER_UAV)
         limits, on_rods = setup.settings.limits, s.on_rods[:, :, None]
+        commanded, rates = s.u.reshape(T, N, state.INPUTS)[:, :, 1:], setup.system.commands_rates
         made: dict[str, Callable[[], Any]] = {
             "time_s": lambda: s.times_s,
             "payload_position_m": lambda: s.x[:, state.R0],
@@ -162,7 +166,8 @@ class RunSeries(Mapping[str, Array]):
             "uav_attitude_deg": lambda: np.where(on_rods, np.degrees(uavs[:, :, state.THETA]), np.nan),
             "thrust_N": lambda: s.u.reshape(T, N, state.INPUTS)[:, :, 0],
             "thrust_limits_N": lambda: np.tile(limits.thrust_N, (T, 1)),
-            "moment_Nm": lambda: s.u.reshape(T, N, state.INPUTS)[:, :, 1:],
+            "moment_Nm": lambda: self._moments() if rates else commanded,
+            "rate_command_radps": lambda: commanded if rates else np.full((T, N, 3), np.nan),
             "moment_limit_Nm": lambda: np.tile(limits.moments_Nm, (T, 1)),
             "separation_m": lambda: s.separation_m,
             "cost": lambda: s.cost,
@@ -173,6 +178,12 @@ class RunSeries(Mapping[str, Array]):
         if self._reports is None:
             self._reports = self._of_reports()
         return self._reports[name]
+
+    def _moments(self) -> Array:
+        """Return the mean moments of the inner loops over each period, (T, N, 3), N m; NaN where they are missing."""
+        actual = {message.tick: message.inputs[:, 1:] for message in self._log.of(ActualInputs)}
+        missing = np.full((self._setup.system.N, 3), np.nan)
+        return np.array([actual.get(int(tick), missing) for tick in self._series.ticks]).reshape(-1, *missing.shape)
 
     def _of_reports(self) -> dict[str, Array]:
         """Return the series that come from the agents' reports."""

@@ -58,6 +58,7 @@ class ShortSettings(TypedDict, total=False):
     share: Literal["always", "on_change"]
     estimate_disturbance: bool
     owned: Sequence[Sequence[int]]
+    controller: str | type
     delay_s: float
     jitter_s: float
     loss: float
@@ -108,6 +109,8 @@ def settings_of(settings: Settings | None, short: Mapping[str, Any]) -> list[str
         key = key_of(name)
         if key in found:
             raise ArgumentError(f"{name}: expected each key once, got {key} twice")
+        if isinstance(value, type):  # a controller or an engine
+            value = f"{value.__module__}:{value.__qualname__}"
         found[key] = PythonSetting(f"{key}={_toml(value, name)}")
     return list(found.values())
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from model.arrays import Array
 from model.state import INPUTS, PAYLOAD, PER_UAV
-from protocol.wire.messages import KINDS, STAGES, ActualInputs, Measurement, Message, Plan, PlantState, StepReport
+from protocol.wire.messages import KINDS, STAGES, ActualInputs, Measurement, Message, Note, Plan, PlantState, StepReport
 from transport.log.run_log import RunLog
 
 Row = dict[str, Any]
@@ -25,7 +25,9 @@ UAV_STATE_NAMES = (
     *("roll_rad", "pitch_rad", "yaw_rad"),
     *("omega_x_rad_s", "omega_y_rad_s", "omega_z_rad_s"),
 )
+# Inputs, and commands where an inner loop follows body rates.
 INPUT_NAMES = ("thrust_N", "moment_x_Nm", "moment_y_Nm", "moment_z_Nm")
+RATE_NAMES = ("thrust_N", "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 
 # Endings of names and the units they stand for, longest first.
 _UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_Nm": "N m", "_rad": "rad", "_N": "N", "_m": "m"}
@@ -35,16 +37,17 @@ _SPREAD = {
     Measurement.kind: ("payload", "uavs", "uav_states", "inputs"),
     Plan.kind: ("uavs", "uav_states", "inputs", "corrections"),
     StepReport.kind: ("peers", "plan_ages", "state_ages", "force", "times_ms"),
+    Note.kind: ("names", "values"),
     PlantState.kind: ("x", "u", "plan_ticks"),
     ActualInputs.kind: ("uavs", "inputs"),
 }
 
 
-def tables(log: RunLog, period_s: float | None) -> dict[str, list[Row]]:
+def tables(log: RunLog, period_s: float | None, commands: tuple[str, ...] = INPUT_NAMES) -> dict[str, list[Row]]:
     """Return the messages of a log by kind, each row as values by column (docs/log.md).
 
     Measurements, plans and actual inputs have one row per UAV, other messages one row. Tuples of numbers become text
-    with blanks in between. An unknown sampling period, s, leaves `t_s` empty.
+    with blanks in between. An unknown sampling period, s, leaves `t_s` empty. Commands have the given names.
     """
     found: dict[str, list[Row]] = {kind: [] for kind in KINDS}
     for entry in log.messages:
@@ -61,7 +64,7 @@ def tables(log: RunLog, period_s: float | None) -> dict[str, list[Row]]:
         for name in (field for field in message.__struct_fields__ if field not in (*row, *spread_fields)):
             value = getattr(message, name)
             row[name] = " ".join(map(str, value)) if isinstance(value, tuple) else value
-        found[message.kind] += [row | spread for spread in _spread(message)]
+        found[message.kind] += [row | spread for spread in _spread(message, commands)]
     return {kind: rows for kind, rows in found.items() if rows}
 
 
@@ -70,21 +73,21 @@ def columns(rows: list[Row]) -> list[str]:
     return list(dict.fromkeys(name for row in rows for name in row))
 
 
-def _spread(message: Message) -> Iterator[Row]:
+def _spread(message: Message, commands: tuple[str, ...]) -> Iterator[Row]:
     """Yield the columns of the array fields: once, or once per UAV of the message."""
     match message:
         case Measurement():
             payload = _named("payload_", PAYLOAD_NAMES, message.payload)
             for uav, states, inputs in zip(message.uavs, message.uav_states, message.inputs, strict=True):
-                yield {"uav": uav, **payload, **_named("", UAV_STATE_NAMES, states), **_named("", INPUT_NAMES, inputs)}
+                yield {"uav": uav, **payload, **_named("", UAV_STATE_NAMES, states), **_named("", commands, inputs)}
         case Plan():
             for i, (uav, states) in enumerate(zip(message.uavs, message.uav_states, strict=True)):
                 own = slice(INPUTS * i, INPUTS * (i + 1))
                 yield {
                     "uav": uav,
                     **_named("", UAV_STATE_NAMES, states),
-                    **_over_horizon("", message.inputs[:, own]),
-                    **_over_horizon("correction_", message.corrections[:, own]),
+                    **_over_horizon("", commands, message.inputs[:, own]),
+                    **_over_horizon("correction_", commands, message.corrections[:, own]),
                 }
         case StepReport():
             ages = zip(message.peers, message.plan_ages, message.state_ages, strict=True)
@@ -97,12 +100,14 @@ def _spread(message: Message) -> Iterator[Row]:
                     for what, age in zip(("plan", "state"), both, strict=True)
                 },
             }
+        case Note():
+            yield _named("", message.names, message.values)
         case PlantState():
             row = _named("payload_", PAYLOAD_NAMES, message.x[:PAYLOAD])
             for i, plan_tick in enumerate(message.plan_ticks):
                 begin = PAYLOAD + PER_UAV * i
                 row |= _named(f"uav{i + 1}_", UAV_STATE_NAMES, message.x[begin : begin + PER_UAV])
-                row |= _named(f"uav{i + 1}_", INPUT_NAMES, message.u[INPUTS * i : INPUTS * (i + 1)])
+                row |= _named(f"uav{i + 1}_", commands, message.u[INPUTS * i : INPUTS * (i + 1)])
                 row[f"uav{i + 1}_plan_tick"] = plan_tick
             yield row
         case ActualInputs():
@@ -116,11 +121,11 @@ def _named(prefix: str, names: tuple[str, ...], values: Array) -> Row:
     return {prefix + name: float(value) for name, value in zip(names, values, strict=True)}
 
 
-def _over_horizon(prefix: str, sequence: Array) -> Row:
+def _over_horizon(prefix: str, commands: tuple[str, ...], sequence: Array) -> Row:
     """Return the inputs of one UAV over the horizon, (steps, 4), by quantity: thrust_N[0], thrust_N[1], ..."""
     return {
         f"{prefix}{name}[{step}]": float(value)
-        for name, values in zip(INPUT_NAMES, sequence.T, strict=True)
+        for name, values in zip(commands, sequence.T, strict=True)
         for step, value in enumerate(values)
     }
 

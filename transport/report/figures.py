@@ -294,14 +294,15 @@ _REPLAY_IN = 1.1
 
 
 def draw_replay(setup: Setup, comparison: Comparison, folder: Path) -> list[Path]:
-    """Draw replay.png and replay.svg: largest difference of thrust and of moments at each tick; return the files."""
+    """Draw replay.png and replay.svg: largest difference of the inputs at each tick; return the files."""
     ticks = np.array([row[0] for row in comparison.rows])
     differences = np.array([row[1:5] for row in comparison.rows])
     times_s = ticks * setup.settings.sampling_period_s
+    turning = "commanded rate (rad/s)" if setup.system.commands_rates else "moment (N m)"
     with mpl.rc_context(RC):
         figure = Figure()
         panels = column_panels(figure, [_REPLAY_IN] * 2)
-        for column, (panel, label) in enumerate(zip(panels, ("thrust (N)", "moment (N m)"), strict=True)):
+        for column, (panel, label) in enumerate(zip(panels, ("thrust (N)", turning), strict=True)):
             for name, values, colour, width in (
                 ("largest of the horizon", differences[:, 2 + column], COMPONENTS[1], 1.8),
                 ("first step", differences[:, column], COMPONENTS[0], 0.9),

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from mpc.controller import Controller
 from mpc.margins import FARTHEST, FARTHEST_S, GROWTH, Loop, Margin, Mismatch, margins
+from protocol.scenario.errors import ScenarioError
 from protocol.scenario.setup import Setup
 from transport.report.style import COLUMN_IN, CURVES
 
@@ -51,8 +52,14 @@ def hover_margins(setup: Setup) -> HoverMargins:
     """Return the margins of a scenario about hover, with the fixed delay of its links.
 
     Agents know each other's state one sampling period late, or as late as `links.delay_s`. Limits, constraints, packet
-    loss and the disturbance estimate are not part of the analysis. Source: docs/equations.md (58).
+    loss and the disturbance estimate are not part of the analysis.
+
+    Raises: ScenarioError: the controller is a class of the user.
+    Source: docs/equations.md (58).
     """
+    if setup.scenario.agents.controller != "mpc":
+        expected = "expected 'mpc', whose feedback is known, for margins"
+        raise ScenarioError(setup.scenario.name, "agents.controller", f"{expected}, got a class")
     period_s = setup.settings.sampling_period_s
     age = max(1, math.ceil(setup.scenario.links.delay_s / period_s - 1e-9))
     # Several threads are slower than one with matrices of this size.

@@ -106,8 +106,13 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         (
             "controller",
             f"{controller['agents']} agent{'s' * (controller['agents'] != 1)} every "
-            f"{1e3 * controller['sampling_period_s']:g} ms, {controller['horizon']} steps, "
-            f"{controller['prediction'].replace('_', ' ')}, relaxation {controller['relaxation']:g}",
+            f"{1e3 * controller['sampling_period_s']:g} ms, "
+            + (
+                controller["name"]
+                if controller["name"] != "mpc"
+                else f"{controller['horizon']} steps, {controller['prediction'].replace('_', ' ')}, "
+                f"relaxation {controller['relaxation']:g}"
+            ),
         ),
         ("cost", f"mean {_text(cost['mean'], '.3g')}, max {_text(cost['max'], '.3g')}"),
         ("payload attitude", _text(summary["attitude_max_deg"], ".2f", "max {} deg")),

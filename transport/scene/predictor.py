@@ -84,8 +84,8 @@ class Predictor:
 
 
 def _regulation(setup: Setup) -> Regulation | None:
-    """Return the shared control law of the team; None with open-loop prediction."""
-    if setup.settings.prediction != "closed_loop":
+    """Return the shared control law of the team; None with open-loop prediction or a controller of the user."""
+    if setup.settings.prediction != "closed_loop" or setup.scenario.agents.controller != "mpc":
         return None
     try:
         return Regulation(setup.model, setup.hover, setup.settings, setup.X_ref)

@@ -64,19 +64,6 @@ def test_the_traceback_ends_at_the_public_function(case: str, run: transport.Run
     assert "pydantic" not in text
 
 
-def test_bugs_keep_their_traceback(run: transport.Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Another exception than a `TransportError` shows all frames."""
-
-    def fail(*_: Any, **__: Any) -> None:
-        raise RuntimeError("a bug")
-
-    monkeypatch.setattr("transport.interface.run.write_report", fail)
-    with pytest.raises(RuntimeError, match="a bug") as caught:
-        run.save(tmp_path / "run")
-    names = [frame.name for frame in traceback.extract_tb(caught.value.__traceback__)]
-    assert names[-2:] == ["save", "fail"]
-
-
 def test_every_function_that_raises_is_covered() -> None:
     """Each public function and method whose docstring names an error of the project is decorated."""
     functions: dict[str, Any] = {}

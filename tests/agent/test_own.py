@@ -1,0 +1,190 @@
+"""A controller of the user: found, called with what its links have delivered, checked in all it returns."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import transport
+from agent.own import Run, checked_controller
+from model.arrays import Array
+from protocol.scenario.errors import ScenarioError
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Measurement, Message, Note, Plan, StepReport
+from tests.support.nodes import AgentNode
+from tests.support.runs import SHORT, end, measurement, plant_states, recorded, reproducible, roster, setup
+from transport.flight.memory import simulate
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+
+# The payload's largest attitude with the examples, deg: half of what a diverging flight passes within a second.
+LEVEL_DEG = 8.0
+
+# What a step returns, and why that is a failure.
+WRONG = {
+    "raise ZeroDivisionError('no air')": "step raised ZeroDivisionError: no air (my_own.py:6)",
+    "import sys; sys.exit(3)": "step raised SystemExit: 3 (my_own.py:6)",
+    "return self.u[:3]": "step: expected shape (4,) or (1 to 20, 4), got (3,)",
+    "return np.tile(self.u, (21, 1))": "step: expected shape (4,) or (1 to 20, 4), got (21, 4)",
+    "return np.zeros((0, 4))": "step: expected shape (4,) or (1 to 20, 4), got (0, 4)",
+    "return self.u * np.array([1.0, np.nan, 1.0, 1.0])": "step: expected finite inputs, got nan at [0, 1]",
+    "return self.u + 0j": "step: expected real numbers, got complex128",
+    "return 'up'": "step raised ValueError: could not convert string to float: ",
+    "return None": "step: expected shape (4,) or (1 to 20, 4), got ()",
+    "return self.u, {'e': float('inf')}": "step: expected at most 64 finite numbers with names of at most 80 char",
+    "return self.u, {'e': 'x'}": "step raised ValueError: could not convert string to float: 'x'",
+}
+
+
+def own(folder: Path, monkeypatch: pytest.MonkeyPatch, step: str, start: str = "pass", *changes: str) -> Setup:
+    """Return a short run of a controller whose step and start are given as text; `self.k` counts the steps."""
+    lines = ["import numpy as np; ended = []", "class Mine:"]
+    lines += [f"    def start(self, run): self.run, self.u, self.k = run, run.u_hover[:4], -1; {start}"]
+    lines += ["    def step(self, measurement, messages):", "        self.k += 1", f"        {step}"]
+    lines += ["    def stop(self): ended.append(self.run.agent)"]
+    (folder / "my_own.py").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    monkeypatch.chdir(folder)
+    monkeypatch.delitem(sys.modules, "my_own", raising=False)
+    return setup(SHORT, "agents.controller=my_own:Mine", *changes)
+
+
+def stepped(run: Setup, count: int) -> list[Message]:
+    """Return the messages of agent 1 over some ticks without the others."""
+    node = AgentNode(run, 1)
+    messages = list(node.receive(roster(), 0))
+    for k in range(count):
+        messages += node.receive(measurement(run, 1, k, shared=()), 0)
+    return [*messages, *node.receive(end(count), 0)]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [("pid:PID", ("clock.actuation=next_tick",)), ("lqr:LQR", ("links.delay_s=0.1", "links.loss=0.1"))],
+)
+def test_the_examples_fly(name: str, changes: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each completes the paper's maneuver, on an impaired network, without a failed step; twice with the same bits."""
+    monkeypatch.chdir(EXAMPLES)
+    messages = recorded(setup(f"agents.controller={name}", *changes))
+    x = np.array([message.x for message in plant_states(messages)])
+    assert len(x) == 500
+    assert np.degrees(np.abs(x[:, 6:8])).max() < LEVEL_DEG
+    assert {report.status for report in messages if isinstance(report, StepReport)} == {"solved"}
+    short = setup(SHORT, f"agents.controller={name}", *changes)
+    once, again = ([reproducible(message) for message in recorded(short)] for _ in range(2))
+    assert str(once) == str(again)
+    assert plant_states(once)[-1].x.tobytes() == plant_states(again)[-1].x.tobytes()
+
+
+@pytest.mark.parametrize("step", WRONG)
+def test_a_wrong_step_is_a_failure(step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is named, and counted in the report; the plan is the previous one: here the rows of the first."""
+    run = own(tmp_path, monkeypatch, f"if self.k == 0: return np.outer([1.0, 1.1, 1.2], self.u)\n        {step}")
+    messages = stepped(run, 4)
+    plans = [message for message in messages if isinstance(message, Plan)]
+    notes = [message for message in messages if isinstance(message, Note)]
+    assert [plan.status for plan in plans] == ["solved", "numerical", "numerical", "numerical"]
+    assert [message.status for message in messages if isinstance(message, StepReport)] == [p.status for p in plans]
+    shares = [[1.0, 1.1, 1.2], [1.1, 1.2], [1.2], [1.2]]
+    for plan, share in zip(plans, shares, strict=True):
+        np.testing.assert_allclose(plan.inputs, np.outer(share, run.hover.u[:4]), rtol=1e-15)
+    text = WRONG[step].replace("my_own.py:6", "my_own.py:7")
+    assert [note.tick for note in notes] == [1, 2, 3]
+    for note in notes:
+        assert note.problem.startswith(f"controller my_own:Mine: {text}")
+    assert simulate(run).outcome == "completed"
+
+
+def test_inputs_are_clipped_and_numbers_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inputs beyond the limits would be refused by the others: the agent clips them. Numbers go to the record."""
+    messages = stepped(own(tmp_path, monkeypatch, "return 1e9 * np.ones(4), {'k': self.k}"), 3)
+    plan = next(message for message in messages if isinstance(message, Plan))
+    limits = setup().settings.limits
+    np.testing.assert_array_equal(plan.inputs, limits.upper(1)[None])
+    logged = [(m.names, m.values.tolist(), m.problem) for m in messages if isinstance(m, Note)]
+    assert logged == [(("k",), [float(k)], "") for k in range(3)]
+
+
+class Hover:
+    """A controller that is given as a class."""
+
+    version = "3"
+
+    def start(self, run: Run) -> None:
+        """Keep the inputs of hover."""
+        self.u = run.u_hover.reshape(-1, 4)[list(run.owned)].ravel()
+
+    def step(self, measurement: Measurement, messages: Sequence[Plan]) -> Array:
+        """Return them."""
+        return self.u
+
+    def stop(self) -> None:
+        """Nothing is open."""
+
+
+def test_a_class_in_python() -> None:
+    """`fly` takes the class itself."""
+    phases = [{"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]}]
+    run = transport.fly("resilient", controller=Hover, phases=phases, owned=[[1, 2], [3, 4]], progress=False)
+    assert run.summary["controller"]["name"] == f"{__name__}:Hover 3"
+    assert run.completed
+
+
+def test_it_knows_what_its_links_have_delivered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measurements and plans come as late as their links say, plans once; the present tick is that of the run."""
+    data = (
+        "{'age': now - measurement.tick, 'plans': len(messages), 'late': now - min([p.tick for p in messages] or [0])}"
+    )
+    run = own(
+        tmp_path,
+        monkeypatch,
+        f"now = self.run.tick; return self.u, {data}",
+        "pass",
+        "links.measurement.delay_s=0.1",
+        "links.delay_s=0.15",
+    )
+    notes = [m for m in recorded(run) if isinstance(m, Note) and m.agent == 1]
+    assert [note.tick for note in notes] == list(range(2, 30))  # hover before the first measurement
+    assert {tuple(note.values) for note in notes if note.tick >= 3} == {(2.0, 3.0, 3.0)}
+
+
+def test_start_and_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every agent starts and ends its object once; an agent that comes back has a new one, with the present roster."""
+    faults = "faults.event=[{at_s=0.3,do='stop',target='agent2'},{at_s=0.6,do='continue',target='agent2'}]"
+    data = "{'k': self.k, 'agents': len(self.run.agents)}"
+    run = own(tmp_path, monkeypatch, f"return self.u, {data}", "pass", faults, "clock.on_agent_loss=continue")
+    notes = [m for m in recorded(run) if isinstance(m, Note)]
+    steps = [int(note.values[0]) for note in notes if note.agent == 2]
+    assert steps == [*range(6), *range(len(steps) - 6)]
+    assert {int(note.values[1]) for note in notes} == {3, 4}
+    assert sorted(sys.modules["my_own"].ended) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("none:Mine", "expected a module 'none' in {folder} or among the installed packages, got none"),
+        ("my_own:Yours", "expected a class 'Yours' in {folder}/my_own.py, got none"),
+        ("my_own:Mine", "start raised RuntimeError: no gains (my_own.py:3)"),
+        ("numpy:ndarray", "the constructor raised TypeError: "),
+        ("pathlib:Path", "expected the methods start, step, stop, got no start"),
+    ],
+)
+def test_what_cannot_fly_is_refused(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before anything starts, and with the same words where an agent is built."""
+    own(tmp_path, monkeypatch, "return self.u", "raise RuntimeError('no gains')")
+    run = setup(SHORT, f"agents.controller={name}")
+    for build in (lambda: checked_controller(run), lambda: AgentNode(run, 2)):
+        with pytest.raises(ScenarioError) as refused:
+            build()
+        assert refused.value.field == "agents.controller"
+        assert refused.value.problem.startswith(text.format(folder=tmp_path))
+
+
+@pytest.mark.parametrize("setting", ["controller.share=on_change", "controller.negotiation_iterations=2"])
+def test_settings_that_a_class_cannot_follow(setting: str) -> None:
+    """A class has no corrections and no proposals."""
+    closed = ("controller.prediction=closed_loop", "controller.received_plans=by_age")
+    with pytest.raises(ScenarioError, match="with a class as"):
+        setup("agents.controller=pid:PID", *closed, setting)

@@ -1,0 +1,74 @@
+"""A controller of the user among real processes: the same bits as in memory, and its failures in the report."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import transport
+from protocol.wire.exit_codes import EXIT_SCENARIO
+from protocol.wire.messages import Note, PlantState
+from tests.support.commands import SHORT, settings
+from tests.support.commands import transport as command
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+FAILS = """
+class Fails:
+    version = "7"
+    def start(self, run):
+        print("to standard error")
+        self.run = run
+    def step(self, measurement, messages):
+        if self.run.tick == 4 and self.run.agent == 3:
+            raise OSError("no solver")
+        return self.run.u_hover[4 * self.run.owned[0] :][:4], {"tick": self.run.tick}
+    def stop(self):
+        raise OSError("cannot stop")
+"""
+
+
+@pytest.mark.slow
+def test_processes_and_memory_have_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plant states and numbers for the log are equal, with delay, loss, and an agent killed and restarted."""
+    monkeypatch.chdir(EXAMPLES)
+    faults = [{"at_s": 0.5, "do": "kill", "target": "agent2"}, {"at_s": 1.0, "do": "restart", "target": "agent2"}]
+    phases = [{"name": "climb", "duration_s": 2.0, "displacement_m": [0.0, 0.0, -0.5]}]
+    given: dict[str, Any] = {
+        "controller": "pid:PID",
+        "delay_s": 0.1,
+        "loss": 0.2,
+        "faults": faults,
+        "on_agent_loss": "continue",
+    }
+    runs = [
+        transport.fly("resilient", phases=phases, processes=processes, folder=folder, progress=False, **given)
+        for processes, folder in ((False, None), (True, tmp_path / "run"))
+    ]
+    paths = [np.array([state.x for state in run.log.of(PlantState)]) for run in runs]
+    assert len(paths[0]) == 40
+    assert paths[0].tobytes() == paths[1].tobytes()
+    notes = [{(note.agent, note.tick): note.values.tolist() for note in run.log.of(Note)} for run in runs]
+    assert len(notes[0]) == 4 * 40 - 10
+    assert notes[0] == notes[1]
+    assert {run.summary["controller"]["name"] for run in runs} == {"pid:PID 1"}
+
+
+@pytest.mark.slow
+def test_a_failing_class_among_processes(tmp_path: Path) -> None:
+    """The run completes; summary and log name class, error, file and line; a class that is none is refused at once."""
+    (tmp_path / "mine.py").write_text(FAILS, encoding="utf-8")
+    options = settings(SHORT, "agents.controller=mine:Fails")
+    done = command("run", "paper", *options, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["solver"]["failures"] == 1
+    what = "controller mine:Fails: {} raised OSError: {} (mine.py:{})"
+    events = [event["what"] for event in summary["faults"]]
+    assert f"agent3: {what.format('step', 'no solver', 9)}" in events
+    assert sum(what.format("stop", "cannot stop", 12) in text for text in events) == 1
+    refused = command("validate", "paper", *settings("agents.controller=mine:Other"), cwd=tmp_path)
+    assert refused.returncode == EXIT_SCENARIO
+    expected = f"expected a class 'Other' in {tmp_path}/mine.py, got none"
+    assert refused.stderr == f"transport: --set agents.controller=mine:Other: {expected}\n"
