@@ -63,7 +63,7 @@ class Planner:
         self._setup, self._agent, self._stopwatch = setup, agent, stopwatch
         self._owned = setup.owned[agent - 1]
         self._own_inputs = input_indices(self._owned)
-        self._controller = Controller(setup.model, setup.hover, setup.settings, self._owned, setup.X_ref)
+        self._controller = Controller(setup.model, setup.hover, setup.settings, self._owned, setup.X_ref, setup.track)
         self._team = TeamEstimate(setup, agent, self._controller)
         self._reset_sharing()
 
@@ -116,7 +116,7 @@ class Planner:
         outdated = announced.under_previous_law(before=k)
         if law is not None and discrete is not None and outdated:
             columns = np.concatenate([input_indices(setup.owned[agent - 1]) for agent in outdated])
-            law = controller.adapted(law, discrete, u0, U, columns)
+            law = controller.adapted(law, linear, discrete, U, columns)
         watch.append(self._stopwatch())
         step = Step(
             known=known,

@@ -16,6 +16,7 @@ from mpc.controller import Controller
 from mpc.fail_safe import FailSafe
 from mpc.feedback import Regulator
 from mpc.prediction import Prediction
+from mpc.tracking import Course
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Measurement, Plan
 
@@ -75,7 +76,7 @@ class TeamEstimate:
         )
         self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()  # UAVs off, and released
         # Start, prediction and own inputs of the last step.
-        self._expected: tuple[int, Prediction, Array] | None = None
+        self._expected: tuple[int, Prediction | Course, Array] | None = None
         # Arguments and result of `_law_inputs` by tick.
         self._law_cache: dict[int, tuple[Array, Array | None, Regulator | None, Array | None]] = {}
 
@@ -108,7 +109,7 @@ class TeamEstimate:
             u[input_indices(self._owned)] = reported.reshape(-1)
         return u
 
-    def expect(self, start: int, prediction: Prediction, inputs: Array) -> None:
+    def expect(self, start: int, prediction: Prediction | Course, inputs: Array) -> None:
         """Keep a step's prediction from tick `start` on, from which the inputs of an agent that leaves are taken."""
         self._expected = start, prediction, inputs
 

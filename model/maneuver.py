@@ -1,4 +1,4 @@
-"""The maneuver: phases of payload motion, straight or along a table, and the references that follow from them."""
+"""The maneuver: phases of payload motion, straight, along a table or a curve, and the references that follow."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,11 +9,12 @@ import numpy as np
 
 from model import state
 from model.arrays import Array, ArrayLike, checked
+from model.curves import ORDERS, Curve
 from model.hover import Hover
 from model.parameters import ParameterError, System
 
-Profile = Literal["ramp", "min_jerk", "step"]
-PhaseKind = Literal["move", "take_off", "land"]
+Profile = Literal["ramp", "min_jerk", "step", "smooth"]
+PhaseKind = Literal["move", "take_off", "land", "circle", "eight", "spline"]
 
 # Ends of a computed table, such as that of a closed circle, may differ from duration and displacement by this, s and m.
 _ROUNDING = 1e-9
@@ -25,7 +26,7 @@ HANDOVER = 0.25
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Phase:
-    """One piece of the payload's path, straight or along a table.
+    """One piece of the payload's path, straight, along a table or along a smooth curve.
 
     Attributes:
         name: For figures and progress, e.g. "climb".
@@ -34,6 +35,7 @@ class Phase:
         kind: "take_off" begins and "land" ends with the payload on the ground; both rise and sink with minimum jerk.
         way: Times since the start of the phase, s, and positions relative to it, m, (k, 4), from zeros to duration and
             displacement, at constant speed between rows. None: straight, by the profile.
+        curve: Of the kinds circle, eight and spline.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Phase:
     displacement_I: Array
     kind: PhaseKind
     way: Array | None
+    curve: Curve | None
 
     def __init__(
         self,
@@ -50,6 +53,7 @@ class Phase:
         displacement_I: ArrayLike,
         kind: PhaseKind = "move",
         way: ArrayLike | None = None,
+        curve: Curve | None = None,
     ) -> None:
         if not (np.isfinite(duration_s) and duration_s > 0.0):
             raise ParameterError(f"phase {name!r}: expected a duration > 0 s, got {duration_s!r}")
@@ -58,6 +62,18 @@ class Phase:
         object.__setattr__(self, "displacement_I", checked(f"phase {name!r} displacement", displacement_I, (3,)))
         object.__setattr__(self, "kind", kind)
         object.__setattr__(self, "way", None if way is None else self._checked_way(way))
+        object.__setattr__(self, "curve", curve)
+        if curve is not None:
+            self._check_curve(curve)
+
+    def _check_curve(self, curve: Curve) -> None:
+        if not curve.ramp_s <= self.duration_s / 2.0:
+            expected = f"expected ramps of at most half the duration, {self.duration_s / 2.0:g} s"
+            raise ParameterError(f"phase {self.name!r}: {expected}, got {curve.ramp_s:g} s")
+        end_I = curve.path(np.array([self.duration_s]), 1)[0, 0]
+        if np.abs(end_I - self.displacement_I).max() > _ROUNDING * max(1.0, float(np.abs(end_I).max())):
+            expected = f"expected the displacement of its curve, {end_I.tolist()} m"
+            raise ParameterError(f"phase {self.name!r}: {expected}, got {self.displacement_I.tolist()}")
 
     def _checked_way(self, way: ArrayLike) -> Array:
         name = f"phase {self.name!r} way"
@@ -79,7 +95,7 @@ class Maneuver:
     Attributes:
         start_I: Payload position at t = 0, (3,), inertial frame, m.
         phases: In this order; the end is held.
-        profile: Of straight phases: constant speed, minimum jerk, or a step at the beginning.
+        profile: Of straight phases: constant speed, minimum jerk, a step at the beginning, or as a `Curve`.
         press_m: How far below the ground the controllers' reference is while the ground carries the payload, m: the
             larger, the less of its weight the team holds.
     """
@@ -127,14 +143,40 @@ class Maneuver:
         v = np.zeros((len(t_s), 3))
         begin = 0.0
         for phase in self.phases:
+            curve = self._curve(phase)
             if phase.way is not None:
                 covered, speed = _along(phase.way, t_s - begin)
+            elif curve is not None:
+                covered, speed = curve.path(t_s - begin, 2)
             else:
                 s, s_dot = self._progress(phase, t_s - begin)
                 covered, speed = s[:, None] * phase.displacement_I, s_dot[:, None] * phase.displacement_I
             r, v = r + covered, v + speed
             begin += phase.duration_s
         return r, v
+
+    def jets(self, t_s: Array) -> Array:
+        """Return the jets (`model.jets`) of a smooth path at times t_s, (k,): (`ORDERS`, k, 3), SI.
+
+        Raises: ParameterError: a phase is not smooth. Source: docs/equations.md (70).
+        """
+        found, begin = np.zeros((ORDERS, len(t_s), 3)), 0.0
+        found[0] = self.start_I
+        for phase in self.phases:
+            curve = self._curve(phase)
+            if curve is not None:
+                found += curve.path(t_s - begin)
+            elif phase.displacement_I.any() or phase.way is not None:
+                raise ParameterError(f"phase {phase.name!r}: expected a smooth path, got {self.profile!r}")
+            begin += phase.duration_s
+        return found
+
+    def _curve(self, phase: Phase) -> Curve | None:
+        """Return the curve of a smooth phase."""
+        if phase.curve is not None or self.profile != "smooth" or phase.kind != "move" or phase.way is not None:
+            return phase.curve
+        size_I = tuple(phase.displacement_I.tolist())
+        return Curve(kind=None, duration_s=phase.duration_s, ramp_s=phase.duration_s / 2.0, size_I=size_I)
 
     def press(self, t_s: Array) -> tuple[Array, Array]:
         """Return how far below the payload's path the controllers' reference is, (k,), m, and its rate, (k,), m/s.

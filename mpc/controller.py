@@ -9,6 +9,7 @@ from model import motors, state
 from model.arrays import Array, checked
 from model.discretisation import Discrete, euler, zero_order_hold
 from model.failure import failed_model
+from model.flat import Track
 from model.hover import Hover
 from model.linearisation import Linearisation, Model
 from model.motors import lagged
@@ -22,6 +23,7 @@ from mpc.qp import QP, Solution
 from mpc.regulation import CostToGo, Regulation
 from mpc.settings import ControllerSettings, SettingsError
 from mpc.solvers import solve, unsolved
+from mpc.tracking import Along, Course, rollout
 
 __all__ = ["Controller", "Linear", "StepResult"]
 
@@ -56,6 +58,7 @@ class Controller:
         settings: Rates, weights, limits.
         owned: UAVs this controller decides for, 0-based, ascending.
         X_ref: Reference states at instants 0..K-1 of the maneuver, (K, n), for the preview.
+        track: A flat reference at these instants, which the shared control law follows instead.
     Raises: SettingsError: UAVs that do not exist, or a constraint that cannot be read.
 
     Attributes:
@@ -66,8 +69,9 @@ class Controller:
     """
 
     def __init__(
-        self, model: Model, hover: Hover, settings: ControllerSettings, owned: Sequence[int], X_ref: Array | None = None
-    ) -> None:
+        self, model: Model, hover: Hover, settings: ControllerSettings, owned: Sequence[int],
+        X_ref: Array | None = None, track: Track | None = None,
+    ) -> None:  # fmt: skip
         N = model.system.N
         if not owned or list(owned) != sorted(set(owned)) or not 0 <= owned[0] <= owned[-1] < N:
             raise SettingsError(f"owned: expected ascending indices below {N}, got {list(owned)}")
@@ -77,10 +81,11 @@ class Controller:
         self.settings = settings
         self._decision = Decision(model.system, settings, owned)
         self.owned, self.own = self._decision.uavs, self._decision.own
-        self.regulation = Regulation(model, hover, settings, X_ref)
+        self.regulation = Regulation(model, hover, settings, X_ref, track)
         self.law, self.end = self.regulation.law, self.regulation.cost_to_go
         self.cost = self.regulation.cost
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
+        self._along = Along(self._decision)
         self._at_hover: Linearisation | None = None
         # Outputs along the newest trajectory beyond their linearisation, (N_p + 1, p).
         self._curvature: Array | None = None
@@ -151,11 +156,13 @@ class Controller:
         method = zero_order_hold if self.settings.discretisation == "exact" else euler
         return method(linear.model, self.settings.sampling_period_s)
 
-    def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction:
+    def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction | Course:
         """Predict the team over the horizon; valid until the next prediction, as is its QP (`mpc.program`).
 
-        Source: docs/equations.md (22)-(24), (35)-(36).
+        Source: docs/equations.md (22)-(24), (35)-(36), (78).
         """
+        if law is not None and law.along is not None:
+            return self._along.course(self.model, linear, law, law.along)
         prediction = self._program.predict(linear, discrete, U, law)
         self._curvature = None
         if law is not None and self.settings.linearisation == "along":
@@ -189,7 +196,7 @@ class Controller:
     def condense(
         self,
         linear: Linear,
-        prediction: Prediction,
+        prediction: Prediction | Course,
         U: Array,  # noqa: ARG002  the prediction has them
         y_ref: Array,
         law: FeedbackLaw | None = None,
@@ -199,6 +206,8 @@ class Controller:
 
         Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
         """
+        if isinstance(prediction, Course):
+            return self._along.program(self.model, prediction)
         if self._curvature is not None:
             y_ref = y_ref - self._curvature
         return self._program.condense(linear, prediction, y_ref, law, end)
@@ -210,7 +219,7 @@ class Controller:
     def conclude(
         self,
         solution: Solution,
-        prediction: Prediction,
+        prediction: Prediction | Course,
         U: Array,
         law: FeedbackLaw | None,
         ticks_since_start: int | None = None,
@@ -230,7 +239,10 @@ class Controller:
         if ticks_since_start is not None:
             w = max(w, 1.0 / (ticks_since_start + 1))
         z = solution.z[: decision.size] if solved else np.zeros(decision.size)
-        if law is None:
+        if isinstance(prediction, Course):
+            announced = prediction.law if law is None else law
+            inputs, c = self._along.planned(self.model, prediction, announced, z, w if solved else 0.0)
+        elif law is None:
             inputs, c = U[:, self.own], np.zeros((0, len(self.own)))
             if solved:
                 # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
@@ -251,30 +263,37 @@ class Controller:
         c = np.zeros((0, len(self.own))) if law is None else law.c[:, self.own]
         return StepResult(U=self._decision.clip(U[:, self.own]), c=c, solution=solution)
 
-    def foreseen(self, prediction: Prediction, inputs: Array) -> Array:
+    def foreseen(self, prediction: Prediction | Course, inputs: Array) -> Array:
         """Return the inputs of all UAVs over the horizon as this controller expects them, within bounds, (N_p, m).
 
         The owned inputs are given, (N_p, m_own). Source: docs/equations.md (35), (36).
         """
-        U: Array = prediction.U_all + convolve(prediction.feedback, inputs - prediction.U_free)
+        if isinstance(prediction, Course):
+            U: Array = prediction.U.copy()
+        else:
+            U = prediction.U_all + convolve(prediction.feedback, inputs - prediction.U_free)
         U[:, self.own] = inputs
         N = self.model.system.N
         return np.clip(U, self.settings.lower(N), self.settings.upper(N))
 
-    @staticmethod
-    def adapted(law: FeedbackLaw, discrete: Discrete, u0: Array, U: Array, columns: Places) -> FeedbackLaw:
+    def adapted(self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, columns: Places) -> FeedbackLaw:
         """Return the control law whose corrections, in some columns, reproduce inputs announced under another one.
 
         Args:
             law: The shared control law over the horizon.
-            discrete: Zero-order hold about (x0, u0).
-            u0: Input of the linearisation, (m,).
+            linear: Expansion about (x0, u0).
+            discrete: Its zero-order hold.
             U: Announced inputs of all UAVs over the horizon, (N_p, m).
             columns: Positions in u.
         Source: docs/equations.md (46).
         """
-        dX = free_response(discrete.A, discrete.f_d + (U - u0) @ discrete.B.T)
         c = law.c.copy()
+        if law.along is not None:
+            open_loop = replace(law, K=np.zeros_like(law.K), u_rest=U, feedforward=np.zeros_like(U), c=np.zeros_like(U))
+            dX = rollout(self.model, self.settings, linear.x0, open_loop, linear.forces)[0] - linear.x0
+            c[:, columns] = (U - law.uncorrected - np.einsum("kmn,kn->km", law.K, dX[:-1]))[:, columns]
+            return replace(law, c=c)
+        dX = free_response(discrete.A, discrete.f_d + (U - linear.u0) @ discrete.B.T)
         c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - dX[:-1] @ law.K[columns].T
         return replace(law, c=c)
 

@@ -56,11 +56,13 @@ class FeedbackLaw:
     """The shared control law over one horizon.
 
     Attributes:
-        K: Feedback gain, (m, n); with motor lag n counts the actual inputs.
-        u_rest: Input that holds the reference state: hover, shifted by external forces, (m,).
+        K: Feedback gain, (m, n), or along a reference of each step, (N_p, m, n); with motor lag n counts the actual
+            inputs.
+        u_rest: Input that holds the reference state: hover, shifted by external forces, (m,), or of each step.
         error: x0 - x_ref, x_ref shifted likewise, at steps 0..N_p-1, (N_p, n).
         feedforward: Response to the reference ahead, (N_p, m).
         c: Announced corrections of all UAVs, (N_p, m); the owned columns hold the previous ones, shifted.
+        along: Expansion along a reference; None about hover.
     """
 
     K: Array
@@ -68,11 +70,29 @@ class FeedbackLaw:
     error: Array
     feedforward: Array
     c: Array
+    along: "Expansion | None" = None
 
     @cached_property
     def uncorrected(self) -> Array:
         """Inputs with the state held at x0, without corrections, (N_p, m)."""
+        if self.along is not None:
+            return np.asarray(self.u_rest + np.einsum("kmn,kn->km", self.K, self.error) + self.feedforward)
         return self.u_rest + self.error @ self.K.T + self.feedforward
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expansion:
+    """Difference equation of the team about a reference under its control law, at each step of a horizon.
+
+    Attributes:
+        M: Weight of the corrections, (N_p, m, m).
+        A_closed: State matrix with all feedback, (N_p, n, n).
+        B: Input matrix, (N_p, n, m).
+    """
+
+    M: Array
+    A_closed: Array
+    B: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

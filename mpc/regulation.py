@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from model.arrays import Array, padded
 from model.failure import failed_hover, failed_model
+from model.flat import Track
 from model.hover import Hover
 from model.linearisation import Model
 from model.parameters import ParameterError
@@ -18,6 +19,7 @@ from model.state import input_slice
 from mpc.cost import Cost, UserCosts
 from mpc.fail_safe import FailSafe
 from mpc.feedback import (
+    Expansion,
     FeedbackError,
     FeedbackLaw,
     Preview,
@@ -29,6 +31,7 @@ from mpc.feedback import (
     target,
 )
 from mpc.settings import ControllerSettings
+from mpc.tracking import Tracker, tracker
 
 T = TypeVar("T")
 
@@ -59,6 +62,7 @@ class Regulation:
     Args:
         model: The system as the controller knows it.
         X_ref: Reference states at instants 0..K-1, (K, n), for the preview; the last one is held.
+        track: A flat reference at these instants, which the control law follows instead.
     Raises: FeedbackError: the settings need a regulator and none stabilises the team.
 
     Attributes:
@@ -67,19 +71,28 @@ class Regulation:
         regulator: None if the settings need none.
     """
 
-    def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, X_ref: Array | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        hover: Hover,
+        settings: ControllerSettings,
+        X_ref: Array | None = None,
+        track: Track | None = None,
+    ) -> None:
         self._whole, self._whole_hover = model, hover
         self._lag_s = settings.motor_lag_s
         terms = (*settings.cost, *settings.weights.terms(model.system.N))
         self._settings, self.user_costs = settings, UserCosts(terms, model)
         self._fail_safe = FailSafe(model.system, hover.u)
-        self._X_ref, self._follows_from = X_ref if settings.preview else None, (hover, settings, X_ref)
+        self._track, previewed = track, settings.preview and track is None
+        self._X_ref, self._follows_from = X_ref if previewed else None, (hover, settings, X_ref, track)
         # Values of the user's terms on the reference, (K, terms): no team changes them.
         self._on_reference = (
             None if self._X_ref is None else np.array([self.user_costs.at(x).value for x in self._X_ref])
         )
         self._preview: Preview | None = None
         self.regulator: Regulator | None = None
+        self._tracker: Tracker | None = None
         self._target: Target | None = None
         self._by_forces: tuple[Array, Array] | None = None
         self._form(frozenset(), frozenset(), frozenset())
@@ -135,6 +148,8 @@ class Regulation:
         """
         if self.regulator is None or self._settings.prediction != "closed_loop":
             return None
+        if self._tracker is not None and self._track is not None:
+            return self._law_along(self._tracker, self._track, x0, c, forces, start, len(x_ref))
         u_rest, error = self.hover.u, self._error(x0, x_ref)
         feedforward = self.feedforward(start, len(x_ref))
         if forces is not None:
@@ -142,17 +157,34 @@ class Regulation:
             feedforward = feedforward + self._forced(self.regulator)[0] @ forces
         return FeedbackLaw(K=self.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c)
 
+    def _law_along(
+        self, tracker: Tracker, track: Track, x0: Array, c: Array, forces: Array | None, start: int, steps: int
+    ) -> FeedbackLaw:
+        """Return the control law along the reference. Source: docs/equations.md (75), (78)."""
+        at, where = _clamped(start, steps, len(tracker.K)), _clamped(start, steps, len(track.X))
+        u_rest, error = track.U[where], x0 - track.X[where]
+        if forces is not None:
+            u_rest, error = u_rest + track.U_forces[where] @ forces, error - track.X_forces[where] @ forces
+        return FeedbackLaw(
+            K=tracker.K[at],
+            u_rest=u_rest,
+            error=error,
+            feedforward=tracker.feedforward[at],
+            c=c,
+            along=Expansion(M=tracker.M[at], A_closed=tracker.A_closed[at], B=tracker.B[at]),
+        )
+
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
         """Return the inputs by `law` at one instant without corrections, (m,), or None with open-loop prediction."""
         law = self.law(x, x_ref[None], _NO_CORRECTIONS, forces, instant)
         return None if law is None else law.uncorrected[0]
 
     def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
-        """Return the cost after the horizon; None if it is a multiple of the stage cost.
+        """Return the cost after the horizon; None if it is a multiple of the stage cost, or part of the law's weights.
 
         Reference state, (n,), and instant are those of step N_p; the rest as in `law`. Source: docs/equations.md (36d).
         """
-        if self.regulator is None or self._settings.terminal != "riccati":
+        if self.regulator is None or self._settings.terminal != "riccati" or self._track is not None:
             return None
         error = self._error(x0, x_ref)
         slope = np.zeros_like(x0) if self._preview is None else self._preview.slope[self._within(instant, 1)][0]
@@ -190,6 +222,13 @@ class Regulation:
                 self._lag_s,
             ),
         )  # fmt: skip
+        if self._track is not None:
+            track, own = self._track, self._uncontrolled
+            fixed = {uav: (self._fail_safe.inputs(uav, np.zeros(len(track.X[0]))), own[uav]) for uav in own}
+            self._tracker = self._shared(
+                "tracker",
+                lambda: tracker(self._model, track, found, self.cost, self.user_costs, period_s, fixed),
+            )
         if self._X_ref is not None:
             # On the reference, the output error is zero; the user's terms are not.
             states = len(found.T)
@@ -212,10 +251,7 @@ class Regulation:
 
     def _within(self, start: int, steps: int) -> slice | npt.NDArray[np.intp]:
         """Return instants of the maneuver; later ones are replaced by its last."""
-        known = 0 if self._preview is None else len(self._preview.slope)
-        if start + steps <= known:
-            return slice(start, start + steps)
-        return np.minimum(np.arange(start, start + steps), known - 1)
+        return _clamped(start, steps, 0 if self._preview is None else len(self._preview.slope))
 
     def _forced(self, regulator: Regulator) -> tuple[Array, Array]:
         """Return feedforward (m, 3 + 3 N) and slope of the cost-to-go (n, 3 + 3 N) per newton.
@@ -232,3 +268,10 @@ class Regulation:
             feedforward[regulator.controlled] = regulator.preview_gain @ p
             self._by_forces = feedforward, regulator.T @ p
         return self._by_forces
+
+
+def _clamped(start: int, steps: int, known: int) -> slice | npt.NDArray[np.intp]:
+    """Return instants from `start` on; those that are not known are replaced by the last."""
+    if start + steps <= known:
+        return slice(start, start + steps)
+    return np.minimum(np.arange(start, start + steps), known - 1)

@@ -2,6 +2,9 @@
 
 import re
 from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
 
 from protocol.scenario.budget import estimate
 from protocol.scenario.errors import ScenarioError
@@ -50,7 +53,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
     """
     for field, problem in out_of_range(scenario):
         raise ScenarioError(source, field, problem)
-    for check in (_ownership, _links, _controller, _clock, _faults, _plant, _path, _network):
+    for check in (_ownership, _links, _controller, _clock, _faults, _plant, _curves, _path, _network):
         for field, expected, got in check(scenario):
             raise ScenarioError(source, field, f"expected {expected}, got {got}")
     if scenario.clock.relayed and (size := estimate(scenario).relay_bytes) > MAX_BYTES:
@@ -218,12 +221,14 @@ def _path(scenario: Scenario) -> Problems:
     for i, phase in enumerate(scenario.maneuver.phase, start=1):
         field, (x, y, z) = f"maneuver.phase.{i}", phase.displacement_m
         places = [place for _, *place in phase.way or [] if len(place) == len(reached)]
+        if (curve := phase.curve()) is not None:
+            places = curve.path(np.linspace(0.0, phase.duration_s, 101), 1)[0].tolist()
         for way in [*places, phase.displacement_m]:
             furthest = max(abs(a + b) for a, b in zip(reached, way, strict=True))
             if furthest > FURTHEST_M:
                 yield f"{field}.{'way' if phase.way else 'displacement_m'}", within, f"{furthest:g} m"
         reached = tuple(a + b for a, b in zip(reached, phase.displacement_m, strict=True))
-        if phase.kind == "move":
+        if phase.kind not in ("take_off", "land"):
             continue
         if scenario.plant.ground_m is None:
             yield f"{field}.kind", "plant.ground_m with it", f"{phase.kind!r} without a ground"
@@ -232,6 +237,34 @@ def _path(scenario: Scenario) -> Problems:
         if x != 0.0 or y != 0.0 or (z >= 0.0 if phase.kind == "take_off" else z <= 0.0):
             direction = "up, negative z" if phase.kind == "take_off" else "down, positive z"
             yield f"{field}.displacement_m", f"a path straight {direction}", list(phase.displacement_m)
+
+
+def _curves(scenario: Scenario) -> Problems:
+    """A spline has way points and rising times; a flat reference needs a shared law along it."""
+    for i, phase in enumerate(scenario.maneuver.phase, start=1):
+        field, times = f"maneuver.phase.{i}", phase.times_s
+        if phase.kind == "spline" and not phase.points_m:
+            yield f"{field}.points_m", "way points with kind 'spline'", "none"
+        if times is not None and (len(times) != len(phase.points_m) or any(b <= a for a, b in pairwise(times))):
+            yield f"{field}.times_s", f"{len(phase.points_m)} rising times, one for each way point", times
+        if phase.curve() is not None and phase.ramp_s > phase.duration_s / 2.0:
+            yield f"{field}.ramp_s", f"at most half the duration, {phase.duration_s / 2.0:g} s", phase.ramp_s
+        if phase.curve() is not None and phase.way is not None:
+            yield f"{field}.kind", "'move' with a path from a file", repr(phase.kind)
+    if scenario.maneuver.reference == "hover":
+        return
+    section = scenario.controller
+    for key, got, needed in (
+        ("prediction", section.prediction, "closed_loop"),
+        ("linearisation", section.linearisation, "along"),
+        ("terminal", section.terminal, "riccati"),
+        ("preview", section.preview, True),
+        ("motor_lag_s", section.motor_lag_s, 0.0),
+    ):
+        if got != needed:
+            yield f"controller.{key}", f"{needed!r} with maneuver.reference = 'flat'", repr(got)
+    if section.constraint:
+        yield "controller.constraint", "none with maneuver.reference = 'flat'", section.constraint[0].expression
 
 
 def _network(scenario: Scenario) -> Problems:

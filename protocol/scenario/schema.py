@@ -5,13 +5,14 @@ Every process of a run reads the same file. The docstring of a field is its mean
 
 import hashlib
 import json
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from annotated_types import Interval
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from model.curves import Curve, ShapeKind
 from model.maneuver import PhaseKind, Profile
 from model.parameters import GRAVITY
 from mpc.settings import ControllerSettings, Key, NotNegative, Positive, Section, Vector
@@ -89,7 +90,8 @@ class SystemSection(Section):
 class PhaseSection(Section):
     """One piece of the payload's path; displacement in the inertial frame, z down.
 
-    Once its `file` is read, a phase has the table in `way`, and takes duration and displacement from it.
+    Once its `file` is read, a phase has the table in `way`, and takes duration and displacement from it. A circle,
+    eight or spline takes them from its curve.
     """
 
     name: str
@@ -101,7 +103,8 @@ class PhaseSection(Section):
     kind: PhaseKind = "move"
     """a take_off begins and a land ends with the payload standing on the ground, `plant.ground_m`; both are vertical,
     with minimum jerk. In the first quarter of a take_off and the last of a land the payload stands still, and its
-    weight passes from the ground to the team or back. After a land only a take_off or a hover follows"""
+    weight passes from the ground to the team or back. After a land only a take_off or a hover follows. circle, eight
+    and spline are smooth curves from rest to rest ([bring-your-own.md](bring-your-own.md#your-own-maneuver))"""
     way: Annotated[
         list[list[float]] | None, Key(type="list of lists of 4 numbers", unit="s and m", within=(0.0, 1e9))
     ] = None
@@ -111,6 +114,54 @@ class PhaseSection(Section):
     """path of the phase as a table, instead of duration and displacement: CSV with the columns `t_s,x_m,y_m,z_m`,
     relative to the scenario's folder, in `--set` to the current folder; see
     [bring-your-own.md](bring-your-own.md#your-own-maneuver)"""
+    size_m: Annotated[Vector, Key(within=(0.0, 1e5))] = (0.0, 0.0, 0.0)
+    """a, b, c of a circle, (a sin A, b (1 - cos A), c sin A), or an eight, (a sin A, b sin 2 A, c sin A), with the
+    angle A from 0 to 2 pi `laps`"""
+    laps: Positive = 1.0
+    """of a circle or eight"""
+    points_m: list[Vector] = []
+    """way points of a spline after its start, relative to that"""
+    times_s: Annotated[list[Positive] | None, Key(type="list of numbers > 0, rising", unit="s")] = None
+    """times of the way points of a spline since its start; they define its duration"""
+    speed_mps: Annotated[Positive | None, Key(label="largest speed")] = None
+    """largest speed on a circle, eight or spline without times; it decides over `duration_s`"""
+    ramp_s: Positive = 3.0
+    """time in which a circle, eight or spline speeds up at its start, and slows down at its end"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _timed(cls, value: Any) -> Any:
+        """Fill in duration and displacement of a curve; fields that make none are refused by their own checks."""
+        try:
+            given = cls.model_construct(**value)
+            if given.kind in get_args(ShapeKind):
+                duration_s = value.get("duration_s", 2.0 * given.ramp_s)
+                if given.times_s is not None:
+                    duration_s = given.times_s[-1]
+                elif given.speed_mps is not None:
+                    duration_s = _curve(given, 2.0 * given.ramp_s).fastest() / given.speed_mps + given.ramp_s
+                end_m = _curve(given, duration_s).path(np.array([duration_s]), 1)[0, 0].tolist()
+                timed = "duration_s" in value or given.times_s is not None or given.speed_mps is not None
+                return {"displacement_m": end_m, **value, **({"duration_s": float(duration_s)} if timed else {})}
+        except (TypeError, ValueError, AttributeError, IndexError):
+            pass
+        return value
+
+    def curve(self) -> Curve | None:
+        """Return the curve of a circle, eight or spline; None for other kinds."""
+        return _curve(self, self.duration_s) if self.kind in get_args(ShapeKind) else None
+
+
+def _curve(phase: PhaseSection, duration_s: float) -> Curve:
+    return Curve(
+        kind=phase.kind,  # type: ignore[arg-type]  # for those kinds that are shapes
+        duration_s=duration_s,
+        ramp_s=phase.ramp_s,
+        size_I=tuple(phase.size_m),
+        laps=phase.laps,
+        points_I=phase.points_m,
+        times_s=phase.times_s,
+    )
 
 
 class ManeuverSection(Section):
@@ -119,8 +170,13 @@ class ManeuverSection(Section):
     start_m: Vector = (0.0, 0.0, -10.0)
     """payload position at t = 0, inertial frame; the run starts there at rest in hover. The path must stay within 100
     km of the origin"""
+    reference: Literal["hover", "flat"] = "hover"
+    """reference of the controllers: hover moved along the path, or the motion of the whole team that carries the
+    payload along it ([equations.md](equations.md#references-that-a-team-can-fly)), which the shared control law follows
+    by gains along the path. flat needs a smooth path within all limits, and closed_loop, along, riccati, preview"""
     profile: Profile = "ramp"
-    """speed profile along a straight segment: constant speed, minimum jerk, or a step"""
+    """speed profile along a straight segment: constant speed, minimum jerk, a step, or smooth to the seventh
+    derivative"""
     press_m: NotNegative = 0.2
     """distance of the controllers' reference below the path of the payload while it stands on the ground
     ([equations.md](equations.md#on-the-ground)): the larger, the less of its weight the team holds"""

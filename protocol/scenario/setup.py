@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from model.arrays import Array
+from model.flat import FlatReference, Track
 from model.hover import Hover, hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
@@ -22,6 +23,7 @@ from mpc.settings import ControllerSettings
 from protocol.scenario.budget import ticks_of
 from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted
+from protocol.scenario.feasible import exceeded, least_slowing
 from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
 from protocol.scenario.schema import Scenario, UavSection
@@ -81,6 +83,7 @@ class Setup:
         building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
         setup._check_ground(source)
         setup._check_hover_is_possible(source)
+        setup._check_flight(source)
         return setup
 
     @cached_property
@@ -89,9 +92,18 @@ class Setup:
         return Model(self.system)
 
     @cached_property
-    def reference(self) -> Reference:
+    def reference(self) -> Reference | FlatReference:
         """Reference outputs and states."""
-        return Reference(self.system, self.hover, self.maneuver)
+        chosen = FlatReference if self.scenario.maneuver.reference == "flat" else Reference
+        return chosen(self.system, self.hover, self.maneuver)
+
+    @cached_property
+    def track(self) -> Track | None:
+        """States and inputs along a flat reference at the instants of `X_ref`; None with a hover reference."""
+        reference = self.reference
+        if isinstance(reference, Reference):
+            return None
+        return reference.track(len(self._instants_s()), self.settings.sampling_period_s)
 
     @cached_property
     def Y_ref(self) -> Array:
@@ -202,6 +214,9 @@ class Setup:
         for number, phase in enumerate(self.maneuver.phases, start=1):
             before_m, height_m = height_m, height_m + float(phase.displacement_I[2])
             lowest_m = height_m if phase.way is None else before_m + float(phase.way[:, 3].max())
+            if phase.curve is not None:
+                along = phase.curve.path(np.linspace(0.0, phase.duration_s, 1001), 1)
+                lowest_m = before_m + float(along[0, :, 2].max())
             for what, got_m, wrong in (
                 ("a take-off from", before_m, phase.kind == "take_off" and abs(before_m - resting_m) > _ON_GROUND_M),
                 ("a landing at", height_m, phase.kind == "land" and abs(height_m - resting_m) > _ON_GROUND_M),
@@ -210,6 +225,17 @@ class Setup:
                 if wrong:
                     expected = f"expected {what} z = {resting_m:g} m, {where}, got {got_m:g}"
                     raise ScenarioError(source, f"maneuver.phase.{number}", expected)
+
+    def _check_flight(self, source: str) -> None:
+        """Check that a flat reference keeps the limits; if not, offer the least slowing with which it does."""
+        if self.scenario.maneuver.reference == "hover":
+            return
+        path = building(source, "maneuver.profile", lambda: self.maneuver.jets(self._instants_s()))
+        wrong = exceeded(path, self.system, self.hover, self.settings)
+        if wrong is not None:
+            factor = least_slowing(path, self.system, self.hover, self.settings)
+            remedy = "" if factor is None else f"; feasible if all phases take {factor:.3f} times as long"
+            raise ScenarioError(source, "maneuver.phase", wrong + remedy)
 
     def _check_hover_is_possible(self, source: str) -> None:
         """Check that hover is within the limits on thrust and on the distance of UAVs."""
@@ -257,7 +283,14 @@ def _uav(section: UavSection) -> Uav:
 def _maneuver(scenario: Scenario) -> Maneuver:
     section = scenario.maneuver
     phases = [
-        Phase(name=p.name, duration_s=p.duration_s, displacement_I=p.displacement_m, kind=p.kind, way=p.way)
+        Phase(
+            name=p.name,
+            duration_s=p.duration_s,
+            displacement_I=p.displacement_m,
+            kind=p.kind,
+            way=p.way,
+            curve=p.curve(),
+        )
         for p in section.phase
     ]
     return Maneuver(start_I=section.start_m, phases=phases, profile=section.profile, press_m=section.press_m)

@@ -8,6 +8,7 @@ from model.hover import hover
 from model.linearisation import Model
 from model.parameters import table_1
 from mpc.controller import Controller
+from mpc.prediction import Prediction
 from mpc.settings import ControllerSettings
 
 ON_THE_TRAJECTORY = 1e-9  # rounding over 40 steps
@@ -29,6 +30,7 @@ def test_prediction_along_the_control_law_is_exact_on_it(lag_s: float) -> None:
     assert law is not None
     linear = controller.linearise(z0, at_rest.u)
     prediction = controller.predict(linear, controller.discretise(linear), np.tile(at_rest.u, (40, 1)), law)
+    assert isinstance(prediction, Prediction)
     z, V = z0, []
     lower, upper = settings.limits.lower(4), settings.limits.upper(4)
     for at_x0 in law.uncorrected:

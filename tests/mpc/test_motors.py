@@ -66,6 +66,7 @@ def test_prediction_is_the_simulation(lag_s: float, shared: bool) -> None:
     law = one.law(z, np.tile(setup.x, (len(c), 1)), c)
     linear = one.linearise(z, at.u)
     prediction = one.predict(linear, one.discretise(linear), at.U, law)
+    assert isinstance(prediction, Prediction)
     v = 0.3 * rng.standard_normal(prediction.U_free.shape)
     v[:, ::4] *= 10.0
     dX = prediction.dX_free.copy()

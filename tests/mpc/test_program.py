@@ -107,6 +107,7 @@ def problem(
     end: CostToGo | None = one.end(x, X_ref[-1])
     linear = one.linearise(x, at.u)
     prediction = one.predict(linear, one.discretise(linear), at.U, law)
+    assert isinstance(prediction, Prediction)
     qp = one.condense(linear, prediction, at.U, at.y_ref, law, end)
     plain = one.condense(linear, replace(prediction), at.U, at.y_ref, law, end)
     return one, prediction, qp, law, plain

@@ -5,6 +5,7 @@ import pytest
 
 from model.arrays import Array
 from mpc.controller import Controller
+from mpc.prediction import Prediction
 from mpc.settings import ControllerSettings, CostTerm, Weights
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, PlantState
@@ -61,6 +62,7 @@ def test_a_curved_term_is_expanded_about_the_present_state() -> None:
 
     linear = own.linearise(at.x, at.u)
     free = own.predict(linear, own.discretise(linear), at.U, None)
+    assert isinstance(free, Prediction)
 
     def value(x: Array) -> float:
         return float(own.regulation.user_costs.at(x).value[0])

@@ -11,6 +11,7 @@ from model.arrays import Array
 from model.compiled import Compiled, functions
 from mpc.feedback import FeedbackError
 from mpc.regulation import Regulation
+from mpc.tracking import rollout
 from protocol.scenario.setup import Setup
 from transport.scene.history import RunHistory
 
@@ -65,6 +66,10 @@ class Predictor:
         forces = np.zeros(3 + 3 * setup.system.N)
         if report is not None:
             forces[:3] = report.force
+        if self._regulation is not None and setup.track is not None:
+            law = self._regulation.law(plant_state.x, x_ref, c, forces, tick)
+            if law is not None:
+                return rollout(setup.model, setup.settings, plant_state.x, law, forces)[0]
         start = plant_state.x
         if setup.settings.motor_lag_s > 0.0:
             start = np.concatenate([start, self._actual(history, tick)])
@@ -88,7 +93,7 @@ def _regulation(setup: Setup) -> Regulation | None:
     if setup.settings.prediction != "closed_loop" or setup.scenario.agents.controller != "mpc":
         return None
     try:
-        return Regulation(setup.model, setup.hover, setup.settings, setup.X_ref)
+        return Regulation(setup.model, setup.hover, setup.settings, setup.X_ref, setup.track)
     except FeedbackError:
         return None
 

@@ -1,0 +1,121 @@
+"""Smooth curves of the payload: shapes run through from rest to rest, with derivatives of any order in time.
+
+A curve is p(s(t)): a shape p over the covered share s of the way, and s from 0 to 1 with smooth start and stop. The
+derivatives of s up to order 7 are continuous, so those of the path that a team of UAVs feels, up to order 6, are too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import factorial
+from typing import Any, Literal
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from model import jets
+from model.arrays import Array
+
+ShapeKind = Literal["circle", "eight", "spline"]
+
+# Order of the highest derivative that moments of UAVs need, and number of coefficients of such a jet.
+ORDERS = 7
+# Start of s' from rest: derivatives up to this order vanish at both ends.
+_FLAT = ORDERS - 1
+# Degree of splines: the sixth derivative is continuous between way points; minimum snap.
+_DEGREE = 7
+# Points of a shape at which its largest speed is sought.
+_SAMPLES = 2000
+
+_bell = Polynomial([0.0, 1.0]) ** _FLAT * Polynomial([1.0, -1.0]) ** _FLAT
+_step = _bell.integ()
+# Integral of the smooth step from 0 to 1, on its first half.
+_START = (_step / _step(1.0)).integ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """A shape and its timing.
+
+    Attributes:
+        kind: "circle": (a sin, b (1 - cos), c sin) of the angle 2 pi laps s; "eight": (a sin, b sin of the double
+            angle, c sin); "spline": through way points; None: straight.
+        duration_s: From rest to rest.
+        ramp_s: Time of speeding up, and of slowing down; in between, s grows at constant rate. At most half the
+            duration.
+        size_I: a, b, c of circle and eight, m; the displacement of a straight curve.
+        laps: Of circle and eight.
+        points_I: Way points of a spline after its start at zero, (k, 3), m.
+        times_s: Their times; None: s is proportional to the distance between way points.
+    """
+
+    kind: ShapeKind | None
+    duration_s: float
+    ramp_s: float
+    size_I: tuple[float, ...] = (0.0, 0.0, 0.0)
+    laps: float = 1.0
+    points_I: Sequence[Sequence[float]] = ()
+    times_s: Sequence[float] | None = None
+
+    def path(self, t_s: Array, orders: int = ORDERS) -> Array:
+        """Return the jets of the displacement since the start at times since then, (k,): (orders, k, 3), m, SI."""
+        return self._shape(self.covered(t_s, orders))
+
+    def covered(self, t_s: Array, orders: int) -> Array:
+        """Return the jets of the covered share s, (orders, k). Source: docs/equations.md (70)."""
+        span = self.duration_s - self.ramp_s
+        inside = np.clip(t_s, 0.0, self.duration_s)
+        s = (_started(inside, self.ramp_s, orders) - _started(inside - span, self.ramp_s, orders)) / span
+        s[1:, inside != t_s] = 0.0
+        return s
+
+    def fastest(self) -> float:
+        """Return the largest speed along the shape per unit of s, m."""
+        s = np.zeros((2, _SAMPLES + 1))
+        s[0], s[1] = np.linspace(0.0, 1.0, _SAMPLES + 1), 1.0
+        return float(np.linalg.norm(self._shape(s)[1], axis=-1).max())
+
+    def _shape(self, s: Array) -> Array:
+        """Return the jets of p(s)."""
+        if self.kind == "spline":
+            values = [self._spline(s[0], order) / factorial(order) for order in range(len(s))]
+            return jets.composed(np.array(values), s)
+        if self.kind is None:
+            return np.asarray(s[..., None] * np.array(self.size_I))
+        angle = 2.0 * np.pi * self.laps * s
+        a, b, c = self.size_I
+        sin = jets.sine(angle)
+        if self.kind == "eight":
+            across = b * jets.sine(2.0 * angle)
+        else:
+            across = -b * jets.sine(angle, np.pi / 2.0)
+            across[0] += b
+        return np.stack([a * sin, across, c * sin], axis=-1)
+
+    @cached_property
+    def _spline(self) -> Any:
+        from scipy.interpolate import make_interp_spline  # 0.3 s at start, and only splines need it
+
+        points = np.vstack([np.zeros(3), np.asarray(self.points_I, dtype=np.float64)])
+        if self.times_s is None:
+            s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+            s /= s[-1]
+        else:
+            s = self.covered(np.array([0.0, *self.times_s]), 1)[0]
+        # Minimum snap with free ends; start and stop are those of s.
+        ends = [(order, np.zeros(3)) for order in range((_DEGREE + 1) // 2, _DEGREE)]
+        return make_interp_spline(s, points, k=_DEGREE, bc_type=(ends, ends))
+
+
+def _started(t_s: Array, ramp_s: float, orders: int) -> Array:
+    """Return the jets of the time since a smooth start over `ramp_s`, less half of it from then on, (orders, k), s."""
+    x = t_s / ramp_s
+    low, high = np.clip(x, 0.0, 0.5), np.clip(1.0 - x, 0.0, 0.5)
+    # The second half mirrors the first: better conditioned than the polynomial near its other end.
+    first, second = jets.of_polynomial(_START, low, orders), jets.of_polynomial(_START, high, orders)
+    signs = (-1.0) ** np.arange(orders)[:, None]
+    second = second * signs
+    second[0] += x - 0.5
+    second[1:2] += 1.0
+    ramp = np.where(x < 0.5, first, second)
+    return np.asarray(ramp_s * ramp / ramp_s ** np.arange(orders, dtype=np.float64)[:, None])

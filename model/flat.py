@@ -1,0 +1,166 @@
+"""References that a team can fly: states and inputs that carry the payload along a smooth path exactly.
+
+The payload stays level, so force and moment on it follow from its acceleration. Their least change from hover gives the
+rod forces, these the directions of the rods, these the motion of the UAVs, and that their attitudes, thrusts and
+moments: all by derivatives of the path (differential flatness: Sreenath, Kumar 2013; Mellinger, Kumar 2011).
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from model import jets, state
+from model.arrays import Array, frozen
+from model.hover import Hover
+from model.maneuver import Maneuver
+from model.parameters import System
+
+# Smallest tension of a rod on a reference as a share of that at hover: below, gusts and errors would slacken a cable.
+LEAST_TENSION = 0.1
+# Largest tilt of a UAV on a reference, rad: Euler angles become singular at a right angle.
+MOST_TILT = 1.2
+# Imaginary step of derivatives with respect to forces, N: without differences, so without rounding.
+_STEP_N = 1e-30
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flight:
+    """Motion of the team along a path at k instants.
+
+    Attributes:
+        x: States, (k, n).
+        u: Inputs, (k, m).
+        tensions: Of the rods, (k, N), N.
+    """
+
+    x: Array
+    u: Array
+    tensions: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Track:
+    """What controllers follow at instants 0..K-1, one sampling period apart; the last one is held.
+
+    Attributes:
+        X: States, (K, n).
+        U: Inputs for the period after each instant: those of its middle, (K, m).
+        X_middle: States there, (K, n).
+        X_forces: Change of X per external force, (K, n, 3 + 3 N), SI per N.
+        U_forces: Change of U per external force, (K, m, 3 + 3 N).
+    """
+
+    X: Array
+    U: Array
+    X_middle: Array
+    X_forces: Array
+    U_forces: Array
+
+
+class FlatReference:
+    """Reference outputs, states and inputs of a maneuver with a smooth path."""
+
+    def __init__(self, system: System, hover: Hover, maneuver: Maneuver) -> None:
+        self.maneuver = maneuver
+        self._system, self._hover = system, hover
+
+    def outputs(self, t_s: Array) -> Array:
+        """Return y_ref at times t_s, (k,), s: (k, 4 N + 9), SI. Source: docs/equations.md (14), (71)-(73)."""
+        return self.followed(t_s)[0]
+
+    def states(self, t_s: Array) -> Array:
+        """Return x_ref at times t_s, (k,), s: (k, 12 + 12 N), SI. Source: docs/equations.md (71)-(73)."""
+        return self.flight(t_s).x
+
+    def followed(self, t_s: Array) -> tuple[Array, Array]:
+        """Return outputs and states, which controllers follow, at times t_s, (k, 4 N + 9) and (k, 12 + 12 N)."""
+        path, x = self.maneuver.jets(t_s), self.flight(t_s).x
+        view = state.StateView(x)
+        rho = np.array([uav.rho for uav in self._system.uavs])
+        lengths = np.array([uav.rod_length for uav in self._system.uavs])
+        places = view.r0_I[:, None] + rho - lengths[:, None] * view.e_P
+        parts = [places.reshape(len(x), -1), view.Theta0, view.omega_B[:, :, 2], path[0], path[1]]
+        return np.hstack(parts), x
+
+    def flight(self, t_s: Array) -> Flight:
+        """Return the motion of the team at times t_s, (k,), s."""
+        return flight(self._system, self._hover, self.maneuver.jets(t_s))
+
+    def track(self, instants: int, period_s: float) -> Track:
+        """Return what controllers follow over a number of instants, one period apart, s."""
+        times = period_s * np.arange(instants, dtype=np.float64)
+        path, middle = self.maneuver.jets(times), self.maneuver.jets(times + period_s / 2.0)
+        forces = 3 + 3 * self._system.N
+        at, between = (flight(self._system, self._hover, jet) for jet in (path, middle))
+        X_forces, U_forces = np.empty((*at.x.shape, forces)), np.empty((*at.u.shape, forces))
+        for i, unit in enumerate(np.eye(forces)):
+            X_forces[..., i] = flight(self._system, self._hover, path, 1j * _STEP_N * unit).x.imag / _STEP_N
+            U_forces[..., i] = flight(self._system, self._hover, middle, 1j * _STEP_N * unit).u.imag / _STEP_N
+        frozen(X_forces, U_forces)
+        return Track(X=at.x, U=between.u, X_middle=between.x, X_forces=X_forces, U_forces=U_forces)
+
+
+def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Flight:
+    """Return the motion of a team whose level payload follows a path.
+
+    Args:
+        system: Physical parameters.
+        hover: Its equilibrium, whose rod forces the others deviate least from.
+        path: Jets of the payload's position, (7, k, 3), inertial frame, m.
+        forces: Constant external forces, (3 + 3 N,), inertial frame, N; may be complex.
+    Source: docs/equations.md (71)-(73).
+    """
+    N, k = system.N, path.shape[1]
+    F = np.zeros(3 + 3 * N) if forces is None else forces
+    gravity = np.array([0.0, 0.0, system.gravity])
+    rho = np.array([uav.rho for uav in system.uavs])
+    masses, lengths = np.array([[uav.mass, uav.rod_length] for uav in system.uavs]).T[:, :, None]
+    # Force and moment on the payload per force of each rod, (6, 3 N).
+    W = np.hstack([np.vstack([np.eye(3), _skew(r)]) for r in rho])
+    share = np.linalg.pinv(W)[:, :3].reshape(N, 3, 3)
+    needed = system.payload.mass * jets.derivative(jets.derivative(path)) + 0.0 * F[0]
+    needed[0] -= F[:3]
+    t = np.einsum("nij,okj->okni", share, needed)
+    t[0] -= hover.tensions[:, None] * state.StateView(hover.x).e_P
+    inverse = jets.power(jets.dot(t, t), -0.5)
+    e = -jets.product(t, inverse)
+    place = path[: len(e), :, None] - lengths * e
+    place[0] += rho
+    carried = -masses * jets.derivative(jets.derivative(place)) - t[:3]
+    carried[0] += masses * gravity + F[3:].reshape(N, 3)
+    per_thrust = jets.power(jets.dot(carried, carried), -0.5)
+    b3 = jets.product(carried, per_thrust)
+    sideways, x, z = b3[..., 1], b3[..., 0], b3[..., 2]
+    cosine = jets.power(jets.product(x, x) + jets.product(z, z), 0.5)
+    roll_rate = -jets.product(jets.derivative(sideways), jets.power(cosine, -1.0))
+    turned = jets.product(jets.derivative(x), z) - jets.product(x, jets.derivative(z))
+    pitch_rate = jets.product(turned, jets.power(cosine, -2.0))
+    omega = np.stack([roll_rate, jets.product(pitch_rate, cosine), jets.product(pitch_rate, sideways)], axis=-1)
+    rates, accelerations = omega[0], jets.derivative(omega)[0]
+    J = np.array([uav.inertia for uav in system.uavs])
+    momentum = np.einsum("nij,knj->kni", J, rates)
+    moments = np.einsum("nij,knj->kni", J, accelerations) + np.cross(rates, momentum)
+
+    X = np.zeros((k, system.n), dtype=carried.dtype)
+    X[:, state.R0], X[:, state.V0] = path[0], path[1]
+    blocks = state.StateView(X).uavs
+    blocks[..., state.E], blocks[..., state.ROD_RATE] = e[0], np.cross(e[0], e[1])
+    # Roll and pitch with zero yaw.
+    blocks[..., state.THETA.start], blocks[..., state.THETA.start + 1] = -np.arcsin(sideways[0]), np.arctan(x[0] / z[0])
+    blocks[..., state.OMEGA] = rates
+    X[:, state.PAYLOAD :] = blocks.reshape(k, -1)
+    U = np.concatenate([1.0 / per_thrust[0], moments], axis=-1).reshape(k, -1)
+    tensions = 1.0 / inverse[0, ..., 0]
+    frozen(X, U, tensions)
+    return Flight(x=X, u=U, tensions=tensions)
+
+
+def slowed(path: Array, factor: float) -> Array:
+    """Return the jets of a path at a number of its places when it takes `factor` times as long."""
+    return np.asarray(path / factor ** np.arange(len(path), dtype=np.float64)[:, None, None])
+
+
+def _skew(r: Array) -> Array:
+    """Return the matrix of the cross product r x, (3, 3)."""
+    return np.cross(r, np.eye(3), axisb=0, axisc=0)

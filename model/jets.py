@@ -1,0 +1,68 @@
+"""Arithmetic of truncated Taylor series in time: exact derivatives of compositions of functions.
+
+A jet holds the coefficients f^(j)(t) / j! for j = 0..J-1 along its first axis; the other axes are times, bodies and
+coordinates, as in any array. Binary operations keep the lower of the two orders. Griewank, Walther 2008, chapter 13.
+"""
+
+from math import factorial
+from typing import Any
+
+import numpy as np
+
+from model.arrays import Array
+
+
+def derivative(a: Array) -> Array:
+    """Return the jet of the time derivative, one order lower."""
+    orders = np.arange(1, len(a), dtype=np.float64)
+    return np.asarray(a[1:] * orders.reshape(-1, *[1] * (a.ndim - 1)))
+
+
+def product(a: Array, b: Array) -> Array:
+    """Return the jet of a product; the other axes broadcast."""
+    return np.array([sum(a[i] * b[k - i] for i in range(k + 1)) for k in range(min(len(a), len(b)))])
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Return the jet of the inner product over the last axis, which is kept with length 1."""
+    return np.asarray(product(a, b).sum(axis=-1, keepdims=True))
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Return the jet of the cross product over the last axis."""
+    y, z = np.roll(a, -1, axis=-1), np.roll(a, -2, axis=-1)
+    return product(y, np.roll(b, -2, axis=-1)) - product(z, np.roll(b, -1, axis=-1))
+
+
+def composed(outer: Array, inner: Array) -> Array:
+    """Return the jet of f(g(t)) from Taylor coefficients of f at g(t), by order along the first axis, and the jet of g.
+
+    Coefficients may have further axes at their end, along which the inner jet broadcasts.
+    """
+    steps = inner.reshape(*inner.shape, *[1] * (outer.ndim - inner.ndim)).copy()
+    steps[0] = 0.0
+    result = np.zeros((len(inner), *outer.shape[1:]), dtype=np.result_type(outer, inner))
+    for coefficient in outer[len(inner) - 1 :: -1]:
+        result = product(result, steps)
+        result[0] += coefficient
+    return result
+
+
+def power(a: Array, exponent: float) -> Array:
+    """Return the jet of a power of a series without zeros."""
+    coefficients, factor = [], 1.0
+    for j in range(len(a)):
+        coefficients.append(factor * a[0] ** (exponent - j))
+        factor *= (exponent - j) / (j + 1)
+    return composed(np.array(coefficients), a)
+
+
+def sine(a: Array, lead: float = 0.0) -> Array:
+    """Return the jet of sin(a + lead), lead in rad."""
+    values = [np.sin(a[0] + lead + j * np.pi / 2.0) / factorial(j) for j in range(len(a))]
+    return composed(np.array(values), a)
+
+
+def of_polynomial(polynomial: Any, x: Array, orders: int) -> Array:
+    """Return Taylor coefficients 0..orders-1 of a function with `deriv`, such as a NumPy polynomial, at x, (k,)."""
+    return np.array([(polynomial.deriv(j) if j else polynomial)(x) / factorial(j) for j in range(orders)])

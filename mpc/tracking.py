@@ -1,0 +1,277 @@
+"""The shared control law along a flat reference: a time-varying linear-quadratic regulator, and the program about it.
+
+All agents compute the same gains once, by the Riccati recursion backwards from the regulator at hover. In deviations
+from the reference, with inputs u = u_ref + K(k) (x - x_ref) + feedforward + c, the team's cost is
+
+    constant + sum_k c(k)' M(k) c(k),    M(k) = R + B(k)' P(k+1) B(k),
+
+by completion of squares. So an agent's optimum without constraints follows from the others' corrections alone, and is
+zero where theirs are. Only where the trajectory under it violates a constraint is a QP solved, about that trajectory.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from model import state
+from model.arrays import Array, frozen, padded
+from model.discretisation import zero_order_hold
+from model.flat import Track
+from model.linearisation import Model
+from mpc.cost import Cost, UserCosts
+from mpc.decision import Decision
+from mpc.feedback import Expansion, FeedbackLaw, Regulator
+from mpc.prediction import Linear
+from mpc.qp import QP
+from mpc.rows import Rows, separation_rows
+from mpc.settings import ControllerSettings
+
+# Integration steps per sampling period of the difference of reference and model.
+_STEPS = 2
+# A constraint counts as violated from this share of the range of inputs on, or of m or rad: rounding otherwise.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tracker:
+    """The regulator along a reference at instants 0..L-1; the last one, at rest, holds from then on.
+
+    Attributes:
+        K: Feedback gain, (L, m, n).
+        feedforward: Response to the difference between the reference and the model's steps along it, (L, m).
+        M: Weight of the corrections, (L, m, m).
+        A_closed: State matrix with all feedback, (L, n, n).
+        B: Input matrix, (L, n, m).
+    """
+
+    K: Array
+    feedforward: Array
+    M: Array
+    A_closed: Array
+    B: Array
+
+
+def tracker(
+    model: Model, track: Track, regulator: Regulator, cost: Cost, terms: UserCosts, period_s: float,
+    uncontrolled: Mapping[int, tuple[Array, Array]] | None = None,
+) -> Tracker:  # fmt: skip
+    """Return the linear-quadratic regulator along a reference, by the Riccati recursion from its end at rest.
+
+    States are deviations from the reference; the cost is blind to those off the manifold, as the expansion is. The
+    user's terms count as deviations from their values on the reference.
+
+    Args:
+        model: The system as the controller knows it.
+        track: The reference.
+        regulator: Of the team at hover.
+        cost: Q on the outputs, R on all inputs.
+        terms: The user's terms.
+        period_s: Sampling period, s.
+        uncontrolled: Inputs at zero state, (4,), and feedback from its own state, (4, 12), of each UAV without an
+            agent, by its 0-based number.
+    Source: docs/equations.md (75)-(77).
+    """
+    moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
+    last = int(moving.max(initial=-1)) + 1
+    n, m = model.system.n, model.system.m
+    K, feedforward, M = np.empty((last + 1, m, n)), np.zeros((last + 1, m)), np.empty((last + 1, m, m))
+    A_closed, B_all = np.empty((last + 1, n, n)), np.empty((last + 1, n, m))
+    P, p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(n)
+    controlled = regulator.controlled
+    R = cost.R[controlled]
+    for k in range(last, -1, -1):
+        x, u = track.X[k], track.U[k].copy()
+        fixed = np.zeros((m, n))
+        for uav, (at_zero, own) in (uncontrolled or {}).items():
+            block = state.uav_slice(uav)
+            fixed[state.input_slice(uav), block] = own
+            u[state.input_slice(uav)] = at_zero + own @ x[block]
+        across = _across(x)
+        discrete = zero_order_hold(model.linearise(track.X_middle[k], track.U[k]), period_s)
+        at = model.linearise(x, track.U[k])
+        A, B = (discrete.A + discrete.B @ fixed) @ across, discrete.B[:, controlled]
+        ahead = track.X[min(k + 1, len(track.X) - 1)]
+        drift = _across(ahead) @ (model.integrate(x, u, period_s, _STEPS)[0] - ahead)
+        PB = P @ B
+        M[k] = np.diag(cost.R)
+        M[k][np.ix_(controlled, controlled)] = inner = np.diag(R) + B.T @ PB
+        coupled, pushed = PB.T @ A, p + P @ drift
+        gains = np.linalg.solve(inner, np.column_stack([coupled, B.T @ pushed]))
+        K[k] = fixed
+        K[k][controlled] -= gains[:, :-1]
+        feedforward[k] = u - track.U[k]
+        feedforward[k][controlled] = -gains[:, -1]
+        A_closed[k], B_all[k] = A - B @ gains[:, :-1], discrete.B
+        if k == last:
+            K[k], feedforward[k] = regulator.K, 0.0
+            continue
+        weighted = np.vstack([np.sqrt(cost.Q)[:, None] * at.C, padded(terms.about(x), n)]) @ across
+        P = weighted.T @ weighted + A.T @ P @ A - coupled.T @ gains[:, :-1]
+        P, p = (P + P.T) / 2.0, A_closed[k].T @ pushed
+    frozen(K, feedforward, M, A_closed, B_all)
+    return Tracker(K=K, feedforward=feedforward, M=M, A_closed=A_closed, B=B_all)
+
+
+def _across(x: Array) -> Array:
+    """Return the projection onto deviations with the rods' lengths kept, (n, n)."""
+    projection = np.eye(len(x))
+    for i, e in enumerate(state.StateView(x).e_P):
+        for part in (state.E, state.ROD_RATE):
+            block = state.uav_slice(i)
+            at = slice(block.start + part.start, block.start + part.stop)
+            projection[at, at] -= np.outer(e, e)
+    return projection
+
+
+def rollout(
+    model: Model, settings: ControllerSettings, x0: Array, law: FeedbackLaw, forces: Array | None = None,
+    decision: Decision | None = None, before: Array | None = None,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return states, (N_p + 1, n), and inputs, (N_p, m), under the control law and its corrections.
+
+    Inputs are within bounds. Those of a decision are free, or also within rates if the owned inputs before the first
+    step are given, (m_own,). Source: docs/equations.md (78).
+    """
+    lower, upper = settings.limits.lower(model.system.N), settings.limits.upper(model.system.N)
+    at_x0, Z, U = law.uncorrected + law.c, [x0], []
+    for k, gain in enumerate(law.K):
+        wanted = at_x0[k] + gain @ (Z[-1] - x0)
+        u = np.minimum(np.maximum(wanted, lower), upper)
+        if decision is not None:
+            own = wanted[decision.own]
+            if before is not None:
+                own = before = decision.clip(np.clip(own, before - decision.rate, before + decision.rate))
+            u[decision.own] = own
+        Z.append(model.integrate(Z[-1], u, settings.sampling_period_s, 1, forces=forces)[0])
+        U.append(u)
+    return np.array(Z), np.array(U)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """Trajectory under the control law with the corrections that are optimal without constraints.
+
+    Attributes:
+        law: With these corrections.
+        along: Its expansion.
+        Z: States at steps 0..N_p, (N_p + 1, n).
+        U: Inputs, the owned ones without limits, (N_p, m).
+        u0: Inputs before the first step, (m,).
+        forces: Estimated external forces, (3 + 3 N,).
+        within: Whether no constraint is violated.
+    """
+
+    law: FeedbackLaw
+    along: Expansion
+    Z: Array
+    U: Array
+    u0: Array
+    forces: Array | None
+    within: bool
+
+
+class Along:
+    """Program of one controller about the trajectory of the shared control law along a reference.
+
+    The decision is the change of the owned corrections, scaled as the inputs; its unconstrained optimum is zero.
+    """
+
+    def __init__(self, decision: Decision) -> None:
+        self._decision, self._rows, self._settings = decision, Rows(decision), decision.settings
+
+    def course(self, model: Model, linear: Linear, law: FeedbackLaw, along: Expansion) -> Course:
+        """Return the trajectory of a step. Source: docs/equations.md (77), (78)."""
+        own, others, c = self._decision.own, self._decision.others, law.c.copy()
+        M = along.M
+        c[:, own] = 0.0
+        if c.any():
+            pushed = np.einsum("kij,kj->ki", M[:, own[:, None], others], c[:, others])
+            c[:, own] = -np.linalg.solve(M[:, own[:, None], own], pushed[:, :, None])[:, :, 0]
+        law = replace(law, c=c)
+        Z, U = rollout(model, self._settings, linear.x0, law, linear.forces, self._decision)
+        low, high, rate = self._decision.lower, self._decision.upper, self._decision.rate
+        changes = np.diff(np.vstack([linear.u0[own], U[:, own]]), axis=0)
+        over = [low - U[:, own], U[:, own] - high, np.abs(changes) - rate]
+        within = all((part <= _ROUNDING * (high - low)).all() for part in over) and self._apart(model, Z)
+        return Course(law=law, along=along, Z=Z, U=U, u0=linear.u0, forces=linear.forces, within=within)
+
+    def program(self, model: Model, course: Course) -> QP:
+        """Return the QP of a course: without rows if it violates no constraint. Source: docs/equations.md (79)."""
+        decision, law, along, rows = self._decision, course.law, course.along, self._rows
+        (steps, m), size, own, scale = decision.shape, decision.size, decision.own, decision.scale
+        slacks = 0 if course.within else len(rows.penalties)
+        H = np.zeros((size + slacks, size + slacks))
+        for k in range(steps):
+            at = slice(m * k, m * (k + 1))
+            H[at, at] = 2.0 * scale[:, None] * along.M[k][np.ix_(own, own)] * scale
+        H[range(size, size + slacks), range(size, size + slacks)] = rows.penalties[:slacks]
+        g = np.concatenate([np.zeros(size), rows.penalties[:slacks]])
+        lower = np.concatenate([np.full(size, -np.inf), np.zeros(slacks)])
+        upper = np.full(size + slacks, np.inf)
+        if course.within:
+            none = upper[:0]
+            return QP(H=H, g=g, lower=lower, upper=upper, A=np.zeros((0, size)), row_lower=none, row_upper=none)
+        # Effect of the decision on the states at a step, and on the inputs of all steps.
+        effect, inputs, states = np.zeros((len(course.Z[0]), size)), np.zeros((steps, m, size)), []
+        for k in range(steps):
+            inputs[k] = law.K[k][own] @ effect
+            inputs[k, :, m * k : m * (k + 1)] += np.diag(scale)
+            effect = along.A_closed[k] @ effect
+            effect[:, m * k : m * (k + 1)] += along.B[k][:, own] * scale
+            states.append(effect)
+        distances, on_places = [], []
+        for x, effect in zip(course.Z[1:], states, strict=True):
+            distance, direction = separation_rows(model.outputs(x)[: 3 * model.system.N], rows.pairs)
+            distances.append(distance)
+            on_places.append(direction @ model.linearise(x, course.u0).C[: 3 * model.system.N] @ effect)
+        apart = np.array(on_places).reshape(-1, size)
+        tilted = np.array(states)[:, rows.angles].reshape(-1, size)
+        changes = np.diff(inputs, axis=0).reshape(-1, size)
+        parts = [inputs.reshape(-1, size), changes, apart, tilted, tilted]
+        A = np.zeros((sum(map(len, parts)), size + slacks))
+        A[:, :size] = np.concatenate(parts)
+        ends = np.cumsum(list(map(len, parts)))
+        A[ends[1] : ends[2], size : size + 1] = 1.0
+        A[ends[2] : ends[3], -1:], A[ends[3] :, -1:] = -1.0, 1.0
+        nominal = course.U[:, own]
+        low, high = decision.bounds(nominal, course.u0)
+        changed, rate = np.diff(nominal, axis=0).reshape(-1), np.tile(decision.rate, steps - 1)
+        angles, none = course.Z[1:, rows.angles].reshape(-1), np.full(len(tilted), np.inf)
+        far, each = np.concatenate(distances), np.tile(scale, steps)
+        any_far = np.full(len(far), np.inf)
+        return QP(
+            H=H, g=g, lower=lower, upper=upper, A=A,
+            row_lower=np.concatenate([low * each, -rate - changed, rows.minimum_m - far, -none, -rows.limit - angles]),
+            row_upper=np.concatenate([high * each, rate - changed, any_far, rows.limit - angles, none]),
+        )  # fmt: skip
+
+    def planned(self, model: Model, course: Course, announced: FeedbackLaw, z: Array, w: float) -> tuple[Array, Array]:
+        """Return owned inputs and corrections of a plan, (N_p, m_own) each.
+
+        Given are the law with the announced corrections, the solution of the QP and the weight of the new corrections.
+        """
+        own = self._decision.own
+        if course.within and (w == 1.0 or np.array_equal(course.law.c[:, own], announced.c[:, own])):
+            return self._decision.clip(course.U[:, own]), course.law.c[:, own]
+        c = announced.c.copy()
+        c[:, own] = w * (course.law.c[:, own] + self._decision.inputs(z)) + (1.0 - w) * announced.c[:, own]
+        law = replace(course.law, c=c)
+        _, U = rollout(model, self._settings, course.Z[0], law, course.forces, self._decision, course.u0[own])
+        return U[:, own], c[:, own]
+
+    def _apart(self, model: Model, Z: Array) -> bool:
+        """Return whether distances and angles along a trajectory keep their limits."""
+        rows = self._rows
+        if not np.isfinite(Z).all() or (np.abs(Z[1:, rows.angles]) > rows.limit + _ROUNDING).any():
+            return False
+        if not len(rows.pairs):
+            return True
+        places = self._places(model, Z).reshape(len(Z) - 1, -1, 3)
+        apart = np.linalg.norm(places[:, rows.pairs[:, 0]] - places[:, rows.pairs[:, 1]], axis=2)
+        return bool((apart >= rows.minimum_m - _ROUNDING).all())
+
+    @staticmethod
+    def _places(model: Model, Z: Array) -> Array:
+        """Return the positions of all UAVs at steps 1..N_p, (N_p, 3 N), inertial frame, m."""
+        return np.array([model.outputs(x)[: 3 * model.system.N] for x in Z[1:]])

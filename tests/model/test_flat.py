@@ -1,0 +1,132 @@
+"""References that a team can fly: the path's derivatives, and the motion of the team that follows from them."""
+
+import numpy as np
+import pytest
+
+from model.arrays import Array
+from model.curves import Curve
+from model.flat import FlatReference, flight
+from model.hover import hover
+from model.linearisation import Model
+from model.maneuver import Maneuver, Phase
+from model.parameters import ParameterError, Payload, System, Uav
+
+# Central differences of order 8 over steps of 0.3 ms: rounding of numbers up to 10 over the step.
+STEP_S = 3e-4
+STENCIL = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+SAME_RATE = 2e-9
+# Where a difference spans the end of a ramp or a way point of a spline, at which the seventh derivative has a kink.
+ACROSS_KINKS = 1e-7
+# Results of a few sums of numbers up to 30.
+ROUNDING = 1e-12
+
+CURVES = {
+    "circle": Curve(kind="circle", duration_s=9.0, ramp_s=3.0, size_I=(2.0, 2.0, 0.5), laps=1.5),
+    "eight": Curve(kind="eight", duration_s=16.0, ramp_s=5.0, size_I=(3.8, 1.9, 0.2), laps=2.0),
+    "spline": Curve(kind="spline", duration_s=9.0, ramp_s=2.0, points_I=[[1, 0, 0], [2, 1, 0], [3, -1, -1], [4, 0, 0]]),
+    "straight": Curve(kind=None, duration_s=3.0, ramp_s=1.5, size_I=(1.0, -0.5, 0.5)),
+}
+
+
+def unequal() -> System:
+    """Four UAVs of different masses, inertias, rods and places."""
+    uavs = [
+        Uav(mass=m, inertia=[2e-3 + 1e-3 * m, 3e-3, 5e-3], rho=rho, rod_length=length)
+        for m, rho, length in (
+            (0.6, [0.3, 0.1, -0.05], 1.0),
+            (0.7, [0.2, -0.3, 0.0], 0.8),
+            (0.5, [-0.3, -0.2, -0.1], 1.2),
+            (0.8, [-0.2, 0.3, -0.05], 0.9),
+        )
+    ]
+    return System(payload=Payload(mass=1.4, inertia=[[0.02, 1e-3, 0], [1e-3, 0.02, 0], [0, 0, 0.03]]), uavs=uavs)
+
+
+def along(curve: Curve) -> Maneuver:
+    """Rest, the curve, and rest."""
+    end_I = curve.path(np.array([curve.duration_s]), 1)[0, 0]
+    rest = Phase(name="rest", duration_s=1.0, displacement_I=[0.0, 0.0, 0.0])
+    way = Phase(name="way", duration_s=curve.duration_s, displacement_I=end_I, curve=curve)
+    return Maneuver(start_I=[1.0, 2.0, -9.0], phases=[rest, way, rest], profile="smooth")
+
+
+def difference(values: list[Array]) -> Array:
+    """Return the rate at the middle of nine values, `STEP_S` apart."""
+    rate: Array = np.tensordot(STENCIL, np.array(values), 1) / STEP_S
+    return rate
+
+
+@pytest.mark.parametrize("kind", CURVES)
+@pytest.mark.parametrize("pushed", [False, True])
+def test_reference_satisfies_the_equations_of_motion(kind: str, *, pushed: bool) -> None:
+    """f(x_ref, u_ref, F) = x_ref', equations (13) and (71)-(73), without and with external forces."""
+    system, rng = unequal(), np.random.default_rng(3)
+    maneuver, at_rest, model = along(CURVES[kind]), hover(system), Model(system)
+    forces = rng.uniform(-0.5, 0.5, 3 + 3 * system.N) if pushed else np.zeros(3 + 3 * system.N)
+    times = rng.uniform(0.0, maneuver.duration_s, 60)
+
+    def motion(t_s: Array) -> tuple[Array, Array]:
+        found = flight(system, at_rest, maneuver.jets(t_s), forces)
+        return found.x, found.u
+
+    x, u = motion(times)
+    rates = difference([motion(times + STEP_S * j)[0] for j in range(-4, 5)])
+    f = np.array([model.derivative(*row, forces=forces) for row in zip(x, u, strict=True)])
+    errors, curve = np.abs(f - rates).max(axis=1), CURVES[kind]
+    kinks = 1.0 + np.array([0.0, curve.ramp_s, curve.duration_s - curve.ramp_s, curve.duration_s])
+    smooth = (np.abs(times[:, None] - kinks).min(axis=1) > 5.0 * STEP_S) & (kind != "spline")
+    assert errors.max() < ACROSS_KINKS
+    assert errors[smooth].max(initial=0.0) < SAME_RATE
+    tensions = np.array([model.tensions(*row, forces=forces) for row in zip(x, u, strict=True)])
+    np.testing.assert_allclose(flight(system, at_rest, maneuver.jets(times), forces).tensions, tensions, atol=ROUNDING)
+    assert np.abs(x - x[0]).max() > 0.1, "the team must move to be judged by its motion"
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_path_has_six_derivatives_and_rests_at_its_ends(kind: str) -> None:
+    """Each Taylor coefficient is the rate of the one before, up to the ends, where the team hovers: equation (70)."""
+    curve, system = CURVES[kind], unequal()
+    times = np.linspace(0.05, 0.95, 25) * curve.duration_s
+    path = curve.path(times)
+    for order in range(1, len(path)):
+        rates = difference([curve.path(times + STEP_S * j)[order - 1] for j in range(-4, 5)])
+        scale = 1.0 + np.abs(rates).max()
+        np.testing.assert_allclose(order * path[order], rates, rtol=0.0, atol=10.0 * SAME_RATE * scale)
+    reference = FlatReference(system, hover(system), along(curve))
+    for t_s in (-1.0, 0.5, curve.duration_s + 1.5):
+        resting = reference.flight(np.array([t_s]))
+        at_rest = hover(system).x + np.concatenate([reference.maneuver.path(np.array([t_s]))[0][0], np.zeros(57)])
+        np.testing.assert_allclose(resting.x[0], at_rest, atol=ROUNDING)
+        np.testing.assert_allclose(resting.u[0], hover(system).u, atol=ROUNDING)
+
+
+def test_outputs_are_those_of_the_model() -> None:
+    """Outputs along the reference equal h(x_ref), equation (14)."""
+    system = unequal()
+    reference, times = FlatReference(system, hover(system), along(CURVES["eight"])), np.linspace(0.0, 18.0, 40)
+    expected = [Model(system).outputs(x) for x in reference.states(times)]
+    np.testing.assert_allclose(reference.outputs(times), expected, atol=ROUNDING)
+
+
+def test_spline_passes_its_way_points_in_time() -> None:
+    """Way points with times are passed at these times."""
+    times, points = [2.0, 3.5, 5.0, 8.0], np.array([[1.0, 0, 0], [2, 1, 0], [3, -1, -1], [4, 0, 0]])
+    curve = Curve(kind="spline", duration_s=8.0, ramp_s=1.5, points_I=points.tolist(), times_s=times)
+    np.testing.assert_allclose(curve.path(np.array(times), 1)[0], points, atol=1e-9)
+
+
+def test_track_shifts_with_forces() -> None:
+    """Its derivatives with respect to forces, by an imaginary step, equal differences."""
+    system = unequal()
+    reference, small = FlatReference(system, hover(system), along(CURVES["circle"])), 1e-4
+    track, path = reference.track(30, 0.1), reference.maneuver.jets(0.1 * np.arange(30, dtype=np.float64))
+    for i, unit in enumerate(small * np.eye(15)):
+        ends = [flight(system, hover(system), path, sign * unit).x for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(track.X_forces[..., i], (ends[0] - ends[1]) / (2.0 * small), atol=1e-7)
+
+
+def test_path_with_corners_is_refused() -> None:
+    """A ramp has no acceleration that a team could follow."""
+    corner = Maneuver(start_I=[0, 0, 0], phases=[Phase(name="out", duration_s=2.0, displacement_I=[1, 0, 0])])
+    with pytest.raises(ParameterError, match="expected a smooth path, got 'ramp'"):
+        corner.jets(np.zeros(1))

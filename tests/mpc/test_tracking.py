@@ -1,0 +1,154 @@
+"""The control law along a flat reference, and the program about it."""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from model.arrays import Array
+from model.curves import Curve
+from model.flat import FlatReference, Track
+from model.hover import hover
+from model.linearisation import Model
+from model.maneuver import Maneuver, Phase
+from model.state import R0, StateView
+from mpc.controller import Controller, StepResult
+from mpc.settings import ControllerSettings, Limits, Separation, Tilt, Weights
+from mpc.tracking import Course, rollout
+from tests.model.test_flat import unequal
+
+PERIOD_S = 0.05
+SETTINGS = ControllerSettings(
+    horizon=12, prediction="closed_loop", linearisation="along", terminal="riccati", preview=True,
+    weights=Weights(payload_position=1.0, payload_velocity=0.1, acceleration=5e-3, angular_acceleration=1.7e-3),
+    limits=Limits(thrust_N=(0.0, 20.0), thrust_rate_N_s=200.0, moment_rates_Nm_s=(40.0, 40.0, 20.0)),
+)  # fmt: skip
+# Sums over the horizon of squares up to 10, through products of matrices.
+SAME_COST = 1e-9
+
+
+@lru_cache
+def flown(instants: int = 80) -> tuple[Model, Track]:
+    """A quick arc."""
+    system = unequal()
+    curve = Curve(kind="eight", duration_s=8.0, ramp_s=3.5, size_I=(1.5, 0.7, 0.0))
+    phase = Phase(name="eight", duration_s=8.0, displacement_I=[0, 0, 0], curve=curve)
+    rest = Phase(name="rest", duration_s=1.0, displacement_I=[0, 0, 0])
+    maneuver = Maneuver(start_I=[0, 0, -9.0], phases=[phase, rest], profile="smooth")
+    return Model(system), FlatReference(system, hover(system), maneuver).track(instants + 80, PERIOD_S)
+
+
+def controller(owned: tuple[int, ...] = (1,), settings: ControllerSettings = SETTINGS) -> Controller:
+    """Return a controller on the arc."""
+    model, track = flown()
+    return Controller(model, hover(model.system), settings, owned, track.X, track)
+
+
+def test_cost_is_the_sum_of_squares_of_corrections() -> None:
+    """From any state, corrections cost sum c' M c beyond the law: (77), simulated on (75) to the end at rest."""
+    model, track = flown()
+    one, rng, start = controller(), np.random.default_rng(1), 60
+    moving = int(np.flatnonzero((track.X[-1] != track.X).any(axis=1)).max()) + 1 - start
+    c = rng.normal(scale=0.1, size=(moving, model.system.m))
+    law = one.law(track.X[start], track.X[start : start + moving], c, None, start)
+    regulator = one.regulation.regulator
+    assert law is not None
+    assert law.along is not None
+    assert regulator is not None
+    along, cost, xi0 = law.along, one.cost, np.zeros(model.system.n)
+    xi0[R0] = [0.3, -0.2, 0.1]
+
+    def total(c: Array) -> float:
+        found, xi = 0.0, xi0
+        for k in range(moving):
+            y = model.linearise(track.X[start + k], track.U[start + k]).C @ xi
+            u = law.K[k] @ xi + c[k]
+            found += y @ (cost.Q * y) + u @ (cost.R * u)
+            xi = along.A_closed[k] @ xi + along.B[k] @ c[k]
+            xi = _on_manifold(track.X[start + k + 1], xi)
+        return float(found + np.sum((regulator.root @ xi) ** 2))
+
+    added = float(np.einsum("km,kmn,kn->", c, along.M, c))
+    assert total(c) - total(0.0 * c) == pytest.approx(added, rel=SAME_COST)
+
+
+def _on_manifold(x: Array, xi: Array) -> Array:
+    """Return a deviation without its parts along the rods."""
+    xi = xi.copy()
+    for i, e in enumerate(StateView(x).e_P):
+        for begin in (12 + 12 * i, 15 + 12 * i):
+            xi[begin : begin + 3] -= e * (e @ xi[begin : begin + 3])
+    return xi
+
+
+def step(one: Controller, x0: Array, c: Array, start: int = 60) -> tuple[Course, StepResult]:
+    """One step along the reference, the others' corrections given."""
+    _, track = flown()
+    u0 = track.U[start - 1]
+    law = one.law(x0, track.X[start : start + 12], c, None, start)
+    linear = one.linearise(x0, u0)
+    course = one.predict(linear, one.discretise(linear), track.U[start : start + 12], law)
+    assert isinstance(course, Course)
+    qp = one.condense(linear, course, track.U[start : start + 12], np.zeros((13, 25)), law)
+    return course, one.conclude(one.solve(qp), course, track.U[start : start + 12], law)
+
+
+def test_no_corrections_on_and_near_the_reference() -> None:
+    """Without others' corrections and within limits an agent has none, and follows the reference to its next state."""
+    model, track = flown()
+    course, result = step(controller(), track.X[60], np.zeros((12, model.system.m)))
+    assert course.within
+    assert not result.c.any()
+    np.testing.assert_allclose(course.Z[:, R0], track.X[60:73, R0], atol=1e-3)
+    near = track.X[60].copy()
+    near[R0] += 0.05
+    course, result = step(controller(), near, np.zeros((12, model.system.m)))
+    assert course.within
+    assert not result.c.any()
+
+
+@pytest.mark.parametrize(
+    ("changed", "wanted"),
+    [
+        ({"limits": Limits(thrust_N=(0.0, 14.0), thrust_rate_N_s=60.0, moments_Nm=(0.05, 0.05, 0.02))}, None),
+        ({"separation": Separation(minimum_m=0.44, penalty=1000.0)}, "separation"),
+        ({"tilt": Tilt(limit_deg=12.0, penalty=1000.0)}, "tilt"),
+    ],
+    ids=["inputs", "separation", "tilt"],
+)
+def test_program_keeps_limits_that_the_law_violates(changed: dict[str, object], wanted: str | None) -> None:
+    """Off the reference the law violates a limit; with the program's corrections the model keeps it."""
+    model, track = flown()
+    settings, start = SETTINGS.model_copy(update=changed), 60
+    one = controller((0, 1, 2, 3), settings)
+    x0 = track.X[start].copy()
+    x0[R0] += [0.6, -0.5, 0.3]
+    course, result = step(one, x0, np.zeros((12, model.system.m)))
+    assert not course.within
+    assert result.solution.status == "solved"
+    assert result.c.any()
+    law = one.law(x0, track.X[start : start + 12], result.c, None, start)
+    assert law is not None
+    Z, U = rollout(model, settings, x0, law)
+    # All UAVs are owned, so the plan is the trajectory; limits on states hold but for the expansion's error.
+    np.testing.assert_allclose(U, result.U, atol=1e-6)
+    changes = np.abs(np.diff(np.vstack([track.U[start - 1], U]), axis=0))
+    assert (changes <= settings.limits.step(4, PERIOD_S) + 1e-6).all()
+    before, after = (_violation(model, settings, states) for states in (course.Z, Z))
+    if wanted is not None:
+        assert after < 0.25 * before
+
+
+def _violation(model: Model, settings: ControllerSettings, Z: Array) -> float:
+    """Return the largest violation of distance or tilt, m or rad."""
+    worst = 0.0
+    for x in Z[1:]:
+        if settings.separation is not None:
+            r = model.outputs(x)[:12].reshape(4, 3)
+            apart = np.linalg.norm(r[:, None] - r, axis=2) + 9.0 * np.eye(4)
+            worst = max(worst, settings.separation.minimum_m - float(apart.min()))
+        if settings.tilt is not None:
+            tilted = float(np.abs(StateView(x).Theta[:, :2]).max())
+            worst = max(worst, tilted - math.radians(settings.tilt.limit_deg))
+    return worst

@@ -1,0 +1,67 @@
+"""Agile flight along a flat reference: the ready scenario, shortened."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import transport
+from protocol.scenario.errors import ScenarioError
+from transport.analysis.series import series_of
+
+QUICK = [
+    {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
+    {
+        "name": "eight",
+        "kind": "eight",
+        "size_m": [1.6, 0.8, 0.0],
+        "laps": 1.0,
+        "speed_mps": 2.5,
+        "ramp_s": 3.0,
+    },
+    {"name": "hover", "duration_s": 0.3, "displacement_m": [0.0, 0.0, 0.0]},
+]
+
+
+def error_m(**changed: Any) -> float:
+    """Return the payload's rms distance from its path."""
+    run = transport.fly("eight", progress=False, phases=QUICK, **changed)
+    assert run.completed
+    series = series_of(run.scenario.setup, run.log)
+    assert np.linalg.norm(series.payload_velocity_I, axis=1).max() > 2.0, "fast enough to be judged"
+    return float(np.sqrt(np.mean(np.sum((series.x[:, :3] - series.payload_reference_I) ** 2, axis=1))))
+
+
+@pytest.mark.slow
+def test_delay_and_loss_cost_nothing_where_the_model_is_known() -> None:
+    """The plan of all agents is the shared law, so a late network changes no input: section 5.3 of the design."""
+    late, perfect, central = (
+        error_m(delay_s=delay, loss=loss, **owned)
+        for delay, loss, owned in ((0.2, 0.3, {}), (0.0, 0.0, {}), (0.0, 0.0, {"owned": [[1, 2, 3]]}))
+    )
+    assert max(late, perfect, central) < 1e-3
+    assert late < 1.3 * perfect
+    assert perfect < 1.05 * central
+
+
+def test_infeasible_reference_is_refused_with_the_least_slowing() -> None:
+    """Twice the speed takes more than the UAVs have; the factor in the text makes the reference feasible."""
+    with pytest.raises(ScenarioError, match=r"expected a .* along the reference, got .* feasible if all phases take"):
+        transport.Scenario("eight", {"maneuver.phase.2.speed_mps": 9.0}).setup  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "reason"),
+    [
+        ("controller.preview", False, "expected True with maneuver.reference = 'flat'"),
+        ("maneuver.profile", "ramp", "expected a smooth path"),
+        ("maneuver.phase.2.ramp_s", 50.0, "at most half the duration"),
+    ],
+)
+def test_flat_reference_needs_its_settings(key: str, value: object, reason: str) -> None:
+    """Settings that a flat reference cannot have are refused by name."""
+    settings = {key: value}
+    if key == "maneuver.profile":
+        settings["maneuver.phase.1.displacement_m"] = [1.0, 0.0, 0.0]
+    with pytest.raises(ScenarioError, match=reason):
+        transport.Scenario("eight", settings).setup  # noqa: B018
