@@ -245,8 +245,8 @@ def _curves(scenario: Scenario) -> Problems:
         field, times = f"maneuver.phase.{i}", phase.times_s
         if phase.kind == "spline" and not phase.points_m:
             yield f"{field}.points_m", "way points with kind 'spline'", "none"
-        if times is not None and (len(times) != len(phase.points_m) or any(b <= a for a, b in pairwise(times))):
-            yield f"{field}.times_s", f"{len(phase.points_m)} rising times, one for each way point", times
+        if times is not None and (len(times) != len(phase.points_m or []) or any(b <= a for a, b in pairwise(times))):
+            yield f"{field}.times_s", f"{len(phase.points_m or [])} rising times, one for each way point", times
         if phase.curve() is not None and phase.ramp_s > phase.duration_s / 2.0:
             yield f"{field}.ramp_s", f"at most half the duration, {phase.duration_s / 2.0:g} s", phase.ramp_s
         if phase.curve() is not None and phase.way is not None:

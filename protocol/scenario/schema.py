@@ -119,7 +119,7 @@ class PhaseSection(Section):
     angle A from 0 to 2 pi `laps`"""
     laps: Positive = 1.0
     """of a circle or eight"""
-    points_m: list[Vector] = []
+    points_m: Annotated[list[Vector] | None, Key(type="list of lists of 3 numbers", unit="m")] = None
     """way points of a spline after its start, relative to that"""
     times_s: Annotated[list[Positive] | None, Key(type="list of numbers > 0, rising", unit="s")] = None
     """times of the way points of a spline since its start; they define its duration"""
@@ -159,7 +159,7 @@ def _curve(phase: PhaseSection, duration_s: float) -> Curve:
         ramp_s=phase.ramp_s,
         size_I=tuple(phase.size_m),
         laps=phase.laps,
-        points_I=phase.points_m,
+        points_I=phase.points_m or (),
         times_s=phase.times_s,
     )
 

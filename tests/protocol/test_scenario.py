@@ -18,6 +18,7 @@ from tests.support.runs import PAPER, SCENARIOS, setup
 
 # A value of the same type that differs, for what cannot simply be counted up.
 OTHER_WORDS = {
+    "reference": "flat",
     "profile": "step",
     "engine": "mujoco",
     "kind": "land",
