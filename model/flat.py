@@ -140,7 +140,10 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Fli
     rates, accelerations = omega[0], jets.derivative(omega)[0]
     J = np.array([uav.inertia for uav in system.uavs])
     momentum = np.einsum("nij,knj->kni", J, rates)
-    moments = np.einsum("nij,knj->kni", J, accelerations) + np.cross(rates, momentum)
+    if system.rate_gains is None:
+        commands = np.einsum("nij,knj->kni", J, accelerations) + np.cross(rates, momentum)
+    else:
+        commands = rates + accelerations / system.rate_gains
 
     X = np.zeros((k, system.n), dtype=carried.dtype)
     X[:, state.R0], X[:, state.V0] = path[0], path[1]
@@ -150,7 +153,7 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Fli
     blocks[..., state.THETA.start], blocks[..., state.THETA.start + 1] = -np.arcsin(sideways[0]), np.arctan(x[0] / z[0])
     blocks[..., state.OMEGA] = rates
     X[:, state.PAYLOAD :] = blocks.reshape(k, -1)
-    U = np.concatenate([1.0 / per_thrust[0], moments], axis=-1).reshape(k, -1)
+    U = np.concatenate([1.0 / per_thrust[0], commands], axis=-1).reshape(k, -1)
     tensions = 1.0 / inverse[0, ..., 0]
     frozen(X, U, tensions)
     return Flight(x=X, u=U, tensions=tensions)

@@ -133,7 +133,7 @@ def rollout(
     Inputs are within bounds. Those of a decision are free, or also within rates if the owned inputs before the first
     step are given, (m_own,). Source: docs/equations.md (78).
     """
-    lower, upper = settings.limits.lower(model.system.N), settings.limits.upper(model.system.N)
+    lower, upper = settings.lower(model.system.N), settings.upper(model.system.N)
     at_x0, Z, U = law.uncorrected + law.c, [x0], []
     for k, gain in enumerate(law.K):
         wanted = at_x0[k] + gain @ (Z[-1] - x0)

@@ -39,9 +39,9 @@ def exceeded(path: Array, system: System, hover: Hover, settings: ControllerSett
         ("a thrust of at most", " N", limits.thrust_N[1], inputs[..., 0].max()),
         ("a UAV tilt of at most", " deg", tilt_deg, math.degrees(np.abs(view.Theta).max())),
     ]
-    moments = np.abs(inputs[..., 1:]).max(axis=(0, 1))
-    for axis, limit in enumerate(limits.moments_Nm):
-        highest.append((f"a moment about axis {axis + 1} of at most", " N m", limit, moments[axis]))
+    what, unit = ("a commanded rate", " rad/s") if system.commands_rates else ("a moment", " N m")
+    largest = zip(settings.upper(1)[1:], np.abs(inputs[..., 1:]).max(axis=(0, 1)), strict=True)
+    highest += [(f"{what} about axis {axis} of at most", unit, *both) for axis, both in enumerate(largest, start=1)]
     for sign, limit_list in ((1.0, highest), (-1.0, lowest)):
         for what, unit, limit, got in limit_list:
             if not sign * got <= sign * limit:

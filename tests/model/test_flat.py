@@ -28,7 +28,7 @@ CURVES = {
 }
 
 
-def unequal() -> System:
+def unequal(rate_gains: list[float] | None = None) -> System:
     """Four UAVs of different masses, inertias, rods and places."""
     uavs = [
         Uav(mass=m, inertia=[2e-3 + 1e-3 * m, 3e-3, 5e-3], rho=rho, rod_length=length)
@@ -39,7 +39,11 @@ def unequal() -> System:
             (0.8, [-0.2, 0.3, -0.05], 0.9),
         )
     ]
-    return System(payload=Payload(mass=1.4, inertia=[[0.02, 1e-3, 0], [1e-3, 0.02, 0], [0, 0, 0.03]]), uavs=uavs)
+    return System(
+        payload=Payload(mass=1.4, inertia=[[0.02, 1e-3, 0], [1e-3, 0.02, 0], [0, 0, 0.03]]),
+        uavs=uavs,
+        rate_gains=rate_gains,
+    )
 
 
 def along(curve: Curve) -> Maneuver:
@@ -57,10 +61,10 @@ def difference(values: list[Array]) -> Array:
 
 
 @pytest.mark.parametrize("kind", CURVES)
-@pytest.mark.parametrize("pushed", [False, True])
-def test_reference_satisfies_the_equations_of_motion(kind: str, *, pushed: bool) -> None:
-    """f(x_ref, u_ref, F) = x_ref', equations (13) and (71)-(73), without and with external forces."""
-    system, rng = unequal(), np.random.default_rng(3)
+@pytest.mark.parametrize(("pushed", "gains"), [(False, None), (True, None), (False, [20.0, 20.0, 8.0])])
+def test_reference_satisfies_the_equations_of_motion(kind: str, *, pushed: bool, gains: list[float] | None) -> None:
+    """f(x_ref, u_ref, F) = x_ref', equations (13) and (71)-(73): moments, external forces, commanded body rates."""
+    system, rng = unequal(gains), np.random.default_rng(3)
     maneuver, at_rest, model = along(CURVES[kind]), hover(system), Model(system)
     forces = rng.uniform(-0.5, 0.5, 3 + 3 * system.N) if pushed else np.zeros(3 + 3 * system.N)
     times = rng.uniform(0.0, maneuver.duration_s, 60)
