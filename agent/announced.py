@@ -184,7 +184,8 @@ class AnnouncedInputs:
             step = tick - begun
             if agent in self.off_roster and step >= len(inputs):
                 if x is not None and self._fail_safe is not None:
-                    u[columns] = np.concatenate([self._fail_safe.inputs(uav, x) for uav in self._owned[agent - 1]])
+                    owned = self._owned[agent - 1]
+                    u[columns] = np.concatenate([self._fail_safe.inputs(uav, x, tick) for uav in owned])
                 continue
             u[columns] = inputs[min(step, len(inputs) - 1)]
             replaced = step > 0 and agent != self._own and agent not in self.off_roster

@@ -13,7 +13,6 @@ from model.arrays import Array
 from model.failure import motor_off_state, released_state
 from model.state import input_indices
 from mpc.controller import Controller
-from mpc.fail_safe import FailSafe
 from mpc.feedback import Regulator
 from mpc.prediction import Prediction
 from mpc.tracking import Course
@@ -67,7 +66,7 @@ class TeamEstimate:
         self.announced = AnnouncedInputs(
             setup.owned,
             setup.hover.u,
-            FailSafe(setup.system, setup.hover.u),
+            setup.fail_safe,
             section.received_plans,
             own=self._agent,
             law=self._law_inputs,

@@ -1,19 +1,26 @@
-"""The fail-safe of a UAV whose plan has run out: level attitude at hover thrust.
+"""The fail-safe of a UAV whose plan has run out: hover thrust, and level attitude or the way along the reference.
 
 The plant's actuators follow it, and controllers predict a UAV without an agent by it.
 """
+
 
 import numpy as np
 
 from model import state
 from model.arrays import Array
 from model.parameters import System
+from model.rotations import rotation
 
 # Attitude loop: slow enough for the moment limits of small quadrotors, faster than the pendulum of a rod.
 _FREQUENCY_RAD_S = 6.0
 _DAMPING = 0.8
 # Attitude gain around an inner loop on body rates, 1/s: critical damping, but not faster than usual autopilots.
 _CRITICAL, _LARGEST_GAIN = 0.25, 6.0
+# Loop of the horizontal position around it: as fast as the pendulum of a rod, slower than the attitude.
+_FOLLOWING_RAD_S = 1.5
+_FOLLOWING_DAMPING = 1.0
+# Largest roll or pitch that it asks for, rad.
+_STEEPEST = 0.2
 
 
 class FailSafe:
@@ -22,10 +29,12 @@ class FailSafe:
     Args:
         system: Physical parameters.
         u_hover: Hover input with the thrusts to hold, (4 N,).
+        X_ref: Reference states at the sampling instants, (K, n), the last one held, for UAVs that measure their
+            position and velocity and follow them; None for UAVs that keep level.
     """
 
-    def __init__(self, system: System, u_hover: Array) -> None:
-        self._u_hover = u_hover
+    def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None) -> None:
+        self._u_hover, self._uavs, self._X_ref = u_hover, system.uavs, X_ref
         self._gains = []
         level = np.diag([1.0, 1.0, 0.0])  # the heading is free
         for uav in system.uavs:
@@ -39,13 +48,52 @@ class FailSafe:
             self._gains.append(gain)
 
     def gain(self, uav: int) -> Array:
-        """Return the feedback from a UAV's own state to its inputs, (4, 12). Source: equations.md (31), (45), (60)."""
-        return self._gains[uav]
+        """Return the linearised feedback from the state to a UAV's inputs, (4, n).
 
-    def inputs(self, uav: int, x: Array) -> Array:
-        """Return the inputs of one UAV, 0-based, at a state of the system, (n,), before limits, (4,), SI.
-
-        Source: docs/equations.md (31), (60).
+        Source: docs/equations.md (31), (31a), (45), (60).
         """
+        gain = np.zeros((state.INPUTS, state.PAYLOAD + state.PER_UAV * len(self._uavs)))
+        own = state.uav_slice(uav)
+        gain[:, own] = self._gains[uav]
+        if self._X_ref is not None:
+            rho, rod = np.asarray(self._uavs[uav].rho), np.array([0.0, 0.0, self._uavs[uav].rod_length])
+            position, velocity = np.zeros((3, gain.shape[1])), np.zeros((3, gain.shape[1]))
+            position[:, state.R0] = velocity[:, state.V0] = np.eye(3)
+            position[:, state.THETA0] = np.cross(np.eye(3), rho - rod).T
+            velocity[:, state.OMEGA0] = np.cross(np.eye(3), rho).T
+            position[:, own][:, state.E] = -rod[2] * np.eye(3)
+            velocity[:, own][:, state.ROD_RATE] = -np.cross(np.eye(3), rod).T
+            gain += self._gains[uav][:, state.THETA] @ -self._wanted(uav, position, velocity)
+        return gain
+
+    def inputs(self, uav: int, x: Array, tick: int) -> Array:
+        """Return the inputs of one UAV, 0-based, at a state of the system at t_k, (n,), before limits, (4,), SI.
+
+        Source: docs/equations.md (31), (31a), (60).
+        """
+        own = x[state.uav_slice(uav)].copy()
+        if self._X_ref is not None:
+            position, velocity = self._motion(uav, x)
+            expected = self._motion(uav, self._X_ref[min(tick, len(self._X_ref) - 1)])
+            turned = rotation(np.array([0.0, 0.0, own[state.THETA][2]])).T  # into the UAV's heading
+            wanted = self._wanted(uav, turned @ (position - expected[0]), turned @ (velocity - expected[1]))
+            own[state.THETA] -= np.clip(wanted, -_STEEPEST, _STEEPEST)
         hover: Array = self._u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])
-        return hover + self._gains[uav] @ x[state.uav_slice(uav)]
+        return hover + self._gains[uav] @ own
+
+    def _motion(self, uav: int, x: Array) -> tuple[Array, Array]:
+        """Return position and velocity of a UAV, inertial frame, m and m/s. Source: docs/equations.md (1), (39)."""
+        R0, block, rho = rotation(x[state.THETA0]), x[state.uav_slice(uav)], np.asarray(self._uavs[uav].rho)
+        rod = self._uavs[uav].rod_length * block[state.E]
+        turning = np.cross(x[state.OMEGA0], rho) - np.cross(block[state.ROD_RATE], rod)
+        return x[state.R0] + R0 @ (rho - rod), R0 @ (x[state.V0] + turning)
+
+    def _wanted(self, uav: int, position: Array, velocity: Array) -> Array:
+        """Return roll, pitch and a zero from deviations of position and velocity, axes of the heading, (3, ...)."""
+        stiffness, damping = _FOLLOWING_RAD_S**2, 2.0 * _FOLLOWING_DAMPING * _FOLLOWING_RAD_S
+        pull = (
+            self._uavs[uav].mass
+            / self._u_hover[state.input_slice(uav)][0]
+            * (stiffness * position + damping * velocity)
+        )
+        return np.stack([-pull[1], pull[0], np.zeros_like(pull[0])])

@@ -143,7 +143,7 @@ def regulator(
         hover: Its equilibrium.
         cost: Q on the outputs, R on all inputs.
         period_s: Sampling period, s.
-        uncontrolled: Feedback from its own state, (4, 12), of each UAV without an agent, by its 0-based number.
+        uncontrolled: Feedback from the state, (4, n), of each UAV without an agent, by its 0-based number.
         further: Further terms of the cost, (t, n): square roots of the weights times slopes at hover.
         off: UAVs without motors, 0-based; their attitudes are decoupled from all else and left out.
         released: UAVs no longer on their rods, 0-based; all their states are left out.
@@ -158,7 +158,7 @@ def regulator(
     discrete = zero_order_hold(linear, period_s)
     K: Array = np.zeros((len(hover.u), len(T)))
     for uav, own in (uncontrolled or {}).items():
-        K[state.input_slice(uav), state.uav_slice(uav)] = own
+        K[state.input_slice(uav), : own.shape[1]] = own
     controlled = np.setdiff1d(np.arange(len(hover.u)), input_indices(sorted(uncontrolled or {})))
     A, B = T.T @ (discrete.A + discrete.B @ K) @ T, T.T @ discrete.B[:, controlled]
     C, R = linear.C @ T, cost.R[controlled]
@@ -350,7 +350,7 @@ def target(
     states, inputs = T.shape[1], len(hover.u)
     at_rest = [(T.T @ np.hstack([linear.A_c @ T, linear.B_c]), -T.T @ E)]
     for uav, K in (uncontrolled or {}).items():
-        own_law = np.hstack([-K @ T[state.uav_slice(uav)], np.eye(inputs)[state.input_slice(uav)]])
+        own_law = np.hstack([-K @ T, np.eye(inputs)[state.input_slice(uav)]])
         at_rest.append((own_law, np.zeros((len(K), E.shape[1]))))
     rest, pushed = (np.vstack(rows) for rows in zip(*at_rest, strict=True))
     error = np.hstack([np.sqrt(cost.Q)[:, None] * (linear.C @ T), np.zeros((len(cost.Q), inputs))])

@@ -83,7 +83,8 @@ class Regulation:
         self._lag_s = settings.motor_lag_s
         terms = (*settings.cost, *settings.weights.terms(model.system.N))
         self._settings, self.user_costs = settings, UserCosts(terms, model)
-        self._fail_safe = FailSafe(model.system, hover.u)
+        followed = None if settings.fail_safe == "level" else hover.x[None] if X_ref is None else X_ref
+        self._fail_safe = FailSafe(model.system, hover.u, followed)
         self._track, previewed = track, settings.preview and track is None
         self._X_ref, self._follows_from = X_ref if previewed else None, (hover, settings, X_ref, track)
         # Values of the user's terms on the reference, (K, terms): no team changes them.

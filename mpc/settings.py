@@ -254,6 +254,9 @@ class ControllerSettings(Section):
     control law would take, deviations from it by the linearisation about hover
     ([equations.md](equations.md#prediction-along-the-control-law)). along is valid for long horizons and large
     deviations; no effect with open_loop"""
+    fail_safe: Literal["level", "follow"] = "level"
+    """a UAV whose plan has run out keeps level, or follows its part of the reference softly, for which it measures its
+    own position and velocity ([equations.md](equations.md#fail-safe))"""
     terminal: Literal["multiple", "riccati"] = "multiple"
     """cost at the end of the horizon: Q_f, or the cost-to-go of the team's linear-quadratic regulator,
     [equations.md](equations.md) (36d). riccati needs `controller.weights.penalised_input=deviation`"""

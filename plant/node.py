@@ -14,7 +14,6 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from model.failure import motor_off_state, no_inputs, released_state
-from mpc.fail_safe import FailSafe
 from plant.engines import UNKNOWN_ERROR, Engine
 from plant.environment import Environment
 from plant.inner_loop import INNER_STEP_S, inner_loop
@@ -70,10 +69,9 @@ class PlantNode:
             speed=None if self._waits else clock.speed,
         )
         self._link_changes = LinkChanges(self._plans.links.values(), setup.samples_s)
-        fail_safe = FailSafe(setup.system, setup.hover.u)
         instants = np.arange(setup.ticks + 1, dtype=np.float64)
         self._path, _ = setup.maneuver.path(self._period_s * instants)
-        self._schedule = ActuatorSchedule(setup.hover.u, fail_safe, setup.settings)
+        self._schedule = ActuatorSchedule(setup.hover.u, setup.fail_safe, setup.settings)
         self._uav_faults = deque(uav_faults(setup.faults))  # still to come
         self._degradations = deque(degradations(setup.faults))
         self._motors = Motors(setup.scenario.plant.motors, setup.hover.u, bool(self._degradations))

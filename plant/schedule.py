@@ -58,7 +58,9 @@ class ActuatorSchedule:
                 u[state.input_slice(i)] = newest.inputs[step, state.input_slice(at)]
                 sources.append(newest.tick)
             else:
-                u[state.input_slice(i)] = self._limited(self._fail_safe.inputs(i, x), u_before[state.input_slice(i)])
+                u[state.input_slice(i)] = self._limited(
+                    self._fail_safe.inputs(i, x, tick), u_before[state.input_slice(i)]
+                )
                 sources.append(FAIL_SAFE)
         return u, tuple(sources)
 

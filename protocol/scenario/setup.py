@@ -17,6 +17,7 @@ from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav, resting_height
 from model.state import INPUTS, PAYLOAD, PER_UAV
 from mpc.cost import UserCosts
+from mpc.fail_safe import FailSafe
 from mpc.regulation import Regulation
 from mpc.rows import compile_constraints
 from mpc.settings import ControllerSettings
@@ -114,6 +115,12 @@ class Setup:
     def X_ref(self) -> Array:
         """Reference states at the same instants, (K, n)."""
         return self.reference.followed(self._instants_s())[1]
+
+    @property
+    def fail_safe(self) -> FailSafe:
+        """Control law of the UAVs whose plans have run out."""
+        follows = self.settings.fail_safe == "follow"
+        return FailSafe(self.system, self.hover.u, self.X_ref if follows else None)
 
     def _instants_s(self) -> Array:
         instants = np.arange(self.ticks + self.settings.horizon + 2, dtype=np.float64)

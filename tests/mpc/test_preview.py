@@ -63,7 +63,7 @@ def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: 
     uncontrolled = {uav: FailSafe(system, at.u).gain(uav) for uav in gone}
     K = np.zeros((len(at.u), len(at.x)))
     for uav, gain in uncontrolled.items():
-        K[state.input_slice(uav), state.uav_slice(uav)] = gain
+        K[state.input_slice(uav)] = gain
     controlled = np.setdiff1d(np.arange(len(at.u)), input_indices(gone))
     X_ref = reference_states(system, at, profile, INSTANTS)
     pull = np.zeros_like(X_ref)

@@ -16,7 +16,7 @@ from model.arrays import Array
 from model.hover import Hover, hover
 from model.linearisation import Model
 from model.parameters import System, table_1
-from model.state import input_indices, input_slice, uav_slice
+from model.state import input_indices, input_slice
 from mpc.controller import Controller, StepResult
 from mpc.cost import Cost
 from mpc.fail_safe import FailSafe
@@ -232,7 +232,7 @@ def test_equal_uavs_without_agents(gone: list[int]) -> None:
     assert np.abs(np.linalg.eigvals(found.A_closed)).max() < 1.0 + MODE_TOLERANCE
     for uav in gone:
         fail_safe = FailSafe(system, at.u).gain(uav)
-        np.testing.assert_array_equal(found.K[input_slice(uav), uav_slice(uav)], fail_safe)
+        np.testing.assert_array_equal(found.K[input_slice(uav)], fail_safe)
         assert np.count_nonzero(found.K[input_slice(uav)]) == np.count_nonzero(fail_safe)
 
 
