@@ -95,9 +95,9 @@ DEATHS = {
     **{f"{a}, at {at_s:g} s": killed("resilient", a, at_s=at_s) for at_s in (1.0, KILLED_S, 16.0) for a in (1, 3)},
     "3 and 4 (neighbours), at 8 s": killed("resilient", 3, 4),
     "1 and 3 (opposite), at 8 s": killed("resilient", 1, 3),
-    "3, at 8 s, and a minimum distance of 1 mm": killed(
-        "resilient", 3, settings=("controller.separation.minimum_m=0.001",)
-    ),
+    "1, 2 and 3, at 8 s": killed("resilient", 1, 2, 3),
+    "3, at 8 s, `fail_safe=level`": killed("resilient", 3, settings=("controller.fail_safe=level",)),
+    "1 and 3, at 8 s, `fail_safe=level`": killed("resilient", 1, 3, settings=("controller.fail_safe=level",)),
 }
 
 

@@ -3,7 +3,6 @@
 The plant's actuators follow it, and controllers predict a UAV without an agent by it.
 """
 
-
 import numpy as np
 
 from model import state

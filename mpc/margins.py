@@ -7,7 +7,7 @@ difference between plant and model it is.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,8 @@ from mpc.qp import Residuals, Solution
 
 # Fastest growth that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them.
 GROWTH = 0.02
+# Slowest decay that is one, 1/s: undamped modes have zero, and rounding moves them.
+_DECAY = 1e-3
 # Steps of the search: coarse until the first unstable plant, then bisection to a share of the value.
 _COARSE, _FINE = 1.4, 0.005
 # Farthest factors, and farthest lag and delay, s.
@@ -83,6 +85,9 @@ class Loop:
         next_tick: Inputs act one sampling period after the measurement.
         age: Sampling periods until an agent knows another agent's state, >= 1.
         with_corrections: Keep announced plans as states even if the control law is optimal without them.
+        uncontrolled: Feedback from the state, (4, n), of each UAV without an agent, by its 0-based number: the
+            fail-safe, which acts on the present state. No agent measures these UAVs. The shared control law of the
+            others, which must exist, is then taken without corrections.
 
     Attributes:
         period_s: Sampling period, s.
@@ -90,7 +95,13 @@ class Loop:
     """
 
     def __init__(
-        self, controllers: Sequence[Controller], *, next_tick: bool, age: int = 1, with_corrections: bool = False
+        self,
+        controllers: Sequence[Controller],
+        *,
+        next_tick: bool,
+        age: int = 1,
+        with_corrections: bool = False,
+        uncontrolled: Mapping[int, Array] | None = None,
     ) -> None:
         self._controllers, self._next_tick, self._age = tuple(controllers), next_tick, age
         first = controllers[0]
@@ -108,9 +119,17 @@ class Loop:
         self._measured = [self._measured_by(controller.owned) for controller in controllers]
         regulator = first.regulation.regulator
         self._law = None if regulator is None or self._settings.prediction != "closed_loop" else regulator.K @ T
+        lost = np.zeros(len(self._T), dtype=bool)
+        self._gone, self._fail_safe = np.zeros((self._m, 1), dtype=bool), np.zeros((self._m, len(self._A)))
+        for uav, gain in (uncontrolled or {}).items():
+            lost[state.uav_slice(uav)], self._gone[state.input_slice(uav)] = True, True
+            lost[state.uav_slice(uav)][state.THETA][2] = False  # its heading matters to no other state
+            self._fail_safe[state.input_slice(uav)] = gain @ self._T[: gain.shape[1]]
+        self._lost = np.flatnonzero((self._T[lost] != 0.0).any(axis=0))  # their coordinates
         # The control law alone, if every controller finds it optimal; else the whole plans.
         self._plans: list[Array] | None = None
-        if self._law is None or with_corrections or not all(map(self._follows_law, self._controllers)):
+        alone = bool(uncontrolled) or (not with_corrections and self._law is not None)
+        if not alone or not (uncontrolled or all(map(self._follows_law, self._controllers))):
             self._plans = [self._plan_map(controller) for controller in self._controllers]
 
     def _measured_by(self, owned: Sequence[int]) -> Array:
@@ -211,33 +230,46 @@ class Loop:
         maps, law = self._plans or (), self._law if self._law is not None else np.zeros(0)
         plans = [len(found) for found in maps]
         kept = ahead + max(age, late + 1)
-        sizes = [len(before[0]), len(self._A) - self._r, *[len(self._A)] * age, *[m] * kept, *plans]
+        guessed = [len(self._lost)] * len(self._controllers)
+        sizes = [len(before[0]), len(self._A) - self._r, *[len(self._A)] * age, *[m] * kept, *plans, *guessed]
         blocks = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
         motion, known_inputs, past = blocks[0], blocks[1], blocks[2 : 2 + age]
-        commands, announced = blocks[2 + age : 2 + age + kept], blocks[2 + age + kept :]
+        rest = 2 + age + kept
+        commands, announced, guesses = (
+            blocks[2 + age : rest],
+            blocks[rest : rest + len(plans)],
+            blocks[rest + len(plans) :],
+        )
         now = np.vstack([motion[: self._r], known_inputs])
         issued, planned = np.empty((m, now.shape[1])), []
         shared = self._aligned(announced) if maps else None
+        issued[self._gone[:, 0]] = self._fail_safe[self._gone[:, 0]] @ now
         for agent, controller in enumerate(self._controllers):
-            x = self._estimate(agent, [now, *past], commands)
+            x, guesses[agent] = self._estimate(agent, [now, *past], commands, guesses[agent])
             if shared is None:
                 issued[controller.own] = law[controller.own] @ x
             else:
                 planned.append(maps[agent] @ np.vstack([x, commands[0], shared]))
                 issued[controller.own] = planned[-1][: len(controller.own)]
         inputs = [issued, *commands]  # newest first
-        moved = after[0] @ (before[0] @ motion + before[1] @ inputs[ahead + late + 1]) + after[1] @ inputs[ahead + late]
-        known_inputs = self._A[self._r :] @ now + self._B[self._r :] @ inputs[ahead]
-        step: Array = np.vstack([moved, known_inputs, now, *past[:-1], *inputs[:-1], *planned])
+        # In force, now and before; the fail-safe needs no time for computing.
+        acting = [np.where(self._gone, *pair) for pair in zip(inputs, inputs[ahead:], strict=False)]
+        moved = after[0] @ (before[0] @ motion + before[1] @ acting[late + 1]) + after[1] @ acting[late]
+        known_inputs = self._A[self._r :] @ now + self._B[self._r :] @ acting[0]
+        step: Array = np.vstack([moved, known_inputs, now, *past[:-1], *inputs[:-1], *planned, *guesses])
         return step
 
-    def _estimate(self, agent: int, known: Sequence[Array], commands: Sequence[Array]) -> Array:
-        """Return an agent's estimate of the state that its plan begins with.
+    def _estimate(
+        self, agent: int, known: Sequence[Array], commands: Sequence[Array], guess: Array
+    ) -> tuple[Array, Array]:
+        """Return an agent's estimate of the state that its plan begins with, and that of the UAVs without agents later.
 
-        Given are the states of now and before, and the commands of before, newest first.
+        Given are the states of now and before, and the commands of before, newest first, and what the agent assumes of
+        the UAVs without agents at the oldest of these instants; it is returned for the instant after that.
         """
         own, age, ahead = self._controllers[agent].own, self._age, int(self._next_tick)
-        x, offset = known[age], np.zeros(0)
+        x, offset = known[age].copy(), np.zeros(0)
+        x[self._lost] = guess
         for step in range(age + ahead):
             u = commands[age + ahead - 1 - step]
             if step > ahead and self._law is not None:
@@ -245,10 +277,13 @@ class Loop:
                 u = np.where(np.isin(np.arange(self._m), own)[:, None], u, self._law @ x + offset)
             elif step == ahead and self._law is not None:
                 offset = u - self._law @ x
+            u = np.where(self._gone, self._fail_safe @ x, u)
             x = self._A @ x + self._B @ u
             if step < age:
                 x = x + self._measured[agent] @ (known[age - 1 - step] - x)
-        return x
+            if step == 0:
+                guess = x[self._lost]
+        return x, guess
 
     def _aligned(self, announced: Sequence[Array]) -> Array:
         """Return announced inputs and corrections of the team, one step on, as the controllers take them."""
@@ -269,6 +304,13 @@ class Loop:
         except ParameterError:
             return math.inf
         return math.log(float(np.abs(np.linalg.eigvals(step)).max())) / self.period_s
+
+    def settling_s(self, plant: Mismatch) -> float | None:
+        """Return the time in which the slowest deviation decays by e, headings of UAVs apart; None if one does not."""
+        eigenvalues = np.linalg.eigvals(self.matrix(plant))
+        others = eigenvalues[np.argsort(np.abs(eigenvalues - 1.0))[self._system.N :]]
+        decay = -math.log(float(np.abs(others).max())) / self.period_s
+        return 1.0 / decay if decay > _DECAY else None
 
 
 def _held(F: Array, G: Array, duration_s: float) -> tuple[Array, Array]:

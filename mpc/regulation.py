@@ -225,7 +225,10 @@ class Regulation:
         )  # fmt: skip
         if self._track is not None:
             track, own = self._track, self._uncontrolled
-            fixed = {uav: (self._fail_safe.inputs(uav, np.zeros(len(track.X[0]))), own[uav]) for uav in own}
+            fail_safe = self._fail_safe
+            fixed = {
+                uav: (np.array([fail_safe.inputs(uav, x, k) for k, x in enumerate(track.X)]), own[uav]) for uav in own
+            }
             self._tracker = self._shared(
                 "tracker",
                 lambda: tracker(self._model, track, found, self.cost, self.user_costs, period_s, fixed),

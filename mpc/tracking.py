@@ -68,8 +68,8 @@ def tracker(
         cost: Q on the outputs, R on all inputs.
         terms: The user's terms.
         period_s: Sampling period, s.
-        uncontrolled: Inputs at zero state, (4,), and feedback from its own state, (4, 12), of each UAV without an
-            agent, by its 0-based number.
+        uncontrolled: Inputs on the reference, (L, 4), and feedback from the state, (4, n), of each UAV without an agent,
+            by its 0-based number.
     Source: docs/equations.md (75)-(77).
     """
     moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
@@ -83,10 +83,9 @@ def tracker(
     for k in range(last, -1, -1):
         x, u = track.X[k], track.U[k].copy()
         fixed = np.zeros((m, n))
-        for uav, (at_zero, own) in (uncontrolled or {}).items():
-            block = state.uav_slice(uav)
-            fixed[state.input_slice(uav), block] = own
-            u[state.input_slice(uav)] = at_zero + own @ x[block]
+        for uav, (on_reference, feedback) in (uncontrolled or {}).items():
+            fixed[state.input_slice(uav)] = feedback
+            u[state.input_slice(uav)] = on_reference[k]
         across = _across(x)
         discrete = zero_order_hold(model.linearise(track.X_middle[k], track.U[k]), period_s)
         at = model.linearise(x, track.U[k])

@@ -7,6 +7,7 @@ from model.hover import hover
 from model.linearisation import Model
 from model.parameters import System, table_1
 from mpc.controller import Controller
+from mpc.fail_safe import FailSafe
 from mpc.margins import FARTHEST, GROWTH, Loop, Mismatch, margins
 from mpc.settings import ControllerSettings, Limits, Weights
 
@@ -15,6 +16,8 @@ RATES = System(payload=SYSTEM.payload, uavs=SYSTEM.uavs, rate_gains=[25.0, 25.0,
 SHARED = ControllerSettings(prediction="closed_loop", terminal="riccati")
 # Rounding of eigenvalues of modes that come in equal pairs: the square root of that of the matrix.
 ROUNDING = 1e-6
+# With a fail-safe that follows, deviations decay by e within some periods of the rods' pendulum, 5 s.
+SETTLING_S = 10.0
 
 
 def _loop(
@@ -96,3 +99,28 @@ def test_plans_of_the_paper_are_states_of_the_loop() -> None:
     whole = _loop(SHARED.model_copy(update={"horizon": 6, "relaxation": 0.5}), whole=True)
     # The announced corrections decay, so the loop without them has the same slowest modes.
     assert whole.growth(Mismatch(lag_s=0.02)) == pytest.approx(_loop().growth(Mismatch(lag_s=0.02)), abs=1e-6)
+
+
+@pytest.mark.parametrize("next_tick", [False, True])
+@pytest.mark.parametrize("follows", [False, True])
+@pytest.mark.parametrize("gone", [(1,), (0, 2), (0, 1, 3)])
+def test_the_team_that_is_left_is_its_regulator(gone: tuple[int, ...], follows: bool, next_tick: bool) -> None:
+    """The step has the eigenvalues of the regulator for that team, which settle if the fail-safe follows.
+
+    The other eigenvalues are those of the estimates of UAVs that no agent measures. Two UAVs that only keep level swing
+    against each other undamped, docs/equations.md (45).
+    """
+    model, at_rest = Model(SYSTEM), hover(SYSTEM)
+    settings = SHARED.model_copy(update={"fail_safe": "follow" if follows else "level"})
+    fail_safe = FailSafe(SYSTEM, at_rest.u, at_rest.x[None] if follows else None)
+    team = [Controller(model, at_rest, settings, (uav,)) for uav in range(SYSTEM.N) if uav not in gone]
+    for controller in team:
+        controller.without(gone)
+    regulator = team[0].regulation.regulator
+    assert regulator is not None
+    loop = Loop(team, next_tick=next_tick, age=2, uncontrolled={uav: fail_safe.gain(uav) for uav in gone})
+    found = np.linalg.eigvals(loop.matrix(Mismatch()))
+    assert np.abs(found[:, None] - np.linalg.eigvals(regulator.A_closed)[None]).min(axis=0).max() < ROUNDING
+    settling_s = loop.settling_s(Mismatch())
+    assert (settling_s is not None) == (follows or len(gone) == 1)
+    assert settling_s is None or not follows or settling_s < SETTLING_S

@@ -7,6 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 import transport
+from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.main import app
 
 # Gusts and a diagonal leg: the symmetric maneuver of the paper hardly excites the modes that diverge first.
@@ -44,3 +45,26 @@ def test_the_command_prints_ranges_and_draws_them(tmp_path: Path) -> None:
     found = json.loads(printed.stdout)["margins"]
     assert found["next_tick"]["lag_s"]["upper"] < found["immediate"]["lag_s"]["upper"]
     assert figure.stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_a_team_without_two_agents() -> None:
+    """It holds the payload if the fail-safe follows; UAVs that keep level swing undamped, and the command says so."""
+    assert transport.margins("resilient", without=[1, 2]).data["settling_s"]["next_tick"] < 10.0
+    level = ["margins", "resilient", "--without", "1,2", "--set", "controller.fail_safe=level"]
+    assert "immediate: not holdable" in CliRunner().invoke(app, level).output
+
+
+@pytest.mark.parametrize(
+    ("scenario", "gone", "code", "reason"),
+    [
+        ("resilient", "1,5", EXIT_SCENARIO, "some of"),
+        ("paper", "1", EXIT_SCENARIO, "closed_loop"),
+        ("paper", "x", EXIT_USAGE, "1,2"),
+    ],
+)
+def test_agents_that_cannot_be_gone(scenario: str, gone: str, code: int, reason: str) -> None:
+    """They are refused before the analysis."""
+    refused = CliRunner().invoke(app, ["margins", scenario, "--without", gone])
+    assert refused.exit_code == code
+    assert reason in refused.output

@@ -1,5 +1,6 @@
 """Margins of a scenario: how far the plant may differ from the controllers' model."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any, Unpack
@@ -40,6 +41,8 @@ class Margins:
 def margins(
     scenario: "str | PathLike[str] | Scenario" = "resilient",
     settings: Settings | None = None,
+    *,
+    without: Collection[int] = (),
     **short: Unpack[ShortSettings],
 ) -> Margins:
     """Return how far the plant may differ from the controllers' model before the hover becomes unstable.
@@ -51,8 +54,10 @@ def margins(
     >>> round(1e3 * lag_s["upper"])
     71
 
-    Args: as those of `fly`.
+    Args: as those of `fly`, and
+        without: Agents that are gone for good, 1-based; their UAVs follow the fail-safe. The team that is left holds
+            the payload if all deviations decay (`settling_s`).
     Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
     """
     chosen = Scenario(scenario, settings, **short)
-    return Margins(hover_margins(Setup.of(chosen.validated, str(chosen.file))))
+    return Margins(hover_margins(Setup.of(chosen.validated, str(chosen.file)), without))

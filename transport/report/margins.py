@@ -1,7 +1,7 @@
 """Margins of a scenario's hover: how far the plant may differ from the controllers' model; table and figure."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -34,49 +34,72 @@ class HoverMargins:
 
     Attributes:
         scenario: Its name.
+        without: Agents that are gone, 1-based, whose UAVs follow the fail-safe.
+        settling_s: Time in which the slowest deviation decays by e with the plant as known; None if one does not: the
+            team does not hold the payload.
         growth: Growth rate of the fastest growing mode with the plant as known, 1/s.
         margins: Of each property of `mpc.margins.Mismatch`, none where the hover is unstable as known.
     """
 
     scenario: str
+    without: tuple[int, ...]
+    settling_s: dict[str, float | None]
     growth: dict[str, float]
     margins: dict[str, dict[str, Margin]]
 
     def tree(self) -> dict[str, object]:
         """Return the result as plain values; None stands for beyond the searched range."""
         plain = asdict(self)
-        return {"scenario": self.scenario, "growth_per_s": self.growth, "margins": plain["margins"]}
+        plain["growth_per_s"] = plain.pop("growth")
+        return plain
 
 
-def hover_margins(setup: Setup) -> HoverMargins:
-    """Return the margins of a scenario about hover, with the fixed delay of its links.
+def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
+    """Return the margins of a scenario about hover, with the fixed delay of its links, some agents, 1-based, gone.
 
     Agents know each other's state one sampling period late, or as late as `links.delay_s`. Limits, constraints, packet
     loss and the disturbance estimate are not part of the analysis.
 
-    Raises: ScenarioError: the controller is a class of the user.
+    Raises: ScenarioError: the controller is a class of the user, the agents that are gone are not some of several, or
+        the controllers share no control law.
     Source: docs/equations.md (58).
     """
+    absent, name = tuple(sorted(set(without))), setup.scenario.name
     if setup.scenario.agents.controller != "mpc":
         expected = "expected 'mpc', whose feedback is known, for margins"
-        raise ScenarioError(setup.scenario.name, "agents.controller", f"{expected}, got a class")
+        raise ScenarioError(name, "agents.controller", f"{expected}, got a class")
+    if absent and not set(absent) < set(setup.agents):
+        raise ScenarioError(name, "agents", f"expected some of {list(setup.agents)} gone, got {list(absent)}")
+    if absent and setup.settings.prediction != "closed_loop":
+        raise ScenarioError(name, "controller.prediction", "expected closed_loop where agents are gone, got open_loop")
+    gone = [uav for agent in absent for uav in setup.owned[agent - 1]]
     period_s = setup.settings.sampling_period_s
     age = max(1, math.ceil(setup.scenario.links.delay_s / period_s - 1e-9))
     # Several threads are slower than one with matrices of this size.
     with threadpoolctl.threadpool_limits(1):
         settings = setup.settings.model_copy(update={"linearisation": "present"})  # about hover both are the same
-        team = [Controller(setup.model, setup.hover, settings, owned) for owned in setup.owned]
-        loops = {name: Loop(team, next_tick=name == "next_tick", age=age) for name in ACTUATIONS}
-        growth = {name: loop.growth(Mismatch(lag_s=loop.known_lag_s)) for name, loop in loops.items()}
+        present = [setup.owned[agent - 1] for agent in setup.agents if agent not in absent]
+        team = [Controller(setup.model, setup.hover, settings, owned, setup.X_ref) for owned in present]
+        for controller in team if gone else ():
+            controller.without(gone)
+        uncontrolled = {uav: setup.fail_safe.gain(uav) for uav in gone}
+        loops = {
+            name: Loop(team, next_tick=name == "next_tick", age=age, uncontrolled=uncontrolled) for name in ACTUATIONS
+        }
+        known = Mismatch(lag_s=setup.settings.motor_lag_s)
         return HoverMargins(
-            scenario=setup.scenario.name,
-            growth=growth,
+            scenario=name,
+            without=absent,
+            settling_s={name: loop.settling_s(known) for name, loop in loops.items()},
+            growth={name: loop.growth(known) for name, loop in loops.items()},
             margins={name: margins(loop) for name, loop in loops.items()},
         )
 
 
 def rows(found: HoverMargins) -> Iterator[tuple[str, ...]]:
-    """Yield property and range for each actuation, as text."""
+    """Yield property and range for each actuation, as text, and first in which time deviations decay."""
+    settling = (found.settling_s[actuation] for actuation in ACTUATIONS)
+    yield ("deviations decay in", *("never" if time_s is None else f"{time_s:.2g} s" for time_s in settling))
     for name, label in LABELS.items():
         yield (label, *(_range(name, found.margins[actuation].get(name)) for actuation in ACTUATIONS))
 
@@ -94,8 +117,11 @@ def _range(name: str, margin: Margin | None) -> str:
 
 
 def notes(found: HoverMargins) -> Iterator[str]:
-    """Yield what is unstable with the plant as the controllers know it."""
+    """Yield what is unstable, or does not decay, with the plant as the controllers know it."""
     for actuation, growth in found.growth.items():
+        settling_s = found.settling_s[actuation]
+        if growth <= GROWTH and settling_s is None:
+            yield f"{actuation}: not holdable, some deviation does not decay"
         if growth > GROWTH:
             yield f"{actuation}: the hover is unstable, deviations grow by e in {1.0 / growth:.3g} s"
 
