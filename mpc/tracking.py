@@ -68,8 +68,8 @@ def tracker(
         cost: Q on the outputs, R on all inputs.
         terms: The user's terms.
         period_s: Sampling period, s.
-        uncontrolled: Inputs on the reference, (L, 4), and feedback from the state, (4, n), of each UAV without an agent,
-            by its 0-based number.
+        uncontrolled: Inputs on the reference, (L, 4), and feedback from the state, (4, n), of each UAV without an
+            agent, by its 0-based number.
     Source: docs/equations.md (75)-(77).
     """
     moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
