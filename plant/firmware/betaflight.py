@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from model.arrays import Array
 from model.parameters import Uav
@@ -98,13 +99,12 @@ class Betaflight:
             for k in range(math.ceil(_READY_S / self._step_s)):
                 t = k * self._step_s
                 channels = flying.copy()
-                if t < _LIFTS_S:
-                    channels[:, 2] = _LOW_US
-                if t < _ARMS_S:
-                    channels[:, 4] = _LOW_US
+                channels[:, [2, 4]] = np.where([t < _LIFTS_S, t < _ARMS_S], _LOW_US, channels[:, [2, 4]])
+                outputs = [process.outputs() for process in self._processes]
                 for i, process in enumerate(self._processes):
-                    process.outputs()
                     process.give(sensors[i], channels[i] if t >= _HEARS_S else ())
+        if np.min(outputs) < _IDLE:
+            raise FirmwareError(f"the firmware of UAV{np.argmin(np.min(outputs, axis=1)) + 1} does not arm")
 
     def reset(self, x: Array, u: Array) -> None:  # noqa: ARG002
         """Forget the velocity: the state may have jumped."""
@@ -114,9 +114,8 @@ class Betaflight:
         """Return thrust and moments that the rotors of the firmwares give, (N, 4), N and N m."""
         try:
             outputs = np.array([process.outputs() for process in self._processes])
-            for process, sensors, channels in zip(
-                self._processes, self._sensors(x), self._channels(command), strict=True
-            ):
+            packets = zip(self._processes, self._sensors(x).tolist(), self._channels(command).tolist(), strict=True)
+            for process, sensors, channels in packets:
                 process.give(sensors, channels)
         except FirmwareError as error:
             self.failure = self.failure or str(error)
@@ -133,19 +132,10 @@ class Betaflight:
         before = velocity if self._velocity is None else self._velocity
         self._velocity = velocity
         felt_I = (velocity - before) / self._step_s - [0.0, 0.0, self._gravity]
-        roll, pitch, yaw = uavs[:, THETA].T / 2.0
-        cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-        w, x_, y, z = (
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        )
-        q = np.array([x_, y, z]).T
-        # Rotated into the body frame by the conjugate.
-        t = -2.0 * np.cross(q, felt_I)
-        felt = felt_I + w[:, None] * t - np.cross(q, t)
-        return np.column_stack([uavs[:, OMEGA], felt * [-1.0, 1.0, 1.0], w, x_, -y, -z])
+        attitudes = Rotation.from_euler("ZYX", uavs[:, THETA][:, ::-1])
+        felt = attitudes.inv().apply(felt_I) * [-1.0, 1.0, 1.0]
+        x_y_z_w = attitudes.as_quat() * [1.0, -1.0, -1.0, 1.0]
+        return np.column_stack([uavs[:, OMEGA], felt, x_y_z_w[:, [3, 0, 1, 2]]])
 
     def _channels(self, command: Array) -> npt.NDArray[np.int64]:
         """Return the channels of the receivers for commanded thrusts and rates, (N, 16), us."""

@@ -136,42 +136,39 @@ def settings(lines: Sequence[str], step_s: float) -> bytes:
 
     Raises: FirmwareError: it cannot be started, or refuses a line.
     """
-    with tempfile.TemporaryDirectory() as name, socket.socket(socket.AF_UNIX) as listener:
+    with (
+        tempfile.TemporaryDirectory() as name,
+        socket.socket(socket.AF_UNIX) as listener,
+        socket.socket(socket.AF_UNIX) as client,
+    ):
         folder = Path(name)
         listener.bind(str(folder / "commands"))
         listener.listen()
         listener.setblocking(False)
-        with socket.socket(socket.AF_UNIX) as client:
-            client.connect(str(folder / "commands"))
-            process = Process(folder, step_s, listener)
+        client.connect(str(folder / "commands"))
+        process = Process(folder, step_s, listener)
+
+        def answer(text: str, duration_s: float) -> str:
+            """Return what the command line says within a time after a text."""
+            client.sendall(text.encode())
+            for _ in range(math.ceil(duration_s / step_s)):
+                process.outputs()
+                process.give()
             try:
-                return _configure(process, client, lines, folder, step_s)
-            finally:
-                process.end()
+                return client.recv(1 << 16, socket.MSG_DONTWAIT).decode(errors="replace")
+            except BlockingIOError:
+                return ""
 
-
-def _configure(process: Process, client: socket.socket, lines: Sequence[str], folder: Path, step_s: float) -> bytes:
-    def answer(duration_s: float) -> str:
-        """Let time pass and return what the command line says."""
-        for _ in range(math.ceil(duration_s / step_s)):
-            process.outputs()
-            process.give()
         try:
-            return client.recv(1 << 16, socket.MSG_DONTWAIT).decode(errors="replace")
-        except BlockingIOError:
-            return ""
-
-    answer(_BOOT_S)
-    client.sendall(b"#")  # without an end of line, and with nothing after it before it answers
-    answer(_ENTER_S)
-    for line in lines:
-        client.sendall(f"{line}\n".encode())
-        said = answer(_LINE_S)
-        if "###ERROR" in said:
-            raise FirmwareError(f"the firmware refuses {line!r}: {' '.join(said.split())}")
-    client.sendall(b"save\n")
-    try:
-        answer(_SAVE_S)
-    except FirmwareError:  # it restarts after saving, which ends the process
-        return (folder / "eeprom.bin").read_bytes()
-    raise FirmwareError("the firmware does not save its settings")
+            answer("", _BOOT_S)
+            answer("#", _ENTER_S)  # without an end of line, and with nothing after it before it answers
+            for line in lines:
+                if "###ERROR" in (said := answer(f"{line}\n", _LINE_S)):
+                    raise FirmwareError(f"the firmware refuses {line!r}: {' '.join(said.split())}")
+            try:
+                answer("save\n", _SAVE_S)
+            except FirmwareError:  # it restarts after saving, which ends the process
+                return (folder / "eeprom.bin").read_bytes()
+            raise FirmwareError("the firmware does not save its settings")
+        finally:
+            process.end()

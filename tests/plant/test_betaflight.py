@@ -16,6 +16,7 @@ import pytest
 import transport
 from model import compiler
 from model.arrays import Array
+from model.rotations import rotation
 from model.state import OMEGA, StateView
 from plant.firmware import process
 from plant.firmware.betaflight import Betaflight
@@ -104,6 +105,21 @@ def test_hover_is_the_commanded_thrust() -> None:
         inputs = [loop.moments(k * STEP_S, command, run.initial_state()) for k in range(100)][-1]
         assert np.abs(inputs[:, 0] / command[:, 0] - 1.0).max() < 0.01
         assert np.abs(inputs[:, 1:]).max() < 0.01
+
+
+@installed
+def test_sensors_have_the_signs_of_the_firmware() -> None:
+    """At rest: gravity felt along the axes of the attitude, and the rotation of forward-left-up to north-west-up."""
+    run, to_flu = setup(), np.diag([1.0, -1.0, -1.0])
+    x = run.initial_state()
+    StateView(x).Theta[:] = [0.1, -0.3, 0.7]
+    (sensors, *_) = Betaflight(run, STEP_S)._sensors(x)
+    R_IB = rotation(np.array([0.1, -0.3, 0.7]))
+    felt_flu = to_flu @ R_IB.T @ [0.0, 0.0, -run.system.gravity]
+    assert sensors[3:6] == pytest.approx(-felt_flu)
+    w, *q = sensors[6:]
+    cross = np.array([[0.0, -q[2], q[1]], [q[2], 0.0, -q[0]], [-q[1], q[0], 0.0]])
+    assert np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross == pytest.approx(to_flu @ R_IB @ to_flu)
 
 
 @installed
