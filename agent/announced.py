@@ -6,6 +6,7 @@ from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from model.arrays import Array
 from model.state import input_indices
@@ -47,6 +48,8 @@ class AnnouncedInputs:
         law: Shared control law, followed after the first step of a plan.
         past: State estimates, to evaluate that law at the first step of a plan.
         limits: Bounds of the actuators, applied to that law.
+        carried: Whether the difference of a plan's first step from that law holds for later steps. It does not where
+            the error of the sender's estimate, which differs from tick to tick, is most of it.
 
     Attributes:
         off_roster: Agents that make no more plans.
@@ -65,11 +68,13 @@ class AnnouncedInputs:
         law: Law = lambda _tick, _x: None,
         past: Past = lambda _tick: None,
         settings: ControllerSettings | None = None,
+        *,
+        carried: bool = True,
     ) -> None:
         self.off_roster: set[int] = set()
         self.law_since = 0
         self.failed_since = 0
-        self._law, self._past = law, past
+        self._law, self._past, self._carried = law, past, carried
         uavs = sum(map(len, owned))
         self._bounds = None if settings is None else (settings.lower(uavs), settings.upper(uavs))
         self._alignment, self._own = alignment, own
@@ -159,6 +164,21 @@ class AnnouncedInputs:
                 c[: len(entries), columns] = entries
         return c
 
+    def unannounced(self, tick: int, before: int) -> npt.NDArray[np.bool_]:
+        """Return which of the inputs that `at` returns no plan says: by the law, and by the fail-safe, (2, 4 N).
+
+        The first step of a plan was applied as announced, and so were all those of an agent off the roster.
+        """
+        found = np.zeros((2, len(self._u_hover)), dtype=bool)
+        by_law, by_fail_safe = found
+        for agent, columns in self._columns.items():
+            plan = next((p for p in reversed(self._plans[agent]) if p.tick < before and p.start_tick <= tick), None)
+            if agent in self.off_roster:
+                by_fail_safe[columns] = plan is not None and tick - plan.start_tick >= len(plan.inputs)
+            elif agent != self._own:
+                by_law[columns] = plan is None or plan.start_tick < tick
+        return found
+
     def at(self, tick: int, before: int, x: Array | None = None) -> Array:
         """Return the inputs assumed in force over [t_k, t_{k+1}): from each agent's newest plan that had started.
 
@@ -211,7 +231,7 @@ class AnnouncedInputs:
         u, columns, step = u.copy(), self._columns[plan.agent], tick - plan.start_tick
         if step < len(plan.corrections):
             u[columns] += plan.corrections[step]
-        began = self._past(plan.start_tick)
+        began = self._past(plan.start_tick) if self._carried else None
         then = None if began is None else self._law(plan.start_tick, began)
         if then is not None:
             # Differences in the sender's knowledge, such as external forces, show at the first step.

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from agent.estimator import STEPS
 from agent.sharing import Sharing
 from agent.team_estimate import Known, TeamEstimate
-from model import motors, state
+from model import motors
 from model.arrays import Array, ShapeError
 from model.discretisation import Discrete
 from model.state import input_indices
@@ -36,7 +36,7 @@ class Step:
 
     Attributes:
         known: What the problem was formed from.
-        uav_states: Estimated states of the owned UAVs, (owned, 12).
+        uav_states: Estimated states of the owned UAVs, (owned, 12); with vehicle sensors what they reported.
         start: First tick the plan is for.
         discrete: None if out-of-range states have no discrete model.
         negotiation: Exchanges of plans still to come.
@@ -120,7 +120,7 @@ class Planner:
         watch.append(self._stopwatch())
         step = Step(
             known=known,
-            uav_states=state.StateView(x[: setup.system.n]).uavs[list(self._owned)],
+            uav_states=team.reported(k, x),
             start=start,
             y_ref=setup.Y_ref[start : start + steps + 1],
             U=U,

@@ -8,6 +8,7 @@ import numpy as np
 from agent.announced import AnnouncedInputs
 from agent.disturbance import DisturbanceEstimator
 from agent.estimator import WINDOW, StateEstimator
+from agent.kalman import KalmanFilter
 from model import state
 from model.arrays import Array
 from model.failure import motor_off_state, released_state
@@ -56,12 +57,14 @@ class TeamEstimate:
         setup, section = self._setup, self._setup.scenario.controller
         period_s = setup.settings.sampling_period_s
         self._disturbance: DisturbanceEstimator | None = None
-        if section.disturbance.estimate:
+        self._filtered: Array | None = None  # forces that the Kalman filter has estimated by the last tick
+        if section.disturbance.estimate and section.estimator == "measured":
             self._disturbance = DisturbanceEstimator(
                 setup.model, setup.hover, self._owned, period_s, section.disturbance.time_constant_s
             )
+        self._kalman = KalmanFilter(setup, self._feedback) if section.estimator == "kalman" else None
         self.estimator = StateEstimator(
-            setup.model, self._reference, period_s, self._disturbance, setup.settings.motor_lag_s
+            setup.model, self._reference, period_s, self._disturbance, setup.settings.motor_lag_s, self._kalman
         )
         self.announced = AnnouncedInputs(
             setup.owned,
@@ -72,6 +75,7 @@ class TeamEstimate:
             law=self._law_inputs,
             past=self.estimator.known,
             settings=setup.settings,
+            carried=self._kalman is None,
         )
         self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()  # UAVs off, and released
         # Start, prediction and own inputs of the last step.
@@ -82,7 +86,7 @@ class TeamEstimate:
     @property
     def forces(self) -> Array | None:
         """Estimated external forces, (3 + 3 N,), inertial frame, N; None where they are not estimated."""
-        return None if self._disturbance is None else self._disturbance.forces
+        return self._filtered if self._disturbance is None else self._disturbance.forces
 
     def update(self, known: Known) -> Array:
         """Take in what is known at a tick and return the estimated state, (n,); with motor lag (n + m,)."""
@@ -94,9 +98,20 @@ class TeamEstimate:
         for measurement in known.measurements:
             self.estimator.measure(measurement)
         x = self.estimator.estimate(k, self.announced)
+        if self._kalman is not None and self.estimator.belief is not None:
+            self._filtered = self._kalman.forces(self.estimator.belief)
         if self._setup.scenario.controller.received_states == "as_received":
             x = self._with_states_as_received(x, k)
         return x
+
+    def reported(self, k: int, x: Array) -> Array:
+        """Return what a plan of tick k says of the own UAVs: their states, (owned, 12), in an estimate, (n,).
+
+        With vehicle sensors it says the measurements and inputs of the last ticks instead, (owned, 80).
+        """
+        if self._kalman is None:
+            return state.StateView(x[: self._setup.system.n]).uavs[list(self._owned)]
+        return self.estimator.reports(k, self._owned)
 
     def inputs_until(self, k: int) -> Array:
         """Return the inputs in force until a tick: own ones as the actuators report them, the others as announced."""
@@ -174,6 +189,10 @@ class TeamEstimate:
             if len(self._law_cache) > 2 * WINDOW:
                 del self._law_cache[min(self._law_cache)]
         return cached[3]
+
+    def _feedback(self, tick: int) -> Array:
+        """Return the gain of the shared control law at a tick, (m, n); with motor lag (m, n + m)."""
+        return self._controller.regulation.gain(tick)
 
     def _reference(self, tick: int) -> Array:
         """Return the reference state at a tick, (n,); with motor lag (n + m,), the actual inputs those of hover."""

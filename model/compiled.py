@@ -22,7 +22,7 @@ _FLAGS = ("-Og", "-ffp-contract=off")
 # Instructions; longer functions stay interpreted, as compilation time grows more than linearly.
 _MAX_LENGTH = 80_000
 
-_FUNCTIONS = ("derivative", "tensions", "velocities", "outputs", "linearise", "step")
+_FUNCTIONS = ("derivative", "tensions", "velocities", "outputs", "linearise", "step", "sense")
 
 # Coefficients of the Dormand-Prince 5(4) pair (J. Comput. Appl. Math. 6, 1980): stages, 5th order, 4th order.
 _DP_STAGES: tuple[tuple[float, ...], ...] = (
@@ -99,6 +99,8 @@ def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
     linearise   (x, u, p, F) -> x', y, and, sparse and transposed, the parts of `model.linearisation.Linearisation`
     step        (x, u, p, F, h) -> x after h seconds of constant u and F by one Dormand-Prince step and projection
                 of the rods, and the local error estimate before projection
+    sense       (x, u, p, F) -> measurements y of the UAVs' own sensors, and their derivatives in parts, those by
+                (x, F) with the payload's acceleration held, sparse, by that acceleration, and its own by (x, F)
     """
     compiled = _compiled(N, rates)
     if len(compiled) == len(_FUNCTIONS):
@@ -162,7 +164,18 @@ def _build(N: int, rates: bool) -> dict[str, ca.Function]:
         "outputs": ca.Function("outputs", [s.x, s.p], [y]),
         "linearise": _linearise(s, motion, y),
         "step": _step(s, f),
+        "sense": _sense(s, motion),
     }
+
+
+def _sense(s: Symbols, motion: dynamics.Motion) -> ca.Function:
+    """Return the measurements, and as in `_linearise` their derivatives with a held, by a, and those of a."""
+    a, wrt = ca.SX.sym("a", 6), ca.vertcat(s.x, s.F)
+    given = dynamics.motion(s, a)
+    y = dynamics.sensed(s, given.tensions)
+    by_acceleration = dynamics.solve_positive_definite(motion.mass, ca.jacobian(given.unbalanced, wrt))
+    found = ca.substitute([y, ca.jacobian(y, wrt), ca.jacobian(y, a), by_acceleration], [a], [motion.acceleration])
+    return ca.Function("sense", [s.x, s.u, s.p, s.F], [ca.densify(found[0]), found[1], *map(ca.densify, found[2:])])
 
 
 def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:

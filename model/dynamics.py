@@ -178,6 +178,23 @@ def outputs(symbols: Symbols) -> ca.SX:
     return ca.vertcat(*uav_positions(symbols), x[state.THETA0], *yaw_rates, *payload)
 
 
+def sensed(symbols: Symbols, tensions: ca.SX) -> ca.SX:
+    """Return what the UAVs' own sensors measure under given tensions, (15 N,), in the layout of `model.state`.
+
+    Source: docs/equations.md (61).
+    """
+    x, velocity, found = symbols.x, velocities(symbols), []
+    R0 = rotation(x[state.THETA0])
+    for i, position in enumerate(uav_positions(symbols)):
+        block, m = x[state.uav_slice(i)], symbols.uav(i)[0]
+        pull = R0 @ block[state.E] * tensions[i] + symbols.force(i + 1)
+        lift = ca.vertcat(0.0, 0.0, symbols.u[state.INPUTS * i])
+        force = (rotation(block[state.THETA]).T @ pull - lift) / m
+        found += [position, velocity[i + 1, :].T, block[state.THETA], block[state.OMEGA], force]
+    measured: ca.SX = ca.vertcat(*found)
+    return measured
+
+
 def project(x: ca.SX, N: int) -> ca.SX:
     """Return the state with the rods projected back onto |e_i| = 1 and e_i . Omega_i = 0."""
     parts = [x[: state.PAYLOAD]]

@@ -72,7 +72,7 @@ class Model:
     """
 
     def __init__(self, system: System, off: Collection[int] = (), released: Collection[int] = ()) -> None:
-        self.system = system
+        self.system, self.released = system, frozenset(released)
         self._off = input_indices(sorted(off))
         self._unforced = np.array([3 + 3 * uav + axis for uav in sorted(released) for axis in range(3)], dtype=np.intp)
         self._p = system.vector()
@@ -80,6 +80,8 @@ class Model:
         self._derivative, self._tensions = Compiled(found["derivative"]), Compiled(found["tensions"])
         self._velocities, self._outputs = Compiled(found["velocities"]), Compiled(found["outputs"])
         self._linearise, self._integrator = Compiled(found["linearise"]), Integrator(found["step"])
+        self._sense, held = Compiled(found["sense"]), found["sense"].sparsity_out(1)
+        self._sensed = np.array(held.row()), np.array(held.get_triplet()[1])
         self._pattern = _pattern(found["linearise"])
         self._without_effect = np.concatenate([self._pattern.columns(name, self._off) for name in ("U", "V_u")])
         self._no_forces = np.zeros(3 + 3 * system.N)
@@ -107,6 +109,17 @@ class Model:
     def velocities(self, x: Array) -> Array:
         """Return the velocities of the centres of mass, (1 + N, 3), inertial frame, m/s. Source: equations.md (39)."""
         return self._velocities(x, self._p)[0]
+
+    def sense(self, x: Array, u: Array, *, forces: Array | None = None) -> tuple[Array, Array]:
+        """Return the measurements of the UAVs' own sensors, (15 N,), SI, and their derivatives by (x, F).
+
+        Returns: y in the layout of `model.state`, and dy/d(x, F), (15 N, n + 3 + 3 N).
+        Source: docs/equations.md (61).
+        """
+        y, values, by_acceleration, acceleration = self._sense(x, self._effective(u), self._p, self._acting(forces))
+        slopes: Array = by_acceleration @ acceleration
+        slopes[self._sensed] += values
+        return y, slopes
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
         """Return exact derivatives about (x, u) under constant forces.

@@ -31,6 +31,14 @@ ROD_RATE = slice(3, 6)  # Omega_i, absolute angular velocity of the rod, payload
 THETA = slice(6, 9)  # UAV attitude, rad
 OMEGA = slice(9, 12)  # UAV angular velocity, UAV body frame, rad/s
 
+# Measurements of one UAV's own sensors; the attitude and its rate are where a UAV's block has them.
+SENSED = 15
+POSITION = slice(0, 3)  # inertial frame, m
+VELOCITY = slice(3, 6)  # inertial frame, m/s
+SPECIFIC_FORCE = slice(12, 15)  # acceleration minus gravity, UAV body frame, m/s^2
+# In a plan, of each of the last ticks, the newest first: 1 if it is known, else 0; measurements; inputs until then.
+REPORTED, REPORTS = 1 + SENSED + INPUTS, 4
+
 # Largest plausible state, input or correction, SI; results computed from such numbers stay far below the float64 range.
 LARGEST = 1e6
 

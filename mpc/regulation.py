@@ -180,6 +180,17 @@ class Regulation:
         law = self.law(x, x_ref[None], _NO_CORRECTIONS, forces, instant)
         return None if law is None else law.uncorrected[0]
 
+    def gain(self, instant: int) -> Array:
+        """Return the derivative of `inputs` at an instant by the state, (m, n), with motor lag (m, n + m).
+
+        Raises: FeedbackError: there is no shared control law.
+        """
+        if self.regulator is None:
+            raise FeedbackError("expected a shared control law, got open-loop prediction")
+        if self._tracker is not None:
+            return np.asarray(self._tracker.K[_clamped(instant, 1, len(self._tracker.K))][0])
+        return self.regulator.K
+
     def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
         """Return the cost after the horizon; None if it is a multiple of the stage cost, or part of the law's weights.
 

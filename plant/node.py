@@ -19,6 +19,7 @@ from plant.environment import Environment
 from plant.inner_loop import INNER_STEP_S, inner_loop
 from plant.motors import Motors
 from plant.schedule import MOTOR_OFF, ActuatorSchedule
+from plant.sensors import Sensors
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
 from protocol.admission.plausibility import check_tick
@@ -78,6 +79,8 @@ class PlantNode:
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._x: Array = setup.initial_state()
         self._u: Array = setup.hover.u.copy()  # in force until now
+        self._sensors = Sensors(setup) if setup.sensors.vehicle else None
+        self._acted: tuple[Array, Array | None] = self._u, None  # actual inputs and forces until now
         self._restart_inner_loop()
         self._state_tick = 0  # self._x is the state at this tick
         self._measured_tick = -1
@@ -172,8 +175,10 @@ class PlantNode:
         tick = self._pending.popleft()
         self._measured_tick = tick.tick
         self._fail_uavs(tick.tick)
+        if self._sensors is not None:
+            self._sensors.observe(self.environment.model, self._x, *self._acted)
         u = self._u.reshape(-1, state.INPUTS)
-        measured = {a: self.environment.measured(tick.tick, a, self._x) for a in self._membership.agents}
+        measured = {a: self._measured(tick.tick, a) for a in sorted(self._membership.agents)}
         return [
             self._out.stamp(
                 Measurement,
@@ -182,14 +187,22 @@ class PlantNode:
                 answered=tick.answered,
                 shared=tick.shared,
                 roster=tick.roster,
-                payload=measured[agent][: state.PAYLOAD],
+                payload=measured[agent][0],
                 uavs=tuple(i + 1 for i in owned),
-                uav_states=state.StateView(measured[agent]).uavs[list(owned)],
+                uav_states=measured[agent][1],
                 inputs=u[list(owned)],
             )
             for agent, owned in enumerate(self._setup.owned, start=1)
             if agent in measured
         ]
+
+    def _measured(self, tick: int, agent: int) -> tuple[Array, Array]:
+        """Return what an agent's sensors measure: of the payload, (12,) or (0,), and its UAVs, (owned, 12 or 15)."""
+        owned = self._setup.owned[agent - 1]
+        if self._sensors is not None:
+            return np.zeros(0), self._sensors.measured(tick, owned)
+        x = self.environment.measured(tick, agent, self._x)
+        return x[: state.PAYLOAD], state.StateView(x).uavs[list(owned)]
 
     def _fail_uavs(self, tick: int) -> None:
         """Apply the scenario's failures of UAVs due at a tick, before it is measured."""
@@ -233,6 +246,7 @@ class PlantNode:
             for actual, duration_s, _ in self._motors.inputs(command, part_s, self.steps):
                 end, local_error = self.engine.advance(actual, forces, duration_s)
                 error, mean = max(local_error, error), mean + duration_s / self._period_s * actual
+                self._acted = actual, forces
         inner_failure = "" if self._inner_loop is None else self._inner_loop.failure
         reason = self.engine.failure or inner_failure or self._divergence(k + 1, end)
         self._diverged = bool(reason)

@@ -40,9 +40,10 @@ def check_plausible(message: Message, run: RunShape) -> None:
             _check_agents("answered", message.answered, run)
             _check_agents("shared", message.shared, run)
             _check_size("payload", message.payload)
-            _check_states(message.uav_states)
+            _check_states(message.uav_states, run, state.SENSED)
             _check_size("inputs", message.inputs)
-            _check_level(message.payload[None, state.THETA0])
+            if not run.vehicle_sensors:
+                _check_level(message.payload[None, state.THETA0])
             _check_level(message.uav_states[:, state.THETA])
         case Tick():
             _check_agents("members", message.members, run)
@@ -73,7 +74,7 @@ def _check_plan(plan: Plan, run: RunShape) -> None:
     low, high = run.limits[plan.agent]
     if np.count_nonzero(plan.inputs < low) or np.count_nonzero(plan.inputs > high):
         raise MessageError("outside_limits", f"inputs outside the limits of {plan.sender}")
-    _check_states(plan.uav_states)
+    _check_states(plan.uav_states, run, state.REPORTS * state.REPORTED)
     _check_size("corrections", plan.corrections)
 
 
@@ -98,9 +99,14 @@ def _check_agents(field: str, agents: Collection[int], run: RunShape) -> None:
         raise MessageError("unknown_agent", f"{field}: expected agents of this run, got {strangers}")
 
 
-def _check_states(blocks: Array) -> None:
-    """Refuse impossible states of UAVs, (owned, 12)."""
+def _check_states(blocks: Array, run: RunShape, sensed: int) -> None:
+    """Refuse impossible states of UAVs, (owned, 12), or numbers of their sensors, (owned, sensed), as the run has."""
     _check_size("uav_states", blocks)
+    expected = sensed if run.vehicle_sensors else state.PER_UAV
+    if blocks.shape[1] != expected:
+        raise MessageError("wrong_shape", f"uav_states: expected {expected} numbers of a UAV, got {blocks.shape[1]}")
+    if run.vehicle_sensors:
+        return
     lengths = [math.hypot(*e) for e in blocks[:, state.E].tolist()]
     if any(abs(length - 1.0) > _OFF_UNIT for length in lengths):
         raise MessageError("out_of_range", f"uav_states: expected rod directions of length 1, got {max(lengths):g}")

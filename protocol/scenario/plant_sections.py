@@ -70,13 +70,46 @@ class WindSection(Section):
     """drag force on each UAV per relative speed of the air"""
 
 
+class BiasSection(Section):
+    """Constant errors of each vehicle's sensors, with `plant.sensors` vehicle: standard deviations of their draws."""
+
+    position_m: Annotated[NotNegative, Key(within=_NOISE)] = 0.0
+    """standard deviation of the bias of positions"""
+    velocity_mps: NotNegative = 0.0
+    """standard deviation of the bias of velocities"""
+    attitude_rad: NotNegative = 0.0
+    """standard deviation of the bias of attitudes"""
+    rate_rads: NotNegative = 0.0
+    """standard deviation of the bias of body rates"""
+    specific_force_mps2: NotNegative = 0.0
+    """standard deviation of the bias of specific forces"""
+
+
+class DelaySection(Section):
+    """Ages of a vehicle's measurements, with `plant.sensors` vehicle, rounded to whole sampling periods."""
+
+    position_s: Annotated[float, Interval(ge=0.0, le=1.0), Key(label="delay of positions", shown="ms")] = 0.0
+    """age of positions"""
+    velocity_s: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.0
+    """age of velocities"""
+    attitude_s: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.0
+    """age of attitudes"""
+    rate_s: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.0
+    """age of body rates"""
+    specific_force_s: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.0
+    """age of specific forces"""
+
+
 class NoiseSection(Section):
-    """Standard deviations of the measurements."""
+    """Errors of the measurements: standard deviations of white noise, and of a vehicle's own sensors bias and delay.
+
+    Position and velocity are those of the payload; with `plant.sensors` vehicle those of each UAV.
+    """
 
     position_m: Annotated[NotNegative, Key(within=_NOISE, label="noise of payload position", shown="mm")] = 0.0
-    """noise of the payload position"""
+    """noise of the payload position; of UAV positions with `plant.sensors` vehicle"""
     velocity_mps: Annotated[NotNegative, Key(label="noise of payload velocity", shown="mm/s")] = 0.0
-    """noise of the payload velocity"""
+    """noise of the payload velocity; of UAV velocities with `plant.sensors` vehicle"""
     attitude_rad: Annotated[NotNegative, Key(label="noise of attitudes")] = 0.0
     """noise of the attitudes of payload and UAVs"""
     rate_rads: Annotated[NotNegative, Key(label="noise of angular velocities")] = 0.0
@@ -85,6 +118,10 @@ class NoiseSection(Section):
     """noise of the rod directions"""
     rod_rate_rads: NotNegative = 0.0
     """noise of the rod rates"""
+    specific_force_mps2: Annotated[NotNegative, Key(label="noise of specific forces")] = 0.0
+    """noise of the specific forces of the UAVs, with `plant.sensors` vehicle"""
+    bias: BiasSection = BiasSection()
+    delay: DelaySection = DelaySection()
 
 
 class PlantSection(Section):
@@ -118,4 +155,8 @@ class PlantSection(Section):
     for each UAV ([engines.md](engines.md#flight-firmware); needs the extra `firmware`)"""
     motors: MotorsSection = MotorsSection()
     wind: WindSection = WindSection()
+    sensors: Literal["state", "vehicle"] = "state"
+    """measurements of an agent: the states of the payload, its UAVs and their rods; or of each of its UAVs position,
+    velocity, attitude, body rates and specific force, as an autopilot has them
+    ([equations.md](equations.md#estimation-without-a-payload-sensor))"""
     noise: NoiseSection = NoiseSection()

@@ -42,6 +42,13 @@ _SHARING = {
     "negotiation_iterations": (1, "as each iteration exchanges every plan"),
 }
 
+# Keys that the Kalman filter needs.
+_FILTERING = {
+    "prediction": ("closed_loop", "which predicts the others by the shared control law"),
+    "received_states": ("predicted", "as messages hold measurements, not states"),
+    "share": ("always", "as plans carry the measurements"),
+}
+
 # Field, what was expected there, and what came.
 Problems = Iterator[tuple[str, str, object]]
 
@@ -128,6 +135,16 @@ def _controller(scenario: Scenario) -> Problems:
         for key, needed in (("share", "always"), ("negotiation_iterations", 1)):
             if (got := getattr(section, key)) != needed:
                 yield f"controller.{key}", f"{needed!r} {why}", repr(got)
+    sensors = scenario.plant.sensors
+    if sensors == "vehicle" and scenario.agents.controller != "mpc":
+        yield "plant.sensors", "'state' with a class as agents.controller, which gets states", repr(sensors)
+    if (section.estimator == "kalman") != (sensors == "vehicle"):
+        needed = "vehicle" if section.estimator == "kalman" else "state"
+        yield "plant.sensors", f"{needed!r} with controller.estimator {section.estimator!r}", repr(sensors)
+    if section.estimator == "kalman":
+        for key, (needed, why) in _FILTERING.items():
+            if (got := getattr(section, key)) != needed:
+                yield f"controller.{key}", f"{needed!r} with controller.estimator 'kalman', {why}", repr(got)
     # A lag is none, or long enough for the exponential of the discretisation.
     shortest_s = _SHORTEST_LAG * section.sampling_period_s
     motors_s = scenario.plant.motors.lag_s

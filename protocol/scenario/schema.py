@@ -205,6 +205,9 @@ class ControllerSection(ControllerSettings):
     as published; or their current input, held. On a network without delay and loss the first two are the same"""
     received_states: Literal["predicted", "as_received"] = "predicted"
     """states of the others: predicted from the time of sending to now, or as received"""
+    estimator: Literal["measured", "kalman"] = "measured"
+    """state estimate: measured states and a prediction of the others', or an error-state Kalman filter over the whole
+    team, which `plant.sensors` vehicle needs ([equations.md](equations.md#estimation-without-a-payload-sensor))"""
     negotiation_iterations: Annotated[
         int, Interval(ge=1, le=MAX_NEGOTIATION_ITERATIONS), Key(label="negotiation iterations")
     ] = 1

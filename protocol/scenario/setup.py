@@ -15,7 +15,7 @@ from model.hover import Hover, hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
 from model.parameters import Payload, System, Uav, resting_height
-from model.state import INPUTS, PAYLOAD, PER_UAV
+from model.state import INPUTS, PAYLOAD, REPORTED, REPORTS, SENSED
 from mpc.cost import UserCosts
 from mpc.fail_safe import FailSafe
 from mpc.regulation import Regulation
@@ -38,6 +38,23 @@ _ON_GROUND_M = 1e-3
 
 # Size of a message without its arrays, with the longest texts and lists it may have.
 _FRAME_BYTES = 16 * 1024
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorSheet:
+    """Data sheet of the vehicles' own sensors: position, velocity, attitude, body rates, specific force.
+
+    Attributes:
+        vehicle: Whether agents have these sensors, not states.
+        noise: Standard deviations, (5,), SI.
+        bias: Standard deviations of the constant errors, (5,), SI.
+        ages: Sampling periods from a quantity to its measurement.
+    """
+
+    vehicle: bool
+    noise: Array
+    bias: Array
+    ages: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -126,6 +143,19 @@ class Setup:
         instants = np.arange(self.ticks + self.settings.horizon + 2, dtype=np.float64)
         return self.settings.sampling_period_s * instants
 
+    @cached_property
+    def sensors(self) -> SensorSheet:
+        """Data sheet of the vehicles' own sensors, which the filters of the agents know."""
+        noise = self.scenario.plant.noise
+        bias, late, of = noise.bias, noise.delay, ("position_m", "velocity_mps", "attitude_rad", "rate_rads")
+        delays_s = (late.position_s, late.velocity_s, late.attitude_s, late.rate_s, late.specific_force_s)
+        return SensorSheet(
+            vehicle=self.scenario.plant.sensors == "vehicle",
+            noise=np.array([getattr(noise, key) for key in (*of, "specific_force_mps2")]),
+            bias=np.array([getattr(bias, key) for key in (*of, "specific_force_mps2")]),
+            ages=tuple(round(delay_s / self.settings.sampling_period_s) for delay_s in delays_s),
+        )
+
     @property
     def agents(self) -> tuple[int, ...]:
         """Return the agent ids, 1-based."""
@@ -147,7 +177,7 @@ class Setup:
         clock, settings = self.scenario.clock, self.settings
         lockstep = clock.mode == "lockstep"
         # The most numbers of a UAV in the messages of a tick: state and plan, or state and measurement.
-        per_uav = max(PER_UAV + 2 * INPUTS * self.settings.horizon, 2 * (PER_UAV + INPUTS))
+        per_uav = max(REPORTS * REPORTED + 2 * INPUTS * self.settings.horizon, 2 * (SENSED + INPUTS))
         # The largest message: plans and reports of all agents, or else one plan for all UAVs, or the plant state.
         size = _FRAME_BYTES + 8 * (PAYLOAD + self.system.N * per_uav)
         size += len(self.owned) * (2 * _FRAME_BYTES + 8 * PAYLOAD) if clock.relayed else 0
@@ -164,6 +194,7 @@ class Setup:
             window=1
             if lockstep
             else 2 * math.ceil(clock.barrier_timeout_s * clock.speed / self.settings.sampling_period_s),
+            vehicle_sensors=self.sensors.vehicle,
             relayed=clock.relayed,
             max_bytes=min(MAX_BYTES, size),
         )

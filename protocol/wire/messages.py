@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from msgspec import Meta
 
 from model.arrays import Array
-from model.state import INPUTS, PAYLOAD, PER_UAV
+from model.state import INPUTS, PAYLOAD, PER_UAV, REPORTED, REPORTS, SENSED
 from protocol.wire.message import (
     MAX_HORIZON,
     MAX_NEGOTIATION_ITERATIONS,
@@ -52,6 +52,11 @@ _ALL = (AGENT, PLANT, RECORDER, WATCHER)
 
 def _per_uav(numbers: int) -> ShapeOf:
     return lambda message: (len(message.uavs), numbers)
+
+
+def _states_or(sensed: int) -> ShapeOf:
+    """States of the message's UAVs, or that many numbers of their own sensors: a run has either."""
+    return lambda message: (len(message.uavs), sensed if message.uav_states.shape[-1:] == (sensed,) else PER_UAV)
 
 
 def _steps(message: Any) -> tuple[int | None, ...]:
@@ -135,8 +140,8 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(AGENT, RECORDER), each="agent", grows="tick")
     shapes: ClassVar[Mapping[str, ShapeOf]] = {
-        "payload": lambda _: (PAYLOAD,),
-        "uav_states": _per_uav(PER_UAV),
+        "payload": lambda message: (0 if message.uav_states.shape[-1:] == (SENSED,) else PAYLOAD,),
+        "uav_states": _states_or(SENSED),
         "inputs": _per_uav(INPUTS),
     }
 
@@ -144,9 +149,11 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
     answered: Ids  # forwarded from the tick: agents that planned at tick k - 1
     shared: Ids  # forwarded from the tick: agents whose plans of tick k - 1 to wait for
     roster: Count  # forwarded from the tick: the version of the roster in force
-    payload: Array  # states r0, v0, Theta0, omega0, (12,), SI
+    payload: Array  # states r0, v0, Theta0, omega0, (12,), SI; (0,) with `plant.sensors` vehicle
     uavs: Ids  # owned UAVs, 1-based ids, ascending
-    uav_states: Array  # their states e, Omega, Theta, omega, (owned, 12), SI
+    # Their states e, Omega, Theta, omega, (owned, 12), SI; with `plant.sensors` vehicle the measurements of their
+    # sensors, r, v, Theta, omega, specific force, (owned, 15), SI.
+    uav_states: Array
     inputs: Array  # inputs their actuators applied until now, (owned, 4), N and N m or rad/s
 
 
@@ -165,7 +172,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
         falls="negotiation",
     )
     shapes: ClassVar[Mapping[str, ShapeOf]] = {
-        "uav_states": _per_uav(PER_UAV),
+        "uav_states": _states_or(REPORTS * REPORTED),
         "inputs": _steps,
         "corrections": _steps,
     }
@@ -175,7 +182,9 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]
     shared: bool  # whether the other agents receive it: it travels under another key if not
     uavs: Ids  # owned UAVs, 1-based ids, ascending
-    uav_states: Array  # their states at `tick`, (owned, 12), SI
+    # Their states at `tick`, (owned, 12), SI; with `plant.sensors` vehicle the measurements and inputs of the last four
+    # ticks, (owned, 80), so that a lost message takes none of them (`model.state.REPORTED`).
+    uav_states: Array
     inputs: Array  # absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m or rad/s
     corrections: Array  # corrections of these inputs to the shared control law, (N_p, 4 owned); no rows without one
     status: PlanStatus  # result of the solve; anything but "solved" means the shifted previous plan

@@ -16,6 +16,7 @@ class RunShape:
     delay: int  # ticks from a plan to its first input
     negotiation_iterations: int
     window: int  # how many ticks another process may be ahead of this one, or behind it
+    vehicle_sensors: bool  # whether UAVs are told by the measurements of their own sensors, not by states
     relayed: bool  # whether plans come in bundles
     max_bytes: int  # of a message
 

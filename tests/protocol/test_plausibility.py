@@ -63,6 +63,7 @@ def test_all_messages_of_a_run_are_plausible(settings: tuple[str, ...]) -> None:
         (PLAN, {"corrections": PLAN.inputs - 2e6}, "out_of_range", "corrections: expected at most 1e+06, got 2e+06"),
         (PLAN, {"uav_states": PLAN.uav_states * 0.5}, "out_of_range", "expected rod directions of length 1, got 0.5"),
         (PLAN, {"uav_states": PLAN.uav_states + 1e7}, "out_of_range", "uav_states: expected at most 1e+06, got 1e+07"),
+        (PLAN, {"uav_states": np.zeros((1, 80))}, "wrong_shape", "uav_states: expected 12 numbers of a UAV, got 80"),
         (MEASUREMENT, {"uavs": (1,)}, "wrong_uavs", "measurement of UAVs [1], agent 2 has [2]"),
         (MEASUREMENT, {"agent": 5}, "unknown_agent", "measurement of agent 5, the run has 4"),
         (MEASUREMENT, {"answered": (2, 5, 7)}, "unknown_agent", "answered: expected agents of this run, got [5, 7]"),

@@ -121,6 +121,13 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "expected 1 with controller.share 'on_change', as each iteration exchanges every plan, got 2",
     ),
     ("controller.negotiation_iterations=21", "expected a number <= 20, got 21"),
+    # Sensors of the vehicles.
+    ("plant.sensors=vehicle", "plant.sensors: expected 'state' with controller.estimator 'measured', got 'vehicle'"),
+    (
+        ("controller.estimator=kalman", "plant.sensors=vehicle"),
+        "controller.prediction: expected 'closed_loop' with controller.estimator 'kalman', which predicts the others "
+        "by the shared control law, got 'open_loop'",
+    ),
     # Faults.
     ("faults.event=[{at_s=1,do='kill'}]", "faults.event.1.target: expected a value, got nothing"),
     ("faults.event=[{at_s=1,do='stab',target='plant'}]", "faults.event.1.do: 'release' or 'degrade', got 'stab'"),

@@ -52,6 +52,10 @@ def changed(message: M, **changes: Any) -> M:
     return msgspec.structs.replace(message, **changes)
 
 
+# Form of the states of UAVs that decides on the form of other fields, before they are there.
+STATES = {"uav_states": np.zeros((1, 12))}
+
+
 def fields(kind: type[Message]) -> dict[str, Any]:
     """Return valid fields of a message class, new objects on every call."""
     sender = kind.route.sender
@@ -61,7 +65,7 @@ def fields(kind: type[Message]) -> dict[str, Any]:
         if field not in values and field not in kind.shapes:
             values[field] = _value(_types(kind)[field], field)
     for field, shape_of in kind.shapes.items():
-        shape = tuple(ROWS if length is None else length for length in shape_of(SimpleNamespace(**values)))
+        shape = tuple(ROWS if length is None else length for length in shape_of(SimpleNamespace(**STATES | values)))
         values[field] = np.arange(float(np.prod(shape))).reshape(shape)
     return {field: values[field] for field in kind.__struct_fields__}
 
@@ -159,7 +163,7 @@ def _message(draw: DrawFn, kind: type[Message]) -> Message:
     rows = draw(st.integers(1, FEW))
     for field, shape_of in kind.shapes.items():
         none = field == "corrections" and draw(st.booleans())
-        shape = tuple((0 if none else rows) if n is None else n for n in shape_of(SimpleNamespace(**values)))
+        shape = tuple((0 if none else rows) if n is None else n for n in shape_of(SimpleNamespace(**STATES | values)))
         values[field] = draw(arrays.arrays("float64", shape, elements=_drawn(inspect.FloatType())))
     return kind(**values)
 

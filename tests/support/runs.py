@@ -35,6 +35,13 @@ SHORT = (
     "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]}]"
 )
 
+# Sensors of the vehicles alone, with the noise of a small autopilot, and the filter that needs no more.
+VEHICLE = (
+    *("plant.sensors=vehicle", "controller.estimator=kalman", "controller.prediction=closed_loop"),
+    *("plant.noise.position_m=0.01", "plant.noise.velocity_mps=0.02", "plant.noise.attitude_rad=0.0087"),
+    *("plant.noise.rate_rads=0.0175", "plant.noise.specific_force_mps2=0.3"),
+)
+
 ALL = (1, 2, 3, 4)
 INCARNATION = 1  # Of every agent: 0 is an earlier incarnation, 2 a later one.
 

@@ -115,6 +115,9 @@ def test_two_runs_are_equal(short: tuple[Path, dict[str, Any]], tmp_path: Path) 
             marks=pytest.mark.slow,
         ),
         pytest.param((ITERATIONS, "clock.speed=2.0"), id="paced negotiation"),
+        pytest.param(
+            (*runs.VEHICLE, "links.delay_s=0.1", "links.loss=0.3"), id="vehicle sensors", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_network_equals_memory(changes: tuple[str, ...], tmp_path: Path) -> None:

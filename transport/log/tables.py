@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from model.arrays import Array
-from model.state import INPUTS, PAYLOAD, PER_UAV
+from model.state import INPUTS, PAYLOAD, PER_UAV, SENSED
 from protocol.wire.messages import KINDS, STAGES, ActualInputs, Measurement, Message, Note, Plan, PlantState, StepReport
 from transport.log.run_log import RunLog
 
@@ -25,12 +25,19 @@ UAV_STATE_NAMES = (
     *("roll_rad", "pitch_rad", "yaw_rad"),
     *("omega_x_rad_s", "omega_y_rad_s", "omega_z_rad_s"),
 )
+# The sensors of a UAV: position and velocity in the inertial frame, attitude, body rates, specific force.
+SENSED_NAMES = (
+    *("r_x_m", "r_y_m", "r_z_m"),
+    *("v_x_m_s", "v_y_m_s", "v_z_m_s"),
+    *UAV_STATE_NAMES[6:],
+    *("force_x_m_s2", "force_y_m_s2", "force_z_m_s2"),
+)
 # Inputs, and commands where an inner loop follows body rates.
 INPUT_NAMES = ("thrust_N", "moment_x_Nm", "moment_y_Nm", "moment_z_Nm")
 RATE_NAMES = ("thrust_N", "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 
 # Endings of names and the units they stand for, longest first.
-_UNITS = {"_rad_s": "rad/s", "_m_s": "m/s", "_Nm": "N m", "_rad": "rad", "_N": "N", "_m": "m"}
+_UNITS = {"_m_s2": "m/s²", "_rad_s": "rad/s", "_m_s": "m/s", "_Nm": "N m", "_rad": "rad", "_N": "N", "_m": "m"}
 
 # Array fields, spread over several columns or rows.
 _SPREAD = {
@@ -77,15 +84,15 @@ def _spread(message: Message, commands: tuple[str, ...]) -> Iterator[Row]:
     """Yield the columns of the array fields: once, or once per UAV of the message."""
     match message:
         case Measurement():
-            payload = _named("payload_", PAYLOAD_NAMES, message.payload)
+            payload = _named("payload_", PAYLOAD_NAMES[: len(message.payload)], message.payload)
             for uav, states, inputs in zip(message.uavs, message.uav_states, message.inputs, strict=True):
-                yield {"uav": uav, **payload, **_named("", UAV_STATE_NAMES, states), **_named("", commands, inputs)}
+                yield {"uav": uav, **payload, **_of_uav(states), **_named("", commands, inputs)}
         case Plan():
             for i, (uav, states) in enumerate(zip(message.uavs, message.uav_states, strict=True)):
                 own = slice(INPUTS * i, INPUTS * (i + 1))
                 yield {
                     "uav": uav,
-                    **_named("", UAV_STATE_NAMES, states),
+                    **_of_uav(states),
                     **_over_horizon("", commands, message.inputs[:, own]),
                     **_over_horizon("correction_", commands, message.corrections[:, own]),
                 }
@@ -115,6 +122,15 @@ def _spread(message: Message, commands: tuple[str, ...]) -> Iterator[Row]:
                 yield {"uav": uav, **_named("", INPUT_NAMES, inputs)}
         case _:
             yield {}
+
+
+def _of_uav(values: Array) -> Row:
+    """Return the states of a UAV, or what its sensors measured at the newest tick of a message, if that is known."""
+    if len(values) == PER_UAV:
+        return _named("", UAV_STATE_NAMES, values)
+    if len(values) != SENSED:
+        values = values[1 : 1 + SENSED] if values[0] > 0.0 else values[:0]
+    return _named("", SENSED_NAMES[: len(values)], values)
 
 
 def _named(prefix: str, names: tuple[str, ...], values: Array) -> Row:

@@ -1,0 +1,242 @@
+"""Error-state Kalman filter over the whole team, from the measurements of the UAVs' own sensors.
+
+No sensor sees the payload or the rods: they follow from where all UAVs are and how they move. The error of an estimate
+lives on the manifold |e_i| = 1, e_i . Omega_i = 0, in 12 + 10 N coordinates about the estimate: a covariance in the
+coordinates of the state would keep a variance along the rods for ever, and positions would then correct their lengths.
+
+The other agents act by the shared control law from their own estimates. Where an input of theirs is not known, the
+error of the estimate acts on it through the gain of that law, and so do the errors of their own estimates.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from model import motors, state
+from model.arrays import Array
+from model.discretisation import zero_order_hold
+from model.linearisation import Model
+from protocol.scenario.setup import Setup
+
+# Gain of the shared control law at a tick, (m, n), with motor lag (m, n + m); of UAVs without agents their fail-safe's.
+Feedback = Callable[[int], Array]
+
+# Standard deviations before the first measurement, about the reference: r0, v0, Theta0, omega0; e, Omega, Theta, omega.
+_PAYLOAD = (0.3, 0.2, 0.06, 0.1)
+_UAV = (0.06, 0.1, 0.1, 0.2)
+# Those of the accelerations that the model lacks, white, m/s^2 and rad/s^2.
+_ACCELERATION = 0.01
+# Smallest standard deviations assumed of sensors, in the order of the sensors: errors of the model show in them.
+_FLOOR = (1e-3, 5e-3, 1e-3, 2e-3, 0.1)
+# A correction that turns a rod by more, rad, is repeated about its result, so many times in all: the sensors see the
+# payload through rods of metres.
+_TURN, _ITERATIONS = 0.01, 4
+# External forces on the payload, and horizontal and equal ones on the UAVs, over the body's weight: standard
+# deviations at first, and of the change over a second. A mass is known to a fifth; gusts of 1 m/s are slow.
+_FORCE = (0.03, 0.03, 0.2, 0.03, 0.03)
+_FORCE_CHANGE = (0.015, 0.015, 0.015, 0.012, 0.012)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Belief:
+    """Estimate at a tick and the covariance of its error.
+
+    Attributes:
+        x: State, (n,); with motor lag [x, a], (n + m,).
+        forces: External forces: on the payload (3), and horizontal on each UAV (2); (0,) if they are not estimated.
+        P: Covariance, (r, r), of the coordinates of the state, the actual inputs with motor lag, and the forces.
+        u: Inputs until the tick, (m,).
+        surprise: Squared innovation of the last measurements in units of its covariance, and how many they were.
+    """
+
+    x: Array
+    forces: Array
+    P: Array
+    u: Array
+    surprise: tuple[float, int] = (0.0, 0)
+
+
+class KalmanFilter:
+    """Filter of one agent; a pure function from belief to belief.
+
+    Args:
+        setup: The run.
+        feedback: Gain of the shared control law.
+    """
+
+    def __init__(self, setup: Setup, feedback: Feedback) -> None:
+        system, sheet, section = setup.system, setup.sensors, setup.scenario.controller
+        self._feedback, self._period_s = feedback, setup.settings.sampling_period_s
+        self._lag_s, self._u_hover = setup.settings.motor_lag_s, setup.hover.u
+        N = self._N = system.N
+        self.ages = sheet.ages
+        variance = np.maximum(sheet.noise, _FLOOR) ** 2 + sheet.bias**2
+        self._R = np.repeat(variance, 3)
+        self._inputs = system.m if self._lag_s > 0.0 else 0
+        masses = [system.payload.mass, min(uav.mass for uav in system.uavs)]
+        forces = 5 if section.disturbance.estimate else 0
+        weights = system.gravity * np.repeat(masses, (3, 2))[:forces]
+        self._spread = np.vstack([np.eye(3, 5), np.tile(np.eye(3, 5, k=3), (N, 1))])[:, :forces]
+        deviations = [*np.repeat(_PAYLOAD, 3), *np.tile(np.repeat(_UAV, (2, 2, 3, 3)), N), *[0.0] * self._inputs]
+        self._P0 = np.diag(np.concatenate([deviations, weights * _FORCE[:forces]]) ** 2)
+        rates = np.zeros(state.PAYLOAD + 10 * N)
+        moving = [*range(3, 6), *range(9, 12)]
+        rates[moving] = 1.0
+        rates[state.PAYLOAD :].reshape(N, 10)[:, [2, 3, 7, 8, 9]] = 1.0
+        steps = (self._period_s * _ACCELERATION) ** 2 * rates
+        walk = self._period_s * (weights * _FORCE_CHANGE[:forces]) ** 2
+        self._Q = np.concatenate([steps, np.zeros(self._inputs), walk])
+        # Places of a UAV's block in the basis.
+        first = np.arange(N)[:, None]
+        self._rows = (state.PAYLOAD + state.PER_UAV * first + np.arange(state.PER_UAV))[:, :, None]
+        self._columns = (state.PAYLOAD + 10 * first + np.arange(10))[:, None, :]
+
+    def first(self, x: Array) -> Belief:
+        """Return the belief before any measurement, about a state."""
+        return Belief(x=x, forces=np.zeros(self._spread.shape[1]), P=self._P0, u=self._u_hover)
+
+    def forces(self, belief: Belief) -> Array | None:
+        """Return the estimated external forces, (3 + 3 N,), inertial frame, N; None if they are not estimated."""
+        return self._all_forces(belief.forces)
+
+    def _all_forces(self, unknown: Array) -> Array | None:
+        return self._spread @ unknown if len(unknown) else None
+
+    def basis(self, x: Array) -> tuple[Array, Array]:
+        """Return T with dx = T xi, and L with xi = L' dx, about a state; both (n, r), with motor lag (n + m, r + m).
+
+        Source: docs/equations.md (62).
+        """
+        n, view = state.PAYLOAD + state.PER_UAV * self._N, state.StateView(x[: state.PAYLOAD + state.PER_UAV * self._N])
+        e, Omega = view.e_P, view.Omega_P
+        # Two unit vectors across each rod, by the reflection that maps e to the z axis: smooth around the hover.
+        w = e + np.where(e[:, 2:] < 0.0, -1.0, 1.0) * np.eye(3)[2]
+        across = (np.eye(3) - 2.0 * w[:, :, None] * w[:, None, :] / (w * w).sum(axis=1)[:, None, None])[:, :, :2]
+        blocks = np.zeros((self._N, state.PER_UAV, 10))
+        blocks[:, state.E, :2] = blocks[:, state.ROD_RATE, 2:4] = across
+        blocks[:, range(6, 12), range(4, 10)] = 1.0
+        L = np.zeros((n + self._inputs, state.PAYLOAD + 10 * self._N + self._inputs))
+        L[: state.PAYLOAD, : state.PAYLOAD] = np.eye(state.PAYLOAD)
+        if self._inputs:
+            L[-self._inputs :, -self._inputs :] = np.eye(self._inputs)
+        L[self._rows, self._columns] = blocks
+        blocks[:, state.ROD_RATE, :2] = -e[:, :, None] * np.einsum("ij,ijk->ik", Omega, across)[:, None, :]
+        T = L.copy()
+        T[self._rows, self._columns] = blocks
+        return T, L
+
+    def predict(
+        self,
+        belief: Belief,
+        model: Model,
+        tick: int,
+        ahead: Array,
+        u: Array,
+        by_law: npt.NDArray[np.bool_],
+        by_fail_safe: npt.NDArray[np.bool_],
+    ) -> Belief:
+        """Return the belief one tick later.
+
+        Args:
+            belief: At the tick.
+            model: Equations of motion from then on.
+            tick: The earlier tick.
+            ahead: State at the later one, as large as that of the belief.
+            u: Inputs in between, (4 N,).
+            by_law: Which of them follow the control law from estimates of their agents, (4 N,).
+            by_fail_safe: Which of them follow the fail-safe, which knows its UAV, (4 N,).
+        Source: docs/equations.md (63).
+        """
+        n = model.system.n
+        x, forces, actual = belief.x[:n], self.forces(belief), belief.x[n:] if self._inputs else u
+        linear = model.linearise(x, actual, forces=forces)
+        if self._inputs:
+            linear = motors.lagged(linear, actual, u, self._lag_s)
+        discrete = zero_order_hold(linear, self._period_s)
+        (T, _), (_, L) = self.basis(belief.x), self.basis(ahead)
+        moved, s = discrete.A @ T, T.shape[1]
+        pushed = self._pushed(model, x, actual, discrete.A) if len(belief.forces) else np.zeros((len(T), 0))
+        P, Q = belief.P, np.diag(self._Q)
+        if by_fail_safe.any() or by_law.any():
+            K, B = self._feedback(tick), discrete.B
+            closed = by_law | by_fail_safe
+            moved = moved + B[:, closed] @ (K[closed] @ T)
+            effect, K_T = L.T @ B[:, by_law], K[by_law] @ T
+            Q[:s, :s] += effect @ (K_T @ P[:s, :s] @ K_T.T) @ effect.T
+        A = np.eye(len(P))
+        A[:s, :s], A[:s, s:] = L.T @ moved, L.T @ pushed
+        P = A @ P @ A.T + Q
+        return Belief(x=ahead, forces=belief.forces, P=(P + P.T) / 2.0, u=u)
+
+    def _pushed(self, model: Model, x: Array, u: Array, A: Array) -> Array:
+        """Return the effect of the unknown forces over a period, (n, forces), to second order in it."""
+        f = model.derivative(x, u)
+        effect = np.zeros((len(A), self._spread.shape[1]))
+        effect[: len(x)] = np.column_stack([model.derivative(x, u, forces=unit) - f for unit in self._spread.T])
+        found: Array = self._period_s / 2.0 * (effect + A @ effect)
+        return found
+
+    def correct(self, belief: Belief, model: Model, sensed: Sequence[tuple[int, Sequence[int], Array]]) -> Belief:
+        """Return the belief with measurements of its tick.
+
+        Args:
+            belief: Before them.
+            model: Equations of motion.
+            sensed: UAV, 0-based, sensors of it, and measurements of all its sensors, (15,), in the layout of
+                `model.state`; those of released UAVs are ignored.
+        Source: docs/equations.md (64).
+        """
+        sensed = [entry for entry in sensed if entry[0] not in model.released]
+        if not sensed:
+            return belief
+        n = model.system.n
+        places = [(uav, 3 * sensor + axis) for uav, sensors, _ in sensed for sensor in sensors for axis in range(3)]
+        of, within = np.array([place for _, place in places]), np.array([state.SENSED * u + p for u, p in places])
+        z = np.concatenate([values[[3 * s + a for s in sensors for a in range(3)]] for _, sensors, values in sensed])
+        angles = (of >= state.THETA.start) & (of < state.THETA.stop)
+        P, R, prior, x, forces = belief.P, self._R[of], belief.x, belief.x, belief.forces
+        for _ in range(_ITERATIONS):
+            # About the newest estimate, from which the prior is `back` away.
+            y, slopes = model.sense(x[:n], x[n:] if self._inputs else belief.u, forces=self._all_forces(forces))
+            T, L = self.basis(x)
+            back = np.concatenate([L.T @ (prior - x), belief.forces - forces])
+            H = np.zeros((len(z), len(P)))
+            H[:, : T.shape[1]] = slopes[within, :n] @ T[:n]
+            H[:, T.shape[1] :] = slopes[within, n:] @ self._spread
+            error = z - y[within]
+            error[angles] -= 2.0 * np.pi * np.round(error[angles] / (2.0 * np.pi))
+            error -= H @ back
+            H_P = H @ P
+            S = H_P @ H.T
+            S[np.diag_indices_from(S)] += R
+            solved = np.linalg.solve(S, np.column_stack([H_P, error]))
+            G = solved[:, :-1].T
+            xi = back + G @ error
+            dx = T @ xi[: T.shape[1]]
+            x, forces = self.moved(x, dx), forces + xi[T.shape[1] :]
+            if np.abs(dx[self._rows[:, state.E]]).max() < _TURN:
+                break
+        kept = np.eye(len(P)) - G @ H
+        P = kept @ P @ kept.T + (G * R) @ G.T
+        surprise = float(error @ solved[:, -1]), len(error)
+        return replace(belief, x=x, forces=forces, P=(P + P.T) / 2.0, surprise=surprise)
+
+    def moved(self, x: Array, dx: Array) -> Array:
+        """Return a state moved along the manifold. Source: docs/equations.md (62)."""
+        x = x + dx
+        rods = state.StateView(x[: state.PAYLOAD + state.PER_UAV * self._N])
+        rods.e_P[:] /= np.linalg.norm(rods.e_P, axis=1, keepdims=True)
+        rods.Omega_P[:] -= rods.e_P * (rods.e_P * rods.Omega_P).sum(axis=1, keepdims=True)
+        x.setflags(write=False)
+        return x
+
+    def certain(self, belief: Belief, entries: npt.NDArray[np.intp], deviation: float = 1e-3) -> Belief:
+        """Return the belief with some entries of the state known, such as those that a failure sets."""
+        T, _ = self.basis(belief.x)
+        known = np.flatnonzero(T[entries].any(axis=0))
+        P = belief.P.copy()
+        P[known], P[:, known] = 0.0, 0.0
+        P[known, known] = deviation**2
+        return replace(belief, P=P)
