@@ -28,6 +28,7 @@ PACKAGES = (
     "deploy",
     "transport",
     "scenarios",
+    "vehicles",
     "tests/support",
 )
 

@@ -15,7 +15,7 @@ from protocol.scenario.files import TableError, anchored, path_problem, read_tex
 from protocol.scenario.relations import check_relations
 from protocol.scenario.schema import Scenario
 
-__all__ = ["ScenarioError", "find_scenario", "read_scenario", "validate", "with_settings"]
+__all__ = ["ScenarioError", "find_scenario", "find_vehicle", "read_scenario", "read_tree", "validate", "with_settings"]
 
 
 def find_scenario(name: str) -> Path:
@@ -23,18 +23,28 @@ def find_scenario(name: str) -> Path:
 
     Raises: ScenarioError: no scenario has the name, the text lists the names; or no file can have it.
     """
+    return _find(name, "scenarios", "a scenario file")
+
+
+def find_vehicle(name: str) -> Path:
+    """Return the file of a vehicle, as `find_scenario`."""
+    return _find(name, "vehicles", "a vehicle file")
+
+
+def _find(name: str, package: str, kind: str) -> Path:
     path = Path(name)
     problem = path_problem(path)
     if problem:
         raise ScenarioError(name, "", f"cannot be read ({problem})")
     if path.exists() or path.suffix == ".toml" or "/" in name:
         return path
-    folder = Path(str(importlib.resources.files("scenarios")))
+    # Both packages lie side by side, in the source folder and where they are installed.
+    folder = Path(str(importlib.resources.files("scenarios"))).parent / package
     known = sorted(file.stem for file in folder.glob("*.toml"))
     if name not in known:
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-        raise ScenarioError(name, "", f"expected a scenario file or the name of a ready one; {hint}")
+        raise ScenarioError(name, "", f"expected {kind} or the name of a ready one; {hint}")
     return folder / f"{name}.toml"
 
 
@@ -48,16 +58,23 @@ def read_scenario(path: Path, settings: Sequence[str] = (), *, allow_large: bool
         allow_large: Whether the run may exceed the limits of `protocol.scenario.budget`.
     Raises: ScenarioError: naming file, field, expected and got; the setting in place of the file if it gave the field.
     """
+    return with_settings(read_tree(path), settings, str(path), allow_large=allow_large)
+
+
+def read_tree(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file.
+
+    Raises: ScenarioError: it cannot be read.
+    """
     source = str(path)
     try:
-        tree = tomllib.loads(read_text(path, regular=False))
+        return tomllib.loads(read_text(path, regular=False))
     except FileNotFoundError as error:
         raise ScenarioError(source, "", "no such file") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(source, "", f"cannot be read ({error})") from error
     except (ValueError, RecursionError) as error:  # also of integers of thousands of digits, and of deep nesting
         raise ScenarioError(source, "", f"not valid TOML: {error}") from error
-    return with_settings(tree, settings, source, allow_large=allow_large)
 
 
 def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str, *, allow_large: bool = False) -> Scenario:

@@ -1,4 +1,4 @@
-"""A team of any size: the paper's UAVs in a ring over a payload of the paper's shape.
+"""A team of any size: UAVs in a ring, the paper's or those of a vehicle file, over a payload of the paper's shape.
 
 Only the system is new; the rest is taken from an existing scenario (docs/scenario.md, "A team of any size").
 """
@@ -6,12 +6,16 @@ Only the system is new; the rest is taken from an existing scenario (docs/scenar
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import ValidationError
 
 from model.parameters import table_1
-from protocol.scenario.file import validate
+from mpc.settings import Key, Positive, Section
+from protocol.scenario.errors import first_problem
+from protocol.scenario.file import find_vehicle, read_tree, validate
 from protocol.scenario.files import anchored
-from protocol.scenario.schema import PayloadSection, Scenario, SystemSection, UavSection
+from protocol.scenario.schema import Inertia, PayloadSection, Scenario, SystemSection, UavSection
 from protocol.wire.names import MAX_UAVS
 
 # One rod leaves the payload free to turn about it: no force along the rods changes its heading.
@@ -21,26 +25,68 @@ FEWEST, MOST = 2, MAX_UAVS
 _DECIMALS = 6
 
 
-def ring(N: int, gravity_mps2: float) -> SystemSection:
-    """Return N of the paper's UAVs over a payload of the paper's shape, as large as the ring has to be.
+class AirframeSection(Section):
+    """One UAV of a vehicle, and its place in the ring."""
 
-    Neighbours are as far apart as the paper's, 0.5 m, and each carries as much, 0.75 kg. The payload's lengths,
-    the height of the attachment points among them, grow with the radius, its inertia with mass times radius^2.
+    mass_kg: Positive
+    """mass of the UAV"""
+    inertia_kgm2: Inertia
+    """inertia of the UAV"""
+    rod_length_m: Annotated[Positive, Key(within=(1e-3, 1e4))]
+    """length of its rod"""
+    spacing_m: Positive
+    """distance between neighbours in the ring"""
+
+
+class Vehicle(Section):
+    """A vehicle file: one UAV, and the keys of a scenario that belong to it."""
+
+    name: str
+    uav: AirframeSection
+    controller: dict[str, Any] = {}
+    plant: dict[str, Any] = {}
+
+
+def read_vehicle(name: str) -> Vehicle:
+    """Return a vehicle: of a file, or a ready one by its name.
+
+    Raises: ScenarioError: naming file, field, expected, got.
+    """
+    path = find_vehicle(name)
+    try:
+        return Vehicle.model_validate(read_tree(path))
+    except ValidationError as error:
+        raise first_problem(error, str(path), Vehicle) from error
+
+
+def ring(
+    N: int, gravity_mps2: float, airframe: AirframeSection | None = None, load_kg: float | None = None
+) -> SystemSection:
+    """Return N UAVs over a payload of the paper's shape, as large as the ring has to be.
+
+    By default they are the paper's, neighbours are as far apart as the paper's, 0.5 m, and each carries as much as the
+    paper's, half its own mass. The payload's lengths, the height of the attachment points among them, grow with the
+    radius, its inertia with mass times radius^2.
     UAV 1 is the first to the right of the x axis (forward), an axis of symmetry; they count counter-clockwise seen
     from above. Four of them are Table I.
 
     Args:
         N: Number of UAVs, 2 or more.
         gravity_mps2: g, m/s^2.
+        airframe: The UAVs and their distance.
+        load_kg: Mass of the payload, kg.
     """
     paper = table_1()
     uav, payload = paper.uavs[0], paper.payload
     x, y, z = uav.rho.tolist()
     paper_radius = math.hypot(x, y)
     neighbours = 2.0 * paper_radius * math.sin(math.pi / paper.N)
+    mass = payload.mass * N / paper.N
+    if airframe is not None:
+        neighbours, mass = airframe.spacing_m, mass * airframe.mass_kg / uav.mass
+    mass = mass if load_kg is None else load_kg
     radius = neighbours / (2.0 * math.sin(math.pi / N))
     scale = radius / paper_radius
-    mass = payload.mass * N / paper.N
     inertia = payload.inertia.diagonal() * (mass / payload.mass * scale**2)
     angles = [math.pi / N * (1 - 2 * i) for i in range(N)]
     return SystemSection(
@@ -49,10 +95,10 @@ def ring(N: int, gravity_mps2: float) -> SystemSection:
         uav=[
             UavSection(
                 id=i,
-                mass_kg=uav.mass,
-                inertia_kgm2=uav.inertia.diagonal().tolist(),
+                mass_kg=uav.mass if airframe is None else airframe.mass_kg,
+                inertia_kgm2=uav.inertia.diagonal().tolist() if airframe is None else airframe.inertia_kgm2,
                 rho_m=tuple(_rounded([radius * math.cos(angle), radius * math.sin(angle), scale * z])),
-                rod_length_m=uav.rod_length,
+                rod_length_m=uav.rod_length if airframe is None else airframe.rod_length_m,
             )
             for i, angle in enumerate(angles, start=1)
         ],
@@ -60,9 +106,17 @@ def ring(N: int, gravity_mps2: float) -> SystemSection:
 
 
 def resized(
-    template: Scenario, folder: Path, uavs: int, *, group: int | None, name: str | None, source: str
+    template: Scenario,
+    folder: Path,
+    uavs: int,
+    *,
+    group: int | None,
+    name: str | None,
+    source: str,
+    vehicle: str | None = None,
+    load_kg: float | None = None,
 ) -> Scenario:
-    """Return a scenario for N UAVs: a ring of them, and every other section of the template.
+    """Return a scenario for N UAVs: a ring of them, the keys of their vehicle, and all others of the template.
 
     Args:
         template: Source of controller, clock, links, maneuver, ... and gravity.
@@ -72,15 +126,22 @@ def resized(
             all of them where that one has all.
         name: Of the scenario; the template's with the number of UAVs when None.
         source: Name of the template in error texts.
+        vehicle: File or name of a vehicle; the paper's UAV when None.
+        load_kg: Mass of the payload, kg; half the mass of the UAVs when None.
     Returns: The scenario, with no more keys given than the template gives.
     Raises: ScenarioError: the template names agents that this team does not have, or the name is invalid.
     """
+    chosen = None if vehicle is None else read_vehicle(vehicle)
     if group is None:
         group = uavs if len(template.owned) == 1 else len(template.owned[0])
     ids = list(range(1, uavs + 1))
     tree: dict[str, Any] = anchored(given(template), folder)
-    tree["name"] = f"{template.name}-{uavs}" if name is None else name
-    tree["system"] = ring(uavs, template.system.gravity_mps2).model_dump(mode="json")
+    if chosen is not None:
+        tree = _merged(tree, {"controller": chosen.controller, "plant": chosen.plant})
+    basis = template.name if chosen is None else f"{template.name}-{chosen.name}"
+    tree["name"] = f"{basis}-{uavs}" if name is None else name
+    team = ring(uavs, template.system.gravity_mps2, None if chosen is None else chosen.uav, load_kg)
+    tree["system"] = team.model_dump(mode="json")
     tree["agents"] = {"owned": [ids[i : i + group] for i in range(0, uavs, group)]}
     return validate(tree, source)
 
@@ -88,6 +149,15 @@ def resized(
 def given(scenario: Scenario) -> dict[str, Any]:
     """Return a scenario as plain data, with the given values only."""
     return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True)
+
+
+def _merged(tree: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Return a tree with the values of another one in place of its own."""
+    merged = dict(tree)
+    for key, value in changes.items():
+        below = merged.get(key)
+        merged[key] = _merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return merged
 
 
 def _rounded(values: Iterable[float]) -> list[float]:

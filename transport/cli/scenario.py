@@ -1,5 +1,6 @@
 """The commands about scenarios: `transport scenario new` and `transport validate`."""
 
+import math
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from protocol.scenario.budget import check_budget, estimate
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
-from protocol.scenario.team import FEWEST, MOST, given, resized
+from protocol.scenario.team import FEWEST, MOST, given, read_vehicle, resized
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption
 from transport.cli.output import Format, exit_on, fail, show_json
@@ -32,8 +33,15 @@ def new(
     group: Annotated[
         int | None, Option("--groups", metavar="COUNT", help="UAVs per agent; by default as in --from.")
     ] = None,
+    vehicle: Annotated[
+        str | None,
+        Option("--vehicle", metavar="NAME", help="crazyflie, x500, racing or a vehicle file; default: the paper's."),
+    ] = None,
+    load_kg: Annotated[
+        float | None, Option("--load", metavar="KG", help="Payload mass; by default half the mass of the UAVs.")
+    ] = None,
     name: Annotated[
-        str | None, Option("--name", metavar="NAME", help="Name; by default from --from and --uavs.")
+        str | None, Option("--name", metavar="NAME", help="Name; by default from --from, --vehicle and --uavs.")
     ] = None,
     out: Annotated[
         Path | None, Option("--out", metavar="FILE", help="File to write; by default standard output.")
@@ -42,15 +50,21 @@ def new(
 ) -> None:
     """Write a scenario for a team of any size.
 
-    UAVs in a ring, neighbours as far apart as the paper's four, 0.75 kg of payload for each.
+    UAVs in a ring. By default they are the paper's, 0.5 m apart, with 0.75 kg of payload for each. A vehicle brings its
+    mass, inertia, rod, limits, motors and inner loop: docs/vehicles.md.
 
-    Example: transport scenario new --uavs 6 --out six.toml
+    Example: transport scenario new --uavs 4 --vehicle x500 --load 3.0 --out four.toml
     """
     if not FEWEST <= uavs <= MOST:
         why = ": a payload on one rod rotates freely about it, and no input can control that" if uavs == 1 else ""
         fail(f"--uavs: expected {FEWEST} to {MOST}, got {uavs}{why}", EXIT_USAGE)
     if group is not None and not 1 <= group <= uavs:
         fail(f"--groups: expected 1 to {uavs} UAVs per agent, got {group}", EXIT_USAGE)
+    if load_kg is not None and not 0.0 < load_kg < math.inf:
+        fail(f"--load: expected a number > 0 kg, got {load_kg}", EXIT_USAGE)
+    if vehicle is not None:
+        with exit_on(ScenarioError, code=EXIT_SCENARIO, option="--vehicle"):
+            read_vehicle(vehicle)
     if out is not None and out.exists():
         fail(f"--out: expected a file that does not exist yet, got {out}", EXIT_USAGE)
     with exit_on(ScenarioError, code=EXIT_SCENARIO, option="--from"):
@@ -60,7 +74,9 @@ def new(
     if uavs > _LONG:
         typer.echo(f"checking the model of {uavs} UAVs: this takes minutes", err=True)
     try:
-        scenario = resized(ready, path.parent, uavs, group=group, name=name, source=source)
+        scenario = resized(
+            ready, path.parent, uavs, group=group, name=name, source=source, vehicle=vehicle, load_kg=load_kg
+        )
         setup = Setup.of(scenario, source)
     except ScenarioError as error:
         if error.field == "name":
@@ -68,10 +84,13 @@ def new(
         fail(str(error), EXIT_SCENARIO)
     made_by = ["transport", "scenario", "new", "--uavs", str(uavs), "--from", template]
     made_by += [] if group is None else ["--groups", str(group)]
+    made_by += [] if vehicle is None else ["--vehicle", vehicle]
+    made_by += [] if load_kg is None else ["--load", f"{load_kg:g}"]
     made_by += [] if name is None else ["--name", name]
     comment = [
         f"Made by: {shlex.join(made_by)}",
         f"{uavs} UAVs in a ring over a payload that fits; all but [system], owned and name is from {ready.name}.",
+        *([f"Mass, inertia, rods, limits, inner loop and motors are from the vehicle {vehicle}."] if vehicle else []),
     ]
     text = scenario_text(given(scenario), comment)
     if output is Format.json:

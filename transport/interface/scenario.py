@@ -1,6 +1,7 @@
 """Scenario as an object that stays valid: each change is checked as a whole, and made or refused."""
 
 import difflib
+import math
 from os import PathLike
 from pathlib import Path
 from typing import Any, Unpack
@@ -200,20 +201,34 @@ class Scenario(Section):
         return Scenario(self, settings, **short)
 
     @public
-    def resized(self, uavs: int, *, group: int | None = None, name: str | None = None) -> "Scenario":
-        """Return a scenario with a team of another size, as `transport scenario new` makes it.
+    def resized(
+        self,
+        uavs: int,
+        *,
+        group: int | None = None,
+        name: str | None = None,
+        vehicle: "str | PathLike[str] | None" = None,
+        load_kg: float | None = None,
+    ) -> "Scenario":
+        """Return a scenario with a team of another size or vehicle, as `transport scenario new` makes it.
 
         Args:
             uavs: Number of UAVs.
             group: UAVs per agent; by default as in this scenario.
-            name: Its name; by default from this scenario's and the number of UAVs.
+            name: Its name; by default from this scenario's, the vehicle's and the number of UAVs.
+            vehicle: Vehicle file, or crazyflie, x500, racing; by default the paper's.
+            load_kg: Mass of the payload, kg; by default half the mass of the UAVs.
         """
         if not isinstance(uavs, int) or not FEWEST <= uavs <= MOST:
             raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs!r}")
         if group is not None and not (isinstance(group, int) and 1 <= group <= uavs):
             raise ArgumentError(f"group: expected 1 to {uavs} UAVs per agent, got {group!r}")
-        source = str(self._path)
-        data = resized(self._data, self._path.parent, uavs, group=group, name=name, source=source)
+        if load_kg is not None and not (isinstance(load_kg, int | float) and 0.0 < load_kg < math.inf):
+            raise ArgumentError(f"load_kg: expected a number > 0, got {load_kg!r}")
+        source, chosen = str(self._path), None if vehicle is None else str(file_name(vehicle, "vehicle"))
+        data = resized(
+            self._data, self._path.parent, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg
+        )
         if not self._allow_large:
             check_budget(data, source)
         made = Scenario.__new__(Scenario)

@@ -1,0 +1,81 @@
+"""Vehicle files: ready ones, errors, and the scenarios made of them."""
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import transport
+from protocol.scenario.errors import ScenarioError
+from protocol.scenario.team import read_vehicle
+from transport.cli.main import app
+from transport.interface.settings import ArgumentError
+
+READY = {"crazyflie": 0.02, "x500": 3.0, "racing": None}
+# A hover, and a leg in all directions.
+SHORT = [
+    {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
+    {"name": "leg", "duration_s": 2.0, "displacement_m": [0.5, 0.4, -0.4]},
+]
+# Largest error of a UAV on the leg, m, and payload attitude, deg.
+NEAR_M, LEVEL_DEG = 0.15, 2.0
+
+
+@pytest.mark.parametrize("vehicle", READY)
+def test_ready_vehicles_fly(vehicle: str) -> None:
+    """Each vehicle carries its load on a short leg, with its motors and rotors, within its limits."""
+    scenario = transport.Scenario("resilient").resized(3, vehicle=vehicle, load_kg=READY[vehicle])
+    run = transport.fly(scenario, phases=SHORT, progress=False)
+    assert run.outcome == "completed"
+    assert run.summary["uav_tracking"]["max_m"] < NEAR_M
+    assert run.summary["attitude_max_deg"] < LEVEL_DEG
+    assert scenario.plant.motors.lag_s > 0.0
+    assert scenario.system.payload.mass_kg == pytest.approx(READY[vehicle] or 1.5 * scenario.system.uav[0].mass_kg)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("vehicle", READY)
+def test_motors_are_within_the_margin(vehicle: str) -> None:
+    """The hover of each ready vehicle is stable with the motors of its file, which its controllers do not know."""
+    scenario = transport.Scenario("resilient").resized(4, vehicle=vehicle, load_kg=READY[vehicle])
+    for margins in transport.margins(scenario).data["margins"].values():
+        assert scenario.plant.motors.lag_s < margins["lag_s"]["upper"]
+
+
+def test_the_command_writes_a_scenario(tmp_path: Path) -> None:
+    """The file that the command writes is the scenario of the Python interface; it names the vehicle."""
+    out = tmp_path / "four.toml"
+    arguments = ["scenario", "new", "--uavs", "4", "--vehicle", "x500", "--load", "3.0", "--out", str(out)]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    made = transport.Scenario("resilient").resized(4, vehicle="x500", load_kg=3.0)
+    assert transport.Scenario(out).digest() == made.digest()
+    assert "--vehicle x500 --load 3" in out.read_text(encoding="utf-8")
+    assert made.validated.name == "resilient-x500-4"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("name = 'a'", "uav: expected a value, got nothing"),
+        ("name = 'a'\nuav = {mass = 1.0}", "uav.mass: unknown key; did you mean 'mass_kg'?"),
+        ("name =", "not valid TOML"),
+    ],
+)
+def test_wrong_files_are_refused(tmp_path: Path, text: str, problem: str) -> None:
+    """Errors of a vehicle file name file and field."""
+    file = tmp_path / "own.toml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"own\.toml") as error:
+        read_vehicle(str(file))
+    assert problem in str(error.value)
+
+
+def test_wrong_arguments_are_refused() -> None:
+    """An unknown vehicle names the ready ones; a load is positive, and one that the UAVs can lift."""
+    with pytest.raises(ScenarioError, match="expected a vehicle file or the name of a ready one; known: crazyflie"):
+        read_vehicle("bumblebee")
+    with pytest.raises(ArgumentError, match="load_kg: expected a number > 0, got -1"):
+        transport.Scenario("resilient").resized(4, load_kg=-1.0)
+    with pytest.raises(ScenarioError, match="hover thrust"):
+        transport.Scenario("resilient").resized(4, vehicle="x500", load_kg=9.0)
+    assert CliRunner().invoke(app, ["scenario", "new", "--uavs", "4", "--load", "0"]).exit_code == 2
