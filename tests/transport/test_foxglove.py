@@ -123,7 +123,7 @@ def test_one_output_at_least(copied: Path, tmp_path: Path) -> None:
     """Tables and a copy can be requested in one call; neither is refused, and so is an existing file."""
     result = CliRunner().invoke(app, ["log", "export", str(copied)])
     assert result.exit_code == 2
-    assert "expected --out, --foxglove or both, got neither" in result.stderr
+    assert "expected --out, --foxglove, --ros2 or several of them, got none" in result.stderr
     result = CliRunner().invoke(app, ["log", "export", str(copied), "--foxglove", str(copied / "run.mcap")])
     assert result.exit_code == 2
     assert result.stderr.startswith("transport: --foxglove: expected a file that does not exist yet, got ")

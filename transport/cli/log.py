@@ -211,21 +211,26 @@ def export(
     foxglove: Annotated[
         Path | None, Option("--foxglove", metavar="FILE", help="Write a copy with a 3D scene for Foxglove.")
     ] = None,
+    ros2: Annotated[
+        Path | None, Option("--ros2", metavar="FILE", help="Write a bag for ROS 2: an MCAP file with CDR messages.")
+    ] = None,
     output: FormatOption = Format.text,
 ) -> None:
-    """Write a log as tables, as a copy for Foxglove, or both.
+    """Write a log as tables, as a copy for Foxglove, as a bag for ROS 2, or several of them.
 
     A table for each kind of message: arrays become columns whose names end in their units; docs/log.md lists them.
 
     Example: transport log export runs/20260102-101500-paper --parquet --out tables
     """
-    if out is None and foxglove is None:
-        fail("expected --out, --foxglove or both, got neither", EXIT_USAGE)
+    scenes = {option: file for option, file in (("--foxglove", foxglove), ("--ros2", ros2)) if file is not None}
+    if out is None and not scenes:
+        fail("expected --out, --foxglove, --ros2 or several of them, got none", EXIT_USAGE)
     unknown = sorted(set(kinds or []) - set(KINDS))
     if unknown:
         fail(f"--kind: expected one of {', '.join(KINDS)}, got {unknown[0]!r}", EXIT_USAGE)
-    if foxglove is not None and foxglove.exists():
-        fail(f"--foxglove: expected a file that does not exist yet, got {foxglove}", EXIT_USAGE)
+    for option, target in scenes.items():
+        if target.exists():
+            fail(f"{option}: expected a file that does not exist yet, got {target}", EXIT_USAGE)
     if parquet:
         try:
             import pyarrow.parquet  # noqa: F401 - before the log is read, which may take minutes
@@ -233,7 +238,8 @@ def export(
             fail("--parquet: needs pyarrow; pip install 'payload-transport[parquet]', or use --csv", EXIT_USAGE)
     file = open_or_fail(path)
     written = [] if out is None else _export_tables(file, out, kinds or [], parquet=parquet)
-    written += [] if foxglove is None else _export_foxglove(file, foxglove)
+    for option, target in scenes.items():
+        written += _export_scenes(file, target, option)
     _warn(file)
     if output is Format.json:
         show_json({"files": written})
@@ -263,17 +269,24 @@ def _export_tables(file: LogFile, out: Path, kinds: list[str], *, parquet: bool)
     return written
 
 
-def _export_foxglove(file: LogFile, out: Path) -> list[dict[str, Any]]:
-    from transport.report.foxglove import write_foxglove
+def _export_scenes(file: LogFile, out: Path, option: str) -> list[dict[str, Any]]:
+    """Write a log with its 3D scene, for Foxglove or as a bag of ROS 2."""
     from transport.scene.scene import SceneBuilder
 
+    if option == "--foxglove":
+        from transport.report.foxglove import write_foxglove as write
+    else:
+        try:
+            from transport.report.ros2 import write_bag as write
+        except ImportError:
+            fail("--ros2: needs rosbags; pip install 'payload-transport[ros2]'", EXIT_USAGE)
     if file.setup is None:
-        fail(f"--foxglove: {file.path} has no scenario, or one of another version", EXIT_USAGE)
+        fail(f"{option}: {file.path} has no scenario, or one of another version", EXIT_USAGE)
     try:
-        with exit_on(LogError, code=EXIT_USAGE, option="--foxglove"):
-            ticks = write_foxglove(SceneBuilder.of(file.setup, file.log), file.log, out)
+        with exit_on(LogError, code=EXIT_USAGE, option=option):
+            ticks = write(SceneBuilder.of(file.setup, file.log), file.log, out)
     except OSError as error:
-        fail(f"--foxglove: cannot write {out} ({error.strerror or error})", EXIT_USAGE)
+        fail(f"{option}: cannot write {out} ({error.strerror or error})", EXIT_USAGE)
     return [{"file": str(out), "ticks": ticks}]
 
 

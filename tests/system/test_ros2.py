@@ -1,0 +1,113 @@
+"""An active run, seen through ROS 2's conventions by an implementation that shares no code with this one."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import transport
+from protocol.wire.messages import PlantState
+from tests.support.commands import free_base, settings, start, wait_for
+from transport.log.run_log import read_log
+
+# Definitions as published by ROS 2, without comments.
+DEFINITIONS = {
+    "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec\n",
+    "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
+    "geometry_msgs/msg/Point": "float64 x\nfloat64 y\nfloat64 z\n",
+    "geometry_msgs/msg/Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n",
+    "geometry_msgs/msg/Pose": "Point position\nQuaternion orientation\n",
+}
+POSE, POSE_DEFINITION = "geometry_msgs/msg/PoseStamped", "std_msgs/Header header\nPose pose\n"
+PATH, PATH_DEFINITION = "nav_msgs/msg/Path", "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n"
+DOMAIN, TICKS = 7, 240
+PHASES = [{"name": "climb", "duration_s": TICKS / 20, "displacement_m": [0.3, 0.0, -0.5]}]
+CLIMB = f"maneuver.phase=[{{name='climb',duration_s={TICKS / 20},displacement_m=[0.3,0.0,-0.5]}}]"
+
+
+@pytest.fixture
+def sdk(tmp_path: Path) -> Iterator[Any]:
+    """The other implementation, and a router of this project in place of that of ROS 2."""
+    module = pytest.importorskip("zenoh_ros2_sdk")
+    module.port = free_base()
+    router = start("router", "--listen", f"tcp/127.0.0.1:{module.port}", cwd=tmp_path)
+    try:
+        yield module
+    finally:
+        router.terminate()
+        router.communicate(timeout=30)
+
+
+def subscribe(sdk: Any, topic: str, kind: str, definition: str, others: dict[str, str], heard: list[Any]) -> Any:
+    """Subscribe with the other implementation, which computes the hash of the type from the definitions."""
+    from zenoh_ros2_sdk.utils import get_type_hash
+
+    whole = definition + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others.items())
+    digest = get_type_hash(kind, msg_definition=definition, dependencies=others)
+    return sdk.ROS2Subscriber(
+        topic, kind, heard.append, msg_definition=whole, type_hash=digest, domain_id=DOMAIN, router_port=sdk.port
+    )
+
+
+def tokens(sdk: Any, subscriber: Any) -> list[str]:
+    """Return the tokens of publishers of a topic, by the other implementation's form of them."""
+    from zenoh_ros2_sdk.entity import EndpointEntity, EntityKind, NodeEntity
+    from zenoh_ros2_sdk.keyexpr import endpoint_liveliness_keyexpr
+
+    node = NodeEntity(domain_id=DOMAIN, session_id="*", node_id=0, node_name="transport")
+    publisher = EndpointEntity(
+        node=node,
+        entity_id="*",
+        kind=EntityKind.PUBLISHER,
+        name=subscriber.topic,
+        dds_type_name=subscriber.dds_type_name,
+        type_hash=subscriber.type_hash,
+        qos=subscriber.qos,
+    )
+    replies = subscriber.session_mgr.liveliness.get(endpoint_liveliness_keyexpr(publisher), timeout=5.0)
+    return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
+
+@pytest.mark.slow
+def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
+    """Poses at 20 Hz and plans are seen; with a bridge, and one that is killed, the bits are those of a run alone."""
+    poses: list[Any] = []
+    plans: list[Any] = []
+    options = settings("clock.speed=1.0", CLIMB)
+    started = [start("run", "resilient", *options, "--out", "run", "--no-figures", cwd=tmp_path)]
+    run, log = started[0], tmp_path / "run" / "run.mcap"
+    kept = [
+        subscribe(sdk, "/payload/pose", POSE, POSE_DEFINITION, DEFINITIONS, poses),
+        subscribe(sdk, "/uav1/plan", PATH, PATH_DEFINITION, {**DEFINITIONS, POSE: POSE_DEFINITION}, plans),
+    ]
+    try:
+        assert wait_for(lambda: log.exists() and log.stat().st_size > 1000)
+        for domain in (DOMAIN, DOMAIN + 1):
+            bridge = ("--domain", str(domain), "--connect", f"tcp/127.0.0.1:{sdk.port}")
+            started.append(start("ros2", "--run", "run", *bridge, cwd=tmp_path))
+        assert wait_for(lambda: len(poses) > 0)
+        assert [len(tokens(sdk, subscriber)) for subscriber in kept] == [1, 1]
+        started[2].kill()
+        _, errors = run.communicate(timeout=120)
+        assert run.returncode == 0, errors
+        assert started[1].wait(60) == 0
+    finally:
+        for subscriber in kept:
+            subscriber.close()
+        for process in started:
+            process.kill()
+            process.communicate()
+    x = np.array([state.x for state in read_log(log).of(PlantState)])
+    alone = transport.fly("resilient", {"clock.speed": 1.0}, phases=PHASES, progress=False)
+    assert x.tobytes() == np.array([state.x for state in alone.log.of(PlantState)]).tobytes()
+    ticks = {tuple(row): tick for tick, row in enumerate(x[:, :3].tolist())}
+    points = [pose.pose.position for pose in poses]
+    seen = [ticks[point.x, point.y, point.z] for point in points]
+    assert seen == list(range(seen[0], TICKS))
+    stamps_s = [pose.header.stamp.sec + 1e-9 * pose.header.stamp.nanosec for pose in poses]
+    assert (stamps_s[-1] - stamps_s[0]) / (seen[-1] - seen[0]) == pytest.approx(0.05, rel=0.1)
+    assert {(pose.header.frame_id, len(plan.poses)) for pose, plan in zip(poses, plans, strict=False)} == {
+        ("inertial", 21)
+    }

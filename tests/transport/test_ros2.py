@@ -1,0 +1,75 @@
+"""The bag of a run for ROS 2, read back by rosbags: values, frames, and what each topic is for."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+import transport
+from model.rotations import rotation
+from model.state import StateView
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import PlantState
+from tests.support.commands import transport as command
+from transport.report.ros2 import types, write_bag
+from transport.scene.scene import SceneBuilder
+
+PHASES = [{"name": "move", "duration_s": 0.5, "displacement_m": [0.1, 0.05, -0.2]}]
+# Central differences over 50 ms of a motion with a jerk of 20 m/s^3 at most.
+SLOPE_MPS = 0.01
+# As ROS 2 publishes them (since Iron).
+HASHES = {
+    "geometry_msgs/msg/PoseStamped": "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
+}
+
+
+def test_the_bag_holds_the_run(tmp_path: Path) -> None:
+    """Every tick has poses, twists, plans, transforms and markers; poses and twists are those of the plant."""
+    run = transport.fly("resilient", phases=PHASES, progress=False)
+    setup = Setup.of(run.scenario.validated, "test")
+    bag = tmp_path / "bag.mcap"
+    assert write_bag(SceneBuilder.of(setup, run.log), run.log, bag) == 10
+    x = np.array([state.x for state in run.log.of(PlantState)])
+    view, store = StateView(x), get_typestore(Stores.ROS2_JAZZY)
+    found: dict[str, list[Any]] = {}
+    with Reader(bag) as reader:
+        for connection, at_ns, raw in reader.messages():
+            found.setdefault(connection.topic, []).append(store.deserialize_cdr(raw, connection.msgtype))
+            assert at_ns % setup.period_ns == 0
+    bodies = ["payload", "uav1", "uav2", "uav3", "uav4"]
+    expected = {"/tf", "/markers", "/reference/pose", *(f"/{b}/{what}" for b in bodies for what in ("pose", "twist"))}
+    expected |= {f"/uav{i}/plan" for i in range(1, 5)} | {f"/agent{i}/payload/plan" for i in range(1, 5)}
+    assert {topic: len(messages) for topic, messages in found.items()} == dict.fromkeys(expected, 10)
+    for k, pose in enumerate(found["/payload/pose"]):
+        at, turn = pose.pose.position, pose.pose.orientation
+        assert [at.x, at.y, at.z] == x[k, :3].tolist()
+        R = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+        np.testing.assert_allclose(R, rotation(view.Theta0[k]), atol=1e-12)
+    # The velocity of a UAV is the slope of its position, to the second order of the period.
+    places = np.array([[getattr(p.pose.position, axis) for axis in "xyz"] for p in found["/uav2/pose"]])
+    speeds = np.array([[getattr(t.twist.linear, axis) for axis in "xyz"] for t in found["/uav2/twist"]])
+    np.testing.assert_allclose((places[2:] - places[:-2]) / 0.1, speeds[1:-1], atol=SLOPE_MPS)
+    tree = {t.child_frame_id: t.header.frame_id for t in found["/tf"][-1].transforms}
+    assert tree["inertial"] == "map"
+    assert {tree[name] for name in (*bodies, "rod1")} == {"inertial"}
+    first, last = (found["/markers"][k].markers for k in (0, -1))
+    assert {marker.type for marker in first} == {5, 9, 11}
+    assert {marker.header.frame_id for marker in [*first, *last]} <= {*tree}
+    assert len(first) > len(last) > 0
+
+
+@pytest.mark.parametrize("kind", HASHES)
+def test_hashes_are_those_of_ros(kind: str) -> None:
+    """A topic whose hash differs is another topic for ROS 2."""
+    assert types().hash_rihs01(kind) == HASHES[kind]
+
+
+def test_what_cannot_be_published_is_refused(tmp_path: Path) -> None:
+    """No active run: one line, exit code 2."""
+    done = command("ros2", "--run", "none", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("transport: no active run in none; name its folder with --run")
