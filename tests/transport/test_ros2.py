@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 import transport
@@ -15,8 +13,13 @@ from model.state import StateView
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import PlantState
 from tests.support.commands import transport as command
-from transport.report.ros2 import types, write_bag
 from transport.scene.scene import SceneBuilder
+
+pytest.importorskip("rosbags", reason="needs the extra ros2")
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from transport.report.ros2 import types, write_bag
 
 PHASES = [{"name": "move", "duration_s": 0.5, "displacement_m": [0.1, 0.05, -0.2]}]
 # Central differences over 50 ms of a motion with a jerk of 20 m/s^3 at most.

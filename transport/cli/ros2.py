@@ -133,7 +133,8 @@ def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, publi
     """Publish the ticks of a run until it has ended: the states of all, plans and drawing of the newest."""
     from transport.report.ros2 import cdr
 
-    speed, done, again_s, began_ns = messages.speed, -1, 0.0, 0
+    history.add(tail.read())
+    speed, done, again_s, began_ns = messages.speed, history.last - 1, 0.0, 0
     while True:
         history.add(tail.read())
         ticks = [tick for tick in range(max(done + 1, history.first), history.last + 1) if tick in history.plant_states]
