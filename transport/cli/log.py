@@ -216,7 +216,7 @@ def export(
     ] = None,
     output: FormatOption = Format.text,
 ) -> None:
-    """Write a log as tables, as a copy for Foxglove, as a bag for ROS 2, or several of them.
+    """Write a log as tables, for Foxglove, or as a bag for ROS 2.
 
     A table for each kind of message: arrays become columns whose names end in their units; docs/log.md lists them.
 

@@ -87,7 +87,7 @@ app.add_typer(
     lazy_group(
         {
             "info": ("transport.cli.log:info", "Describe the content of a log, and its gaps."),
-            "export": ("transport.cli.log:export", "Write a log as tables, as a copy for Foxglove, or both."),
+            "export": ("transport.cli.log:export", "Write a log as tables, for Foxglove, or as a bag for ROS 2."),
         },
         help="Describe and export the log of a run.",
         epilog="Exit codes: 0 done, also for an incomplete log; 2 the log cannot be read.",

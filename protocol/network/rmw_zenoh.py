@@ -1,0 +1,62 @@
+"""A node of ROS 2 that publishes, by the conventions of rmw_zenoh: keys, liveliness tokens, attachments.
+
+Its session is a client of a router of ROS 2, which passes on nothing between peers. Source: design document of
+rmw_zenoh_cpp, https://github.com/ros2/rmw_zenoh.
+"""
+
+import hashlib
+import struct
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from protocol.network.endpoints import Endpoints
+from protocol.network.session import open_session
+from protocol.wire.keys import Keys
+
+_NODE = "transport"
+_QOS = "::,10:,:,:,,"  # all as by default: reliable, volatile, keep the last 10
+# How long a router that does not read delays this process, and how long one is looked for, s.
+_PATIENCE_S, _REACH_S = 1.0, 5.0
+
+
+class RosNode:
+    """Node with publishers, in one ROS domain.
+
+    Args:
+        router: Zenoh endpoint of the router.
+        domain: ROS domain.
+        topics: Type, such as "geometry_msgs/msg/PoseStamped", and its RIHS01 hash, by topic with its leading slash.
+    Raises: BusError: no router accepts the connection.
+    """
+
+    def __init__(self, router: str, domain: int, topics: Mapping[str, tuple[str, str]]) -> None:
+        endpoints = Endpoints(listen=[], connect=[router], mode="client", security=None)
+        self._session = open_session(endpoints, _PATIENCE_S, _NODE, Keys(_NODE), _REACH_S)
+        tokens = self._session.liveliness()
+        self._kept: list[Any] = [tokens.declare_token(self._token(domain, 0, "NN"))]
+        self._counts = dict.fromkeys(topics, 0)
+        self._gids: dict[str, bytes] = {}
+        self._publishers: dict[str, Any] = {}
+        for number, (topic, (kind, digest)) in enumerate(topics.items(), start=1):
+            package, name = kind.split("/msg/")
+            dds = f"{package}::msg::dds_::{name}_"
+            token = f"{self._token(domain, number, 'MP')}/{topic.replace('/', '%')}/{dds}/{digest}/{_QOS}"
+            self._gids[topic] = hashlib.sha256(token.encode()).digest()[:16]
+            self._publishers[topic] = self._session.declare_publisher(f"{domain}/{topic[1:]}/{dds}/{digest}")
+            self._kept.append(tokens.declare_token(token))
+
+    def _token(self, domain: int, number: int, what: str) -> str:
+        """Return the token of the node (number 0, "NN"), or the beginning of that of an end point."""
+        return f"@ros2_lv/{domain}/{self._session.info.zid()}/0/{number}/{what}/%/%/{_NODE}"
+
+    def put(self, topic: str, data: bytes) -> None:
+        """Publish a message in CDR; subscribers drop messages without the attachment."""
+        self._counts[topic] += 1
+        gid = self._gids[topic]
+        attachment = struct.pack("<qqB", self._counts[topic], time.time_ns(), len(gid)) + gid
+        self._publishers[topic].put(data, attachment=attachment)
+
+    def close(self) -> None:
+        """Leave the network; the tokens go with the session."""
+        self._session.close()  # type: ignore[no-untyped-call]
