@@ -10,6 +10,7 @@ error of the estimate acts on it through the gain of that law, and so do the err
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -30,9 +31,6 @@ _UAV = (0.06, 0.1, 0.1, 0.2)
 _ACCELERATION = 0.01
 # Smallest standard deviations assumed of sensors, in the order of the sensors: errors of the model show in them.
 _FLOOR = (1e-3, 5e-3, 1e-3, 2e-3, 0.1)
-# A correction that turns a rod by more, rad, is repeated about its result, so many times in all: the sensors see the
-# payload through rods of metres.
-_TURN, _ITERATIONS = 0.01, 4
 # External forces on the payload, and horizontal and equal ones on the UAVs, over the body's weight: standard
 # deviations at first, and of the change over a second. A mass is known to a fifth; gusts of 1 m/s are slow.
 _FORCE = (0.03, 0.03, 0.2, 0.03, 0.03)
@@ -47,6 +45,7 @@ class Belief:
         x: State, (n,); with motor lag [x, a], (n + m,).
         forces: External forces: on the payload (3), and horizontal on each UAV (2); (0,) if they are not estimated.
         P: Covariance, (r, r), of the coordinates of the state, the actual inputs with motor lag, and the forces.
+        T, L: Basis of these coordinates, without the forces; that about the state before its correction.
         u: Inputs until the tick, (m,).
         surprise: Squared innovation of the last measurements in units of its covariance, and how many they were.
     """
@@ -54,8 +53,16 @@ class Belief:
     x: Array
     forces: Array
     P: Array
+    T: Array
+    L: Array
     u: Array
     surprise: tuple[float, int] = (0.0, 0)
+
+
+@lru_cache
+def _entries(sensors: tuple[int, ...]) -> npt.NDArray[np.intp]:
+    """Return the places of some sensors in the measurements of a UAV."""
+    return np.array([3 * sensor + axis for sensor in sensors for axis in range(3)], dtype=np.intp)
 
 
 class KalmanFilter:
@@ -95,14 +102,12 @@ class KalmanFilter:
 
     def first(self, x: Array) -> Belief:
         """Return the belief before any measurement, about a state."""
-        return Belief(x=x, forces=np.zeros(self._spread.shape[1]), P=self._P0, u=self._u_hover)
+        T, L = self.basis(x)
+        return Belief(x=x, forces=np.zeros(self._spread.shape[1]), P=self._P0, T=T, L=L, u=self._u_hover)
 
     def forces(self, belief: Belief) -> Array | None:
         """Return the estimated external forces, (3 + 3 N,), inertial frame, N; None if they are not estimated."""
-        return self._all_forces(belief.forces)
-
-    def _all_forces(self, unknown: Array) -> Array | None:
-        return self._spread @ unknown if len(unknown) else None
+        return self._spread @ belief.forces if len(belief.forces) else None
 
     def basis(self, x: Array) -> tuple[Array, Array]:
         """Return T with dx = T xi, and L with xi = L' dx, about a state; both (n, r), with motor lag (n + m, r + m).
@@ -155,7 +160,7 @@ class KalmanFilter:
         if self._inputs:
             linear = motors.lagged(linear, actual, u, self._lag_s)
         discrete = zero_order_hold(linear, self._period_s)
-        (T, _), (_, L) = self.basis(belief.x), self.basis(ahead)
+        T, (T_ahead, L) = belief.T, self.basis(ahead)
         moved, s = discrete.A @ T, T.shape[1]
         pushed = self._pushed(model, x, actual, discrete.A) if len(belief.forces) else np.zeros((len(T), 0))
         P, Q = belief.P, np.diag(self._Q)
@@ -168,7 +173,7 @@ class KalmanFilter:
         A = np.eye(len(P))
         A[:s, :s], A[:s, s:] = L.T @ moved, L.T @ pushed
         P = A @ P @ A.T + Q
-        return Belief(x=ahead, forces=belief.forces, P=(P + P.T) / 2.0, u=u)
+        return Belief(x=ahead, forces=belief.forces, P=(P + P.T) / 2.0, T=T_ahead, L=L, u=u)
 
     def _pushed(self, model: Model, x: Array, u: Array, A: Array) -> Array:
         """Return the effect of the unknown forces over a period, (n, forces), to second order in it."""
@@ -192,32 +197,25 @@ class KalmanFilter:
         if not sensed:
             return belief
         n = model.system.n
-        places = [(uav, 3 * sensor + axis) for uav, sensors, _ in sensed for sensor in sensors for axis in range(3)]
-        of, within = np.array([place for _, place in places]), np.array([state.SENSED * u + p for u, p in places])
-        z = np.concatenate([values[[3 * s + a for s in sensors for a in range(3)]] for _, sensors, values in sensed])
+        read = [(state.SENSED * uav, _entries(tuple(sensors)), values) for uav, sensors, values in sensed]
+        of = np.concatenate([entries for _, entries, _ in read])
+        within = np.concatenate([first + entries for first, entries, _ in read])
+        z = np.concatenate([values[entries] for _, entries, values in read])
         angles = (of >= state.THETA.start) & (of < state.THETA.stop)
-        P, R, prior, x, forces = belief.P, self._R[of], belief.x, belief.x, belief.forces
-        for _ in range(_ITERATIONS):
-            # About the newest estimate, from which the prior is `back` away.
-            y, slopes = model.sense(x[:n], x[n:] if self._inputs else belief.u, forces=self._all_forces(forces))
-            T, L = self.basis(x)
-            back = np.concatenate([L.T @ (prior - x), belief.forces - forces])
-            H = np.zeros((len(z), len(P)))
-            H[:, : T.shape[1]] = slopes[within, :n] @ T[:n]
-            H[:, T.shape[1] :] = slopes[within, n:] @ self._spread
-            error = z - y[within]
-            error[angles] -= 2.0 * np.pi * np.round(error[angles] / (2.0 * np.pi))
-            error -= H @ back
-            H_P = H @ P
-            S = H_P @ H.T
-            S[np.diag_indices_from(S)] += R
-            solved = np.linalg.solve(S, np.column_stack([H_P, error]))
-            G = solved[:, :-1].T
-            xi = back + G @ error
-            dx = T @ xi[: T.shape[1]]
-            x, forces = self.moved(x, dx), forces + xi[T.shape[1] :]
-            if np.abs(dx[self._rows[:, state.E]]).max() < _TURN:
-                break
+        P, R, T, s = belief.P, self._R[of], belief.T, belief.T.shape[1]
+        actual = belief.x[n:] if self._inputs else belief.u
+        y, slopes = model.sense(belief.x[:n], actual, forces=self.forces(belief))
+        error = z - y[within]
+        error[angles] -= 2.0 * np.pi * np.round(error[angles] / (2.0 * np.pi))
+        H = np.empty((len(z), len(P)))
+        H[:, :s], H[:, s:] = slopes[within, :n] @ T[:n], slopes[within, n:] @ self._spread
+        H_P = H @ P
+        S = H_P @ H.T
+        S[np.diag_indices_from(S)] += R
+        solved = np.linalg.solve(S, np.column_stack([H_P, error]))
+        G = solved[:, :-1].T
+        xi = G @ error
+        x, forces = self.moved(belief.x, T @ xi[:s]), belief.forces + xi[s:]
         kept = np.eye(len(P)) - G @ H
         P = kept @ P @ kept.T + (G * R) @ G.T
         surprise = float(error @ solved[:, -1]), len(error)
@@ -234,8 +232,7 @@ class KalmanFilter:
 
     def certain(self, belief: Belief, entries: npt.NDArray[np.intp], deviation: float = 1e-3) -> Belief:
         """Return the belief with some entries of the state known, such as those that a failure sets."""
-        T, _ = self.basis(belief.x)
-        known = np.flatnonzero(T[entries].any(axis=0))
+        known = np.flatnonzero(belief.T[entries].any(axis=0))
         P = belief.P.copy()
         P[known], P[:, known] = 0.0, 0.0
         P[known, known] = deviation**2

@@ -21,7 +21,8 @@ PERIOD_S, TICKS, DELAY = 0.05, 24, 4
 # period: relative to the largest standard deviations they differ by a few percent, with rods in motion.
 SAME_DEVIATION = 0.05
 SAME_MEAN = 0.2  # through the gains, in standard deviations
-SMALL = 0.1  # share of the first doubt: corrections small enough not to be repeated
+SMALL = 0.1  # share of the first doubt: corrections small enough to be linear
+HALF = 0.5  # share of it at which the first corrections are linear enough for an honest covariance
 FOUND_M = 0.02  # standard deviation of the payload's position after half a second
 # 99.8 % band of the mean over 48 of a squared error with 52 degrees of freedom, over 52, as if ticks were
 # independent; they are correlated over a second, so this is the band of about ten of them.
@@ -71,9 +72,11 @@ def estimators(run: Setup) -> tuple[StateEstimator, AnnouncedInputs, KalmanFilte
     return estimator, AnnouncedInputs(run.owned, run.hover.u, own=1), kalman
 
 
-def filtered(arrivals: dict[int, list[Plan]], seed: int, until: int) -> tuple[list[Belief], KalmanFilter]:
+def filtered(
+    arrivals: dict[int, list[Plan]], seed: int, until: int, doubt: float = 1.0
+) -> tuple[list[Belief], KalmanFilter]:
     """Return the beliefs at all ticks as they were then, with the plans that arrive before each tick's estimate."""
-    run, _, U, Z = moving(seed)
+    run, _, U, Z = moving(seed, doubt)
     estimator, announced, kalman = estimators(run)
     beliefs = []
     for k in range(until + 1):
@@ -87,9 +90,9 @@ def filtered(arrivals: dict[int, list[Plan]], seed: int, until: int) -> tuple[li
     return beliefs, kalman
 
 
-def in_time(seed: int, late: int) -> dict[int, list[Plan]]:
+def in_time(seed: int, late: int, doubt: float = 1.0) -> dict[int, list[Plan]]:
     """Return the others' plans of all ticks by tick of arrival."""
-    run, _, U, Z = moving(seed)
+    run, _, U, Z = moving(seed, doubt)
     return {k + late: [reported(run, agent, k, U, Z) for agent in (2, 3, 4)] for k in range(TICKS - late)}
 
 
@@ -148,8 +151,8 @@ def test_errors_match_their_covariance(late: int) -> None:
     """The mean squared error in units of the covariance is the number of coordinates, from a swing that is unknown."""
     found = []
     for seed in range(6):
-        _, X, _, _ = moving(seed)
-        beliefs, kalman = filtered(in_time(seed, late), seed, TICKS - 1)
+        _, X, _, _ = moving(seed, HALF)
+        beliefs, kalman = filtered(in_time(seed, late, HALF), seed, TICKS - 1, HALF)
         for k in range(DELAY + 4, TICKS, 5):
             xi = kalman.basis(beliefs[k].x)[1].T @ (X[k] - beliefs[k].x)
             found.append(xi @ np.linalg.solve(beliefs[k].P, xi) / len(xi))
