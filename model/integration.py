@@ -59,8 +59,8 @@ class Integrator:
         """Return the state after a few equal steps and the largest local error estimate of any of them."""
         if steps not in self._blocks:
             self._blocks[steps] = Compiled(_last_and_error(self._step, steps))
-        end, errors = self._blocks[steps](x, *held, length_s)
-        return end, float(errors[0])
+        flat = self._blocks[steps].flat(x, *held, length_s)
+        return flat[:-1], float(flat[-1])
 
     def _halved(self, steps: int, x: Array, held: Held, length_s: float, tolerance: float) -> tuple[Array, float]:
         """Return the state after steps, each halved until its local error estimate is within the tolerance."""

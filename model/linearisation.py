@@ -79,6 +79,8 @@ class Model:
         found = functions(system.N, system.commands_rates)
         self._derivative, self._tensions = Compiled(found["derivative"]), Compiled(found["tensions"])
         self._velocities, self._outputs = Compiled(found["velocities"]), Compiled(found["outputs"])
+        self._outputs_of = found["outputs"]
+        self._several_outputs: dict[int, Compiled] = {}
         self._linearise, self._integrator = Compiled(found["linearise"]), Integrator(found["step"])
         self._sense, held = Compiled(found["sense"]), found["sense"].sparsity_out(1)
         self._sensed = np.array(held.row()), np.array(held.get_triplet()[1])
@@ -105,6 +107,14 @@ class Model:
     def outputs(self, x: Array) -> Array:
         """Return y = h(x), (4 N + 9,), SI. Source: docs/equations.md (14)."""
         return self._outputs(x, self._p)[0]
+
+    def outputs_along(self, X: Array) -> Array:
+        """Return the outputs of several states, (k, n), in one call, (k, 4 N + 9), with the same bits."""
+        if len(X) not in self._several_outputs:
+            x, p = (ca.MX.sym("argument", self._outputs_of.size1_in(i), count) for i, count in ((0, len(X)), (1, 1)))
+            y = self._outputs_of.map(len(X))(x, ca.repmat(p, 1, len(X)))
+            self._several_outputs[len(X)] = Compiled(ca.Function("outputs", [x, p], [y]))
+        return self._several_outputs[len(X)].flat(X.reshape(-1), self._p).reshape(len(X), -1)
 
     def velocities(self, x: Array) -> Array:
         """Return the velocities of the centres of mass, (1 + N, 3), inertial frame, m/s. Source: equations.md (39)."""

@@ -87,6 +87,7 @@ class Controller:
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
         self._along = Along(self._decision)
         self._at_hover: Linearisation | None = None
+        self._limits = settings.lower(N), settings.upper(N)
         # Outputs along the newest trajectory beyond their linearisation, (N_p + 1, p).
         self._curvature: Array | None = None
 
@@ -174,8 +175,8 @@ class Controller:
 
         Source: docs/equations.md (35a).
         """
-        model, settings, N = self.model, self.settings, self.model.system.N
-        lower, upper = settings.lower(N), settings.upper(N)
+        model, settings, n = self.model, self.settings, self.model.system.n
+        lower, upper = self._limits
         z = z0 = linear.x0 if linear.actual is None else np.concatenate([linear.x0, linear.actual])
         states, inputs = [z0], []
         for at_x0 in law.uncorrected + law.c:
@@ -184,14 +185,13 @@ class Controller:
                 model, z, inputs[-1], settings.sampling_period_s, 1, settings.motor_lag_s, linear.forces
             )
             states.append(z)
-        Z, n = np.array(states), model.system.n
+        Z = np.array(states)
         view = state.StateView(Z[:, :n])
         angles = np.concatenate([view.Theta0[:, None, :2], view.Theta[..., :2]], axis=1)
         if not np.abs(angles).max() < _STEEPEST or not np.isfinite(Z).all():
             return
         follow(prediction, discrete, linear.u0, self.own, law, Z, np.array(inputs)[:, self.own] - linear.u0[self.own])
-        outputs = np.array([model.outputs(x) for x in Z[:, :n]])
-        self._curvature = outputs - linear.model.y - (Z - z0) @ linear.model.C.T
+        self._curvature = model.outputs_along(Z[:, :n]) - linear.model.y - (Z - z0) @ linear.model.C.T
 
     def condense(
         self,

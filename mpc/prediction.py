@@ -150,7 +150,8 @@ def free_response(A: Array, W: Array) -> Array:
     """
     dX = np.zeros((len(W) + 1, A.shape[0]))
     for k, w in enumerate(W):
-        dX[k + 1] = A @ dX[k] + w
+        np.dot(A, dX[k], out=dX[k + 1])
+        dX[k + 1] += w
     return dX
 
 
