@@ -170,10 +170,11 @@ ptrdiff_t zero_order_hold_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations
 
    A_c = X + P V_x, B_c = U + P V_u; begin, index, value: the rows of X, U, P, V_x, V_u, one after the other; P has
    `accelerations` columns. Phi itself is not formed: the series is applied to the columns of [A_c, B_c, f].
+   With `known` A and B are not written: they are those of another f, and only f_d is wanted.
    Returns theta; nothing is computed if it is larger than theta_possible or nan. */
 double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const ptrdiff_t *begin,
                        const ptrdiff_t *index, const double *value, const double *f, double period, double theta_max,
-                       double theta_possible, double remainder, double *A, double *B, double *f_d, double *work)
+                       double theta_possible, double remainder, int known, double *A, double *B, double *f_d, double *work)
 {
     const ptrdiff_t columns = n + m + 1, width = padded(columns), r = accelerations;
     const sparse X = part(0, n, begin, index, value), U = part(n, n, begin, index, value);
@@ -233,7 +234,7 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
     }
     first[n] = entries;
     const sparse XP = {n, first, places, merged};
-    for (ptrdiff_t at = 0; at < width; at += PANEL) {
+    for (ptrdiff_t at = known && !halvings ? (n + m) / PANEL * PANEL : 0; at < width; at += PANEL) {
         const ptrdiff_t some = width - at < PANEL ? width - at : PANEL;
         for (ptrdiff_t i = 0; i < n; i++) memcpy(term + i * some, sum + i * width + at, (size_t)some * sizeof *term);
         for (int k = 1; k < terms; k++) {
@@ -255,10 +256,11 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
     }
     for (ptrdiff_t i = 0; i < n; i++) {
         const double *row = sum + i * width;
+        f_d[i] = row[n + m];
+        if (known) continue;
         memcpy(A + i * n, row, (size_t)n * sizeof *A);
         A[i * n + i] += 1.0;
         memcpy(B + i * m, row + n, (size_t)m * sizeof *B);
-        f_d[i] = row[n + m];
     }
     return theta;
 }

@@ -24,7 +24,7 @@ _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 _address, _number, _double = ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_double
 _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "zero_order_hold_work": (_number, [_number] * 3),
-    "zero_order_hold": (_double, [_number] * 3 + [_address] * 4 + [_double] * 4 + [_address] * 4),
+    "zero_order_hold": (_double, [_number] * 3 + [_address] * 4 + [_double] * 4 + [ctypes.c_int] + [_address] * 4),
     "predict_work": (_number, [_number] * 3),
     "respond": (None, [_address]),
     "condense_work": (_number, [_number] * 5),
@@ -37,17 +37,17 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
 
 
 def zero_order_hold(
-    linear: "Linearisation", period_s: float, theta_max: float, theta_possible: float, remainder: float
+    linear: "Linearisation", period_s: float, theta_max: float, theta_possible: float, remainder: float, known: bool
 ) -> tuple[float, Array, Array, Array]:
     """Return the growth theta, A, B and f_d; the last three are meaningless if theta > theta_possible or nan.
 
-    Arguments as in `model.discretisation`; the period is halved above theta_max.
+    Arguments as in `model.discretisation`; the period is halved above theta_max. With `known` only f_d is computed.
     """
     (n, m), accelerations = linear.pattern.shapes[1], linear.pattern.shapes[2][1]
     A, B, f_d = np.empty((n, n)), np.empty((n, m)), np.empty(n)
     theta = _KERNELS.zero_order_hold(
         n, m, accelerations, *linear.pattern.addresses, at(linear.values), at(linear.f),
-        period_s, theta_max, theta_possible, remainder,
+        period_s, theta_max, theta_possible, remainder, known,
         at(A), at(B), at(f_d), _work("hold", _KERNELS.zero_order_hold_work(n, m, accelerations)),
     )  # fmt: skip
     return theta, A, B, f_d

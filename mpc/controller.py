@@ -88,6 +88,8 @@ class Controller:
         self._along = Along(self._decision)
         self._at_hover: Linearisation | None = None
         self._limits = settings.lower(N), settings.upper(N)
+        # Derivatives and difference equation of the newest step.
+        self._held: tuple[Array, Discrete] | None = None
         # Outputs along the newest trajectory beyond their linearisation, (N_p + 1, p).
         self._curvature: Array | None = None
 
@@ -154,8 +156,12 @@ class Controller:
 
     def discretise(self, linear: Linear) -> Discrete:
         """Return the difference equation over the sampling period. Source: docs/equations.md (16)-(17)."""
-        method = zero_order_hold if self.settings.discretisation == "exact" else euler
-        return method(linear.model, self.settings.sampling_period_s)
+        model, period_s = linear.model, self.settings.sampling_period_s
+        if self.settings.discretisation == "euler":
+            return euler(model, period_s)
+        known = self._held[1] if self._held is not None and self._held[0] is model.values else None
+        self._held = model.values, zero_order_hold(model, period_s, known)
+        return self._held[1]
 
     def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction | Course:
         """Predict the team over the horizon; valid until the next prediction, as is its QP (`mpc.program`).

@@ -1,5 +1,6 @@
 """Zero-order hold against the matrix exponential, in closed form, and by the properties of a flow."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -46,6 +47,18 @@ def test_equals_the_exponential_of_the_augmented_matrix(N: int, period_s: float)
         own, expected = zero_order_hold(linear, period_s), naive.exact_hold(linear, period_s)
         for found, exact in zip((own.A, own.B, own.f_d), expected, strict=True):
             assert deviation(found, exact) < EXPONENTIAL_TOLERANCE
+
+
+@pytest.mark.parametrize("period_s", [0.05, 2.0])
+@pytest.mark.parametrize("N", [1, 4])
+def test_another_drift_with_known_matrices_is_the_same_hold(N: int, period_s: float) -> None:
+    """Taking A and B from the step before changes no bit, short periods and halved ones alike."""
+    linear = random_linearisation(N)
+    other = replace(linear, f=random_linearisation(N, 1).f)
+    known = zero_order_hold(linear, period_s)
+    own, expected = zero_order_hold(other, period_s, known), zero_order_hold(other, period_s)
+    for name in ("A", "B", "f_d"):
+        assert getattr(own, name).tobytes() == getattr(expected, name).tobytes()
 
 
 def test_double_integrator_in_closed_form() -> None:
