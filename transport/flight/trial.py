@@ -20,6 +20,7 @@ from protocol.wire.names import PLANT, agent_name
 
 # Time for the process of the trial to start and to be ended by its alarm, beside the time of the classes, s.
 _START_S = 10.0
+_FIELDS = {"engine": "plant.engine", "controller": "agents.controller"}
 
 
 def named(setup: Setup) -> dict[str, str]:
@@ -48,11 +49,11 @@ def tried(setup: Setup, external: Collection[str] = ()) -> Mapping[str, str]:
         "engine": PLANT in external,
         "controller": all(agent_name(agent) in external for agent in setup.agents),
     }
-    own = {
-        what: name
-        for what, name in named(setup).items()
-        if ":" in name and not name.startswith("__main__:") and not elsewhere[what]
-    }
+    own = {what: name for what, name in named(setup).items() if ":" in name and not elsewhere[what]}
+    for what, name in own.items():
+        if name.startswith("__main__:"):
+            expected = "expected a class in a module, which the processes of a run can import"
+            raise ScenarioError(scenario.name, _FIELDS[what], f"{expected}, got one of the program itself")
     found = {what: "external" for what, away in elsewhere.items() if away}
     if not own:
         checks = {"engine": checked_engine, "controller": checked_controller}
@@ -68,7 +69,7 @@ def tried(setup: Setup, external: Collection[str] = ()) -> Mapping[str, str]:
     }
     given = pickle.dumps((sys.path, replace(setup, scenario=scenario.model_copy(update=sections))))
     problem, code = f"not ready within {limit_s:g} s (clock.join_timeout_s)", -signal.SIGALRM
-    field = "plant.engine" if "engine" in own else "agents.controller"
+    field = _FIELDS[next(iter(own))]
     try:
         done = subprocess.run(
             command,
