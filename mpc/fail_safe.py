@@ -30,10 +30,11 @@ class FailSafe:
         u_hover: Hover input with the thrusts to hold, (4 N,).
         X_ref: Reference states at the sampling instants, (K, n), the last one held, for UAVs that measure their
             position and velocity and follow them; None for UAVs that keep level.
+        U_ref: With a flat reference its inputs, (K, m), which take the place of hover.
     """
 
-    def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None) -> None:
-        self._u_hover, self._uavs, self._X_ref = u_hover, system.uavs, X_ref
+    def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None, U_ref: Array | None = None) -> None:
+        self._u_hover, self._uavs, self._X_ref, self._U_ref = u_hover, system.uavs, X_ref, U_ref
         self._gains = []
         level = np.diag([1.0, 1.0, 0.0])  # the heading is free
         for uav in system.uavs:
@@ -77,8 +78,11 @@ class FailSafe:
             turned = rotation(np.array([0.0, 0.0, own[state.THETA][2]])).T  # into the UAV's heading
             wanted = self._wanted(uav, turned @ (position - expected[0]), turned @ (velocity - expected[1]))
             own[state.THETA] -= np.clip(wanted, -_STEEPEST, _STEEPEST)
-        hover: Array = self._u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])
-        return hover + self._gains[uav] @ own
+        at_rest: Array = self._u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])
+        if self._X_ref is not None and self._U_ref is not None:
+            at = min(tick, len(self._U_ref) - 1)
+            at_rest, own = self._U_ref[at, state.input_slice(uav)], own - self._X_ref[at, state.uav_slice(uav)]
+        return at_rest + self._gains[uav] @ own
 
     def _motion(self, uav: int, x: Array) -> tuple[Array, Array]:
         """Return position and velocity of a UAV, inertial frame, m and m/s. Source: docs/equations.md (1), (39)."""

@@ -84,7 +84,7 @@ class Regulation:
         terms = (*settings.cost, *settings.weights.terms(model.system.N))
         self._settings, self.user_costs = settings, UserCosts(terms, model)
         followed = None if settings.fail_safe == "level" else hover.x[None] if X_ref is None else X_ref
-        self._fail_safe = FailSafe(model.system, hover.u, followed)
+        self._fail_safe = FailSafe(model.system, hover.u, followed, None if track is None else track.U)
         self._track, previewed = track, settings.preview and track is None
         self._X_ref, self._follows_from = X_ref if previewed else None, (hover, settings, X_ref, track)
         # Values of the user's terms on the reference, (K, terms): no team changes them.

@@ -137,7 +137,8 @@ class Setup:
     def fail_safe(self) -> FailSafe:
         """Control law of the UAVs whose plans have run out."""
         follows = self.settings.fail_safe == "follow"
-        return FailSafe(self.system, self.hover.u, self.X_ref if follows else None)
+        U_ref = None if self.track is None else self.track.U
+        return FailSafe(self.system, self.hover.u, self.X_ref if follows else None, U_ref)
 
     def _instants_s(self) -> Array:
         instants = np.arange(self.ticks + self.settings.horizon + 2, dtype=np.float64)
