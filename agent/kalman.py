@@ -158,7 +158,7 @@ class KalmanFilter:
         x, forces, actual = belief.x[:n], self.forces(belief), belief.x[n:] if self._inputs else u
         linear = model.linearise(x, actual, forces=forces)
         if self._inputs:
-            linear = motors.lagged(linear, actual, u, self._lag_s)
+            linear = motors.lagged(linear, actual, u, self._lag_s, model.system.commands_rates)
         discrete = zero_order_hold(linear, self._period_s)
         T, (T_ahead, L) = belief.T, self.basis(ahead)
         moved, s = discrete.A @ T, T.shape[1]

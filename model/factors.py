@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.arrays import Array, frozen
+from model.state import INPUTS, OMEGA, PAYLOAD, PER_UAV
 
 # In the order of their entries.
 NAMES = ("X", "U", "P", "V_x", "V_u", "C")
@@ -84,11 +85,20 @@ def of_matrices(A_c: Array, B_c: Array, C: Array) -> tuple[Pattern, Array]:
     return pattern, np.concatenate([matrix.reshape(-1) for matrix in matrices])
 
 
+def rate_places(m: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return the positions of body rates as inputs, in u of m inputs, and of the rates themselves, in x."""
+    uavs, axes = np.divmod(np.arange(3 * m // INPUTS), 3)
+    return INPUTS * uavs + 1 + axes, PAYLOAD + PER_UAV * uavs + OMEGA.start + axes
+
+
 @lru_cache(64)
-def with_lag(pattern: Pattern) -> tuple[Pattern, npt.NDArray[np.intp]]:
+def with_lag(pattern: Pattern, rates: bool = False) -> tuple[Pattern, npt.NDArray[np.intp]]:
     """Return the pattern of a system whose inputs a follow commands u by a' = (u - a) / lag: states [x, a], inputs u.
 
         X = [[X, U], [0, -1/lag]],    U = [[0], [1/lag]],    P = [[P], [0]],    V_x = [V_x, V_u],    V_u = 0
+
+    With commanded body rates a' also has the row of the body rate that the input commands, in X and U; the entry of an
+    input's own row on itself is one of the m entries of -1/lag.
 
     Returns: The pattern, and the order of its entries, taken from those of the system, -1/lag (m,) and 1/lag (m,).
     """
@@ -101,6 +111,8 @@ def with_lag(pattern: Pattern) -> tuple[Pattern, npt.NDArray[np.intp]]:
         return [(int(pattern.index[k]) + shift, k) for k in range(pattern.begin[at], pattern.begin[at + 1])]
 
     follow = [[(n + j, entries + j)] for j in range(m)]
+    for j, i in zip(*rate_places(m), strict=True) if rates else ():
+        follow[j] = row("X", int(i)) + follow[j]
     command = [[(j, entries + m + j)] for j in range(m)]
     factors: list[list[list[tuple[int, int]]]] = [
         [row("X", i) + row("U", i, n) for i in range(n)] + follow,

@@ -4,7 +4,8 @@ Under a held command a decays exponentially towards it, so over one step it is k
 it is integrated with two held inputs per step that have the step's mean and first moment: a commutator-free Magnus
 method of order 4 (Blanes, Moan 2006), for which any integrator of held inputs will do.
 
-A state with motors is z = [x, a], (n + m,).
+A state with motors is z = [x, a], (n + m,). With commanded body rates the lag is inside the inner loops: a is then
+the rate command that would give the present angular acceleration at once, omega + omega' / K.
 """
 
 import math
@@ -12,10 +13,12 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg import expm
 
 from model.arrays import Array
-from model.factors import with_lag
+from model.factors import rate_places, with_lag
 from model.linearisation import Linearisation, Model
+from model.state import INPUTS, PAYLOAD, PER_UAV
 
 
 def decay(lag_s: float, duration_s: float) -> float:
@@ -51,6 +54,40 @@ def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, 
     return (u + first * deviation, u + second * deviation), u + decay(lag_s, step_s) * deviation
 
 
+@lru_cache
+def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: int) -> Array:
+    """Return what is left of deviations from held commands, for all UAVs, (3, 2, 4 uavs).
+
+    By row: in two held inputs that stand for the actual ones over a step, s, and in the actual ones at its end. By
+    column: of the actual input, and of the body rate that it commands, given the gains of the inner loops.
+    Source: docs/equations.md (54), (60a).
+    """
+    found = np.zeros((3, 2, 4))
+    found[:, 0] = np.array([*deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
+    for axis, gain in enumerate(gains or (), start=1):
+        M = np.array([[gain - 1.0 / lag_s, -gain], [gain, -gain]])
+        end = expm(M * step_s)
+        area = np.linalg.solve(M, end - np.eye(2))
+        mean = area[0] / step_s
+        moment = 4.0 * (np.linalg.solve(M, step_s * end - area)[0] / step_s**2 - mean / 2.0)
+        found[:, :, axis] = mean - moment, mean + moment, end[0]
+    return np.tile(found, uavs)
+
+
+def commanded_states(x: Array) -> Array:
+    """Return the body rate that each input commands, (4 N,), zero for thrusts; of a state, (n,)."""
+    rates = np.zeros((len(x) - PAYLOAD) // PER_UAV * INPUTS)
+    inputs, states = rate_places(len(rates))
+    rates[inputs] = x[states]
+    return rates
+
+
+def _held_by_rates(a: Array, u: Array, x: Array, of: Array) -> tuple[tuple[Array, Array], Array]:
+    """Return what `held` returns, with the inner loops' shares. Source: docs/equations.md (60a)."""
+    first, second, end = u + of[:, 0] * (a - u) + of[:, 1] * (commanded_states(x) - u)
+    return (first, second), end
+
+
 def integrate(
     model: Model, z: Array, u: Array, duration_s: float, steps: int, lag_s: float, forces: Array | None = None
 ) -> tuple[Array, float]:
@@ -65,20 +102,24 @@ def integrate(
         lag_s: Time constant of the motors, s; without lag the actual inputs are the command.
         forces: External forces, held; see `Model.integrate`.
     Returns: State, of the size of z, and the largest local error estimate of the integration under held inputs, SI.
-    Source: docs/equations.md (53), (54).
+    Source: docs/equations.md (53), (54), (60a).
     """
     if lag_s == 0.0:
         return model.integrate(z, u, duration_s, steps, forces=forces)
     x, a, worst, step_s = z[: model.system.n], z[model.system.n :], 0.0, duration_s / steps
+    gains = model.system.rate_gains
     for _ in range(steps):
-        inputs, a = held(a, u, lag_s, step_s)
+        if gains is None:
+            inputs, a = held(a, u, lag_s, step_s)
+        else:
+            inputs, a = _held_by_rates(a, u, x, shares(lag_s, step_s, tuple(gains.tolist()), model.system.N))
         for half in inputs:
             x, error = model.integrate(x, half, step_s / 2.0, 1, forces=forces)
             worst = max(worst, error)
     return np.concatenate([x, a]), worst
 
 
-def lagged(linear: Linearisation, a: Array, u: Array, lag_s: float) -> Linearisation:
+def lagged(linear: Linearisation, a: Array, u: Array, lag_s: float, rates: bool = False) -> Linearisation:
     """Return the expansion of motion and motors, in deviations of z = [x, a] and of the command.
 
     Args:
@@ -86,9 +127,15 @@ def lagged(linear: Linearisation, a: Array, u: Array, lag_s: float) -> Linearisa
         a: The actual inputs, (m,).
         u: Command about which the commands are expanded, (m,).
         lag_s: Time constant > 0, s.
-    Source: docs/equations.md (55).
+        rates: Whether the inputs are body rates, of inner loops with the lag inside.
+    Source: docs/equations.md (55), (60a).
     """
-    pattern, order = with_lag(linear.pattern)
+    pattern, order = with_lag(linear.pattern, rates)
     rate = np.full(len(a), 1.0 / lag_s)
-    values = np.concatenate([linear.values, -rate, rate])[order]
-    return replace(linear, f=np.concatenate([linear.f, (u - a) / lag_s]), pattern=pattern, values=values)
+    on_itself, moving = -rate, (u - a) / lag_s
+    if rates:
+        inputs, states = rate_places(len(a))
+        on_itself[inputs] += linear.pattern.dense(linear.values, "U")[states, inputs]
+        moving[inputs] += linear.f[states]
+    values = np.concatenate([linear.values, on_itself, rate])[order]
+    return replace(linear, f=np.concatenate([linear.f, moving]), pattern=pattern, values=values)

@@ -141,7 +141,7 @@ class Controller:
             model = self._expansion(x0, u0, forces)
             return Linear(x0=x0, u0=u0, model=model, u_target=u_target, forces=forces)
         x0, actual = x0[:n], x0[n:]
-        model = lagged(self._expansion(x0, actual, forces), actual, u0, lag_s)
+        model = lagged(self._expansion(x0, actual, forces), actual, u0, lag_s, self.model.system.commands_rates)
         return Linear(x0=x0, u0=u0, model=model, u_target=u_target, actual=actual, forces=forces)
 
     def _expansion(self, x0: Array, actual: Array, forces: Array | None) -> Linearisation:

@@ -154,7 +154,8 @@ def regulator(
     linear = model.linearise(hover.x, hover.u)
     T = tangent(hover.x, off, released)
     if motor_lag_s > 0.0:
-        linear, T = lagged(linear, hover.u, hover.u, motor_lag_s), with_motors(T, off)
+        linear = lagged(linear, hover.u, hover.u, motor_lag_s, model.system.commands_rates)
+        T = with_motors(T, off)
     discrete = zero_order_hold(linear, period_s)
     K: Array = np.zeros((len(hover.u), len(T)))
     for uav, own in (uncontrolled or {}).items():

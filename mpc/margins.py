@@ -112,7 +112,9 @@ class Loop:
         self._motion, T = model, tangent(self._hover.x)
         self._r = T.shape[1]  # coordinates of the motion; those of the actual inputs follow
         if self.known_lag_s > 0.0:
-            model, T = lagged(model, self._hover.u, self._hover.u, self.known_lag_s), with_motors(T, ())
+            rates = self._system.commands_rates
+            model = lagged(model, self._hover.u, self._hover.u, self.known_lag_s, rates)
+            T = with_motors(T, ())
         self._model, self._T = model, T
         discrete = zero_order_hold(model, self.period_s)
         self._A, self._B = T.T @ discrete.A @ T, T.T @ discrete.B

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
-from model import state
+from model import motors, state
+from model.factors import rate_places
 from model.linearisation import Model
 from model.parameters import System
 from model.state import StateView, uav_slice
@@ -17,6 +19,8 @@ WIDE_NM = np.full(3, np.inf)
 ROUNDING = 1e-9
 # Central differences of step 1e-6 of smooth functions.
 DIFFERENCES = 1e-5
+# Ten held inputs of order 4 in a period instead of the exact ones, rad/s.
+HALVES = 1e-4
 
 
 def with_rates(system: System) -> System:
@@ -90,3 +94,35 @@ def test_the_fail_safe_levels_a_uav() -> None:
         assert np.abs(modes.imag).max() < 1e-6
     assert not gain[:, 9:].any()
     assert not gain[3].any()
+
+
+@pytest.mark.parametrize("lag_s", [0.01, 0.04, 0.1])
+def test_a_known_lag_is_inside_the_inner_loop(lag_s: float) -> None:
+    """Body rates and actual inputs of the model are those of inner loops whose moments follow with the lag, (60a)."""
+    rng = np.random.default_rng(1)
+    system, period_s, N = with_rates(random_system(rng, 2)), 0.05, 2
+    x, u = random_state(rng, N, rate=0.02), random_input(rng, N)
+    a = u + 0.3 * rng.standard_normal(4 * N)
+    found, _ = motors.integrate(Model(system), np.concatenate([x, a]), u, period_s, 5, lag_s)
+    omega, alpha = StateView(x).omega_B, GAINS * (a.reshape(N, 4)[:, 1:] - StateView(x).omega_B)
+    for i, axis in np.ndindex(N, 3):
+        K, command = GAINS[axis], u[4 * i + 1 + axis]
+        M = np.array([[0.0, 1.0], [-K / lag_s, -1.0 / lag_s]])  # of omega - command and alpha
+        rate, turning = expm(M * period_s) @ [omega[i, axis] - command, alpha[i, axis]]
+        assert StateView(found[: len(x)]).omega_B[i, axis] == pytest.approx(rate + command, abs=HALVES)
+        assert found[len(x) + 4 * i + 1 + axis] == pytest.approx(rate + command + turning / K, abs=HALVES)
+
+
+def test_the_expansion_with_a_known_lag() -> None:
+    """The factors multiply out to the derivatives of motion and actual inputs, (60a)."""
+    rng, lag_s = np.random.default_rng(4), 0.06
+    system = with_rates(random_system(rng, 2))
+    model, x, a, u = Model(system), random_state(rng, 2), random_input(rng, 2), random_input(rng, 2)
+    plain = model.linearise(x, a)
+    found, (n, m) = motors.lagged(plain, a, u, lag_s, rates=True), (system.n, system.m)
+    inputs, states = rate_places(m)
+    below = np.hstack([np.zeros((m, n)), -np.eye(m) / lag_s])
+    below[inputs] += np.hstack([plain.A_c, plain.B_c])[states]
+    assert np.abs(found.A_c - np.vstack([np.hstack([plain.A_c, plain.B_c]), below])).max() < ROUNDING
+    assert np.abs(found.f[n:][inputs] - ((u - a) / lag_s)[inputs] - plain.f[states]).max() < ROUNDING
+    assert (found.f[n::4] == ((u - a) / lag_s)[::4]).all()

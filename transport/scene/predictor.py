@@ -9,6 +9,7 @@ from agent.announced import AnnouncedInputs
 from model import motors
 from model.arrays import Array
 from model.compiled import Compiled, functions
+from model.factors import rate_places
 from mpc.feedback import FeedbackError
 from mpc.regulation import Regulation
 from mpc.tracking import rollout
@@ -79,12 +80,14 @@ class Predictor:
     def _actual(self, history: RunHistory, tick: int) -> Array:
         """Return the actual inputs at a tick as its agents estimate them: by the lag from the commands before, (m,)."""
         settings = self._setup.settings
-        left = motors.decay(settings.motor_lag_s, settings.sampling_period_s)
+        lag_s, period_s = settings.motor_lag_s, settings.sampling_period_s
+        forgotten_s = lag_s * math.log(1.0 / _FORGOTTEN)
+        left = _shares(self._setup, period_s)[2]
         a: Array = self._setup.hover.u
-        for k in range(max(0, tick - math.ceil(math.log(_FORGOTTEN) / math.log(left))), tick):
+        for k in range(max(0, tick - math.ceil(forgotten_s / period_s)), tick):
             before = history.plant_states.get(k)
             if before is not None:
-                a = before.u + left * (a - before.u)
+                a = before.u + left[0] * (a - before.u) + left[1] * (motors.commanded_states(before.x) - before.u)
         return a
 
 
@@ -96,6 +99,14 @@ def _regulation(setup: Setup) -> Regulation | None:
         return Regulation(setup.model, setup.hover, setup.settings, setup.X_ref, setup.track)
     except FeedbackError:
         return None
+
+
+def _shares(setup: Setup, step_s: float) -> Array:
+    """Return what is left of deviations from commands over a step, (3, 2, m); see `motors.shares`."""
+    gains = setup.system.rate_gains
+    return motors.shares(
+        setup.settings.motor_lag_s, step_s, None if gains is None else tuple(gains.tolist()), setup.system.N
+    )
 
 
 def _rollout(setup: Setup, regulation: Regulation | None) -> ca.Function:
@@ -119,9 +130,14 @@ def _rollout(setup: Setup, regulation: Regulation | None) -> ca.Function:
     p, step_s, after, a = ca.DM(system.vector()), settings.sampling_period_s / parts, z[:n], z[n:]
     for _ in range(parts):
         if lag_s > 0.0:
-            for share in motors.deviations(lag_s, step_s):
-                after = step(after, held + share * (a - held), p, F, step_s / 2.0)[0]
-            a = held + motors.decay(lag_s, step_s) * (a - held)
+            inputs, states = rate_places(m)
+            moving = ca.MX.zeros(m)
+            moving[inputs.tolist()] = after[states.tolist()]
+            first, second, a = (
+                held + ca.DM(of[0]) * (a - held) + ca.DM(of[1]) * (moving - held) for of in _shares(setup, step_s)
+            )
+            for half in (first, second):
+                after = step(after, half, p, F, step_s / 2.0)[0]
         else:
             after = step(after, held, p, F, step_s)[0]
     one = ca.Function("one", [z, u, x_ref, F], [ca.vertcat(after, a) if lag_s > 0.0 else after])
