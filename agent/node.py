@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from agent.kalman import Belief
 from agent.own import PROJECT, OwnPlanner, OwnStep
 from agent.step import Planner, Step
 from agent.team_estimate import Known
@@ -86,6 +87,11 @@ class AgentNode:
     def poll(self, now_ns: int) -> Sequence[Message]:
         """In real time, plan from the newest measurement once all received messages are taken in."""
         return () if self._waits else self._work(now_ns)
+
+    @property
+    def belief(self) -> Belief | None:
+        """Newest belief of the Kalman filter; None without one."""
+        return self._planner.belief if isinstance(self._planner, Planner) else None
 
     def warm_up(self) -> None:
         """Compute a step and discard it, so that the first step of the run is not slower than the others."""

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.estimator import STEPS
+from agent.kalman import Belief
 from agent.sharing import Sharing
 from agent.team_estimate import Known, TeamEstimate
 from model import motors
@@ -76,6 +77,11 @@ class Planner:
         settings, uavs = self._setup.settings, len(self._owned)
         self._sharing = Sharing(self._setup.scenario.controller, settings.lower(uavs), settings.upper(uavs))
         self._idle_since_ns = self._stopwatch()
+
+    @property
+    def belief(self) -> Belief | None:
+        """Newest belief of the Kalman filter; None without one."""
+        return self._team.estimator.belief
 
     def warm_up(self) -> None:
         """Compute a step and discard it, so that the first step of the run is not slower than the others."""

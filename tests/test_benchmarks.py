@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import parts, solvers, step
+from benchmarks import estimates, parts, solvers, step
 from benchmarks.effort import FULL, QUICK, Effort
 from benchmarks.page import BenchmarkError, Table, check, write
 from benchmarks.runs import programs, setup
@@ -122,3 +122,12 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
     assert command.main(["--only", "parts", "--document", str(document)]) == 0
     assert "what\n\n| a | b |\n| --- | --- |\n| 1 | 2 |\n\n*" in document.read_text()
     assert efforts == [FULL, FULL, QUICK, FULL]
+
+
+def test_estimates_are_compared_with_the_truth(capsys: pytest.CaptureFixture[str]) -> None:
+    """The error of the filters over a second of hover with delay is within the band of its covariance."""
+    hover = "maneuver.phase=[{name='hover',duration_s=1.0,displacement_m=[0.0,0.0,0.0]}]"
+    assert estimates.main(["--seeds", "1", "--set", hover, "--set", "links.delay_s=0.1"]) == 0
+    row, summary = capsys.readouterr().out.splitlines()
+    assert row.startswith("seed 0 completed: payload ")
+    assert summary == "1 of 1 seeds have their mean NEES within the band of an instant"

@@ -7,7 +7,7 @@ wall time. Scripted faults apply as to processes.
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import threadpoolctl
 
@@ -48,7 +48,12 @@ def simulate(
 class InMemoryRun:
     """State of one run: running nodes, messages in the queue, virtual time."""
 
-    def __init__(self, setup: Setup, record: Callable[[Message], None], stopwatch: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        record: Callable[[Message], None],
+        stopwatch: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
         self._setup, self._record, self._stopwatch = setup, record, stopwatch
         self._keys = Keys(setup.scenario.name)
         self._coordinator = CoordinatorNode(setup)
@@ -62,6 +67,11 @@ class InMemoryRun:
         self._now_ns = 0
         self._incarnations: dict[str, int] = {}
         self._returns = [fault for fault in setup.faults if fault.do in ("continue", "start")]
+
+    @property
+    def nodes(self) -> Mapping[str, Node]:
+        """The running nodes by name."""
+        return self._nodes
 
     def run(self) -> Control:
         """Simulate to the end."""
