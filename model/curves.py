@@ -62,7 +62,7 @@ class Curve:
         return self._shape(self.covered(t_s, orders))
 
     def covered(self, t_s: Array, orders: int) -> Array:
-        """Return the jets of the covered share s, (orders, k). Source: docs/equations.md (70)."""
+        """Return the jets of the covered share s, (orders, k). Source: docs/equations.md (65)."""
         span = self.duration_s - self.ramp_s
         inside = np.clip(t_s, 0.0, self.duration_s)
         s = (_started(inside, self.ramp_s, orders) - _started(inside - span, self.ramp_s, orders)) / span

@@ -88,7 +88,7 @@ class Motion:
 def motion(symbols: Symbols, given: ca.SX | None = None) -> Motion:
     """Return the right-hand side; with a given payload acceleration, (6,), derivative and tensions are under that one.
 
-    Source: docs/equations.md (4)-(13), (37), (59); paper (2)-(11).
+    Source: docs/equations.md (4)-(13), (37), (57); paper (2)-(11).
     """
     x, u, N = symbols.x, symbols.u, symbols.N
     v0, omega0 = x[state.V0], x[state.OMEGA0]

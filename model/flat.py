@@ -66,11 +66,11 @@ class FlatReference:
         self._system, self._hover = system, hover
 
     def outputs(self, t_s: Array) -> Array:
-        """Return y_ref at times t_s, (k,), s: (k, 4 N + 9), SI. Source: docs/equations.md (14), (71)-(73)."""
+        """Return y_ref at times t_s, (k,), s: (k, 4 N + 9), SI. Source: docs/equations.md (14), (66)-(68)."""
         return self.followed(t_s)[0]
 
     def states(self, t_s: Array) -> Array:
-        """Return x_ref at times t_s, (k,), s: (k, 12 + 12 N), SI. Source: docs/equations.md (71)-(73)."""
+        """Return x_ref at times t_s, (k,), s: (k, 12 + 12 N), SI. Source: docs/equations.md (66)-(68)."""
         return self.flight(t_s).x
 
     def followed(self, t_s: Array) -> tuple[Array, Array]:
@@ -109,7 +109,7 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Fli
         hover: Its equilibrium, whose rod forces the others deviate least from.
         path: Jets of the payload's position, (7, k, 3), inertial frame, m.
         forces: Constant external forces, (3 + 3 N,), inertial frame, N; may be complex.
-    Source: docs/equations.md (71)-(73).
+    Source: docs/equations.md (66)-(68).
     """
     N, k = system.N, path.shape[1]
     F = np.zeros(3 + 3 * N) if forces is None else forces

@@ -158,7 +158,7 @@ class Maneuver:
     def jets(self, t_s: Array) -> Array:
         """Return the jets (`model.jets`) of a smooth path at times t_s, (k,): (`ORDERS`, k, 3), SI.
 
-        Raises: ParameterError: a phase is not smooth. Source: docs/equations.md (70).
+        Raises: ParameterError: a phase is not smooth. Source: docs/equations.md (65).
         """
         found, begin = np.zeros((ORDERS, len(t_s), 3)), 0.0
         found[0] = self.start_I
@@ -182,7 +182,7 @@ class Maneuver:
         """Return how far below the payload's path the controllers' reference is, (k,), m, and its rate, (k,), m/s.
 
         Zero in flight. On the ground the team then pulls with less than the payload's weight. Source: docs/equations.md
-        (57).
+        (59).
         """
         level = np.full(len(t_s), float(self.phases[0].kind == "take_off"))
         rate = np.zeros(len(t_s))
@@ -220,7 +220,7 @@ class Reference:
 
         They are those of the maneuver, and below its path while the payload stands on the ground.
 
-        Source: docs/equations.md (57).
+        Source: docs/equations.md (59).
         """
         y, x, (depth, rate) = self.outputs(t_s), self.states(t_s), self.maneuver.press(t_s)
         y[:, 2 : 3 * self._system.N : 3] += depth[:, None]

@@ -13,7 +13,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import expm
 
 from model.arrays import Array
 from model.factors import rate_places, with_lag
@@ -60,12 +59,14 @@ def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: i
 
     By row: in two held inputs that stand for the actual ones over a step, s, and in the actual ones at its end. By
     column: of the actual input, and of the body rate that it commands, given the gains of the inner loops.
-    Source: docs/equations.md (54), (60a).
+    Source: docs/equations.md (54), (58a).
     """
     found = np.zeros((3, 2, 4))
     found[:, 0] = np.array([*deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
     for axis, gain in enumerate(gains or (), start=1):
         M = np.array([[gain - 1.0 / lag_s, -gain], [gain, -gain]])
+        from scipy.linalg import expm  # 0.3 s at start, and only a lag inside an inner loop needs it
+
         end = expm(M * step_s)
         area = np.linalg.solve(M, end - np.eye(2))
         mean = area[0] / step_s
@@ -83,7 +84,7 @@ def commanded_states(x: Array) -> Array:
 
 
 def _held_by_rates(a: Array, u: Array, x: Array, of: Array) -> tuple[tuple[Array, Array], Array]:
-    """Return what `held` returns, with the inner loops' shares. Source: docs/equations.md (60a)."""
+    """Return what `held` returns, with the inner loops' shares. Source: docs/equations.md (58a)."""
     first, second, end = u + of[:, 0] * (a - u) + of[:, 1] * (commanded_states(x) - u)
     return (first, second), end
 
@@ -102,7 +103,7 @@ def integrate(
         lag_s: Time constant of the motors, s; without lag the actual inputs are the command.
         forces: External forces, held; see `Model.integrate`.
     Returns: State, of the size of z, and the largest local error estimate of the integration under held inputs, SI.
-    Source: docs/equations.md (53), (54), (60a).
+    Source: docs/equations.md (53), (54), (58a).
     """
     if lag_s == 0.0:
         return model.integrate(z, u, duration_s, steps, forces=forces)
@@ -128,7 +129,7 @@ def lagged(linear: Linearisation, a: Array, u: Array, lag_s: float, rates: bool 
         u: Command about which the commands are expanded, (m,).
         lag_s: Time constant > 0, s.
         rates: Whether the inputs are body rates, of inner loops with the lag inside.
-    Source: docs/equations.md (55), (60a).
+    Source: docs/equations.md (55), (58a).
     """
     pattern, order = with_lag(linear.pattern, rates)
     rate = np.full(len(a), 1.0 / lag_s)

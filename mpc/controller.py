@@ -166,7 +166,7 @@ class Controller:
     def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction | Course:
         """Predict the team over the horizon; valid until the next prediction, as is its QP (`mpc.program`).
 
-        Source: docs/equations.md (22)-(24), (35)-(36), (78).
+        Source: docs/equations.md (22)-(24), (35)-(36), (73).
         """
         if law is not None and law.along is not None:
             return self._along.course(self.model, linear, law, law.along)

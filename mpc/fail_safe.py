@@ -50,7 +50,7 @@ class FailSafe:
     def gain(self, uav: int) -> Array:
         """Return the linearised feedback from the state to a UAV's inputs, (4, n).
 
-        Source: docs/equations.md (31), (31a), (45), (60).
+        Source: docs/equations.md (31), (31a), (45), (58).
         """
         gain = np.zeros((state.INPUTS, state.PAYLOAD + state.PER_UAV * len(self._uavs)))
         own = state.uav_slice(uav)
@@ -69,7 +69,7 @@ class FailSafe:
     def inputs(self, uav: int, x: Array, tick: int) -> Array:
         """Return the inputs of one UAV, 0-based, at a state of the system at t_k, (n,), before limits, (4,), SI.
 
-        Source: docs/equations.md (31), (31a), (60).
+        Source: docs/equations.md (31), (31a), (58).
         """
         own = x[state.uav_slice(uav)].copy()
         if self._X_ref is not None:

@@ -216,7 +216,7 @@ class Loop:
         return self._step_matrix(_held(F, G, part_s), _held(F, G, period_s - part_s), round(late))
 
     def _inner_loop(self) -> tuple[Array, Array]:
-        """Return thrust and moments by state, in coordinates of the motion, and by command. Source: (59)."""
+        """Return thrust and moments by state, in coordinates of the motion, and by command. Source: (57)."""
         by_state, by_command = np.zeros((self._m, self._system.n)), np.eye(self._m)
         if self._system.rate_gains is not None:
             for i, uav in enumerate(self._system.uavs):

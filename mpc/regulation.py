@@ -161,7 +161,7 @@ class Regulation:
     def _law_along(
         self, tracker: Tracker, track: Track, x0: Array, c: Array, forces: Array | None, start: int, steps: int
     ) -> FeedbackLaw:
-        """Return the control law along the reference. Source: docs/equations.md (75), (78)."""
+        """Return the control law along the reference. Source: docs/equations.md (70), (73)."""
         at, where = _clamped(start, steps, len(tracker.K)), _clamped(start, steps, len(track.X))
         u_rest, error = track.U[where], x0 - track.X[where]
         if forces is not None:

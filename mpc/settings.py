@@ -272,7 +272,7 @@ class ControllerSettings(Section):
     solution fails the residual check"""
     inputs: InputsName = "moments"
     """what agents command beside the thrust: moments, or body rates that an inner loop on each UAV follows,
-    [equations.md](equations.md#body-rates) (59)"""
+    [equations.md](equations.md#body-rates) (57)"""
     rate_time_constant_s: Annotated[PositiveVector, Key(label="time constant of the inner loop", shown="ms")] = (
         0.04,
         0.04,

@@ -70,7 +70,7 @@ def tracker(
         period_s: Sampling period, s.
         uncontrolled: Inputs on the reference, (L, 4), and feedback from the state, (4, n), of each UAV without an
             agent, by its 0-based number.
-    Source: docs/equations.md (75)-(77).
+    Source: docs/equations.md (70)-(72).
     """
     moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
     last = int(moving.max(initial=-1)) + 1
@@ -130,7 +130,7 @@ def rollout(
     """Return states, (N_p + 1, n), and inputs, (N_p, m), under the control law and its corrections.
 
     Inputs are within bounds. Those of a decision are free, or also within rates if the owned inputs before the first
-    step are given, (m_own,). Source: docs/equations.md (78).
+    step are given, (m_own,). Source: docs/equations.md (73).
     """
     lower, upper = settings.lower(model.system.N), settings.upper(model.system.N)
     at_x0, Z, U = law.uncorrected + law.c, [x0], []
@@ -180,7 +180,7 @@ class Along:
         self._decision, self._rows, self._settings = decision, Rows(decision), decision.settings
 
     def course(self, model: Model, linear: Linear, law: FeedbackLaw, along: Expansion) -> Course:
-        """Return the trajectory of a step. Source: docs/equations.md (77), (78)."""
+        """Return the trajectory of a step. Source: docs/equations.md (72), (73)."""
         own, others, c = self._decision.own, self._decision.others, law.c.copy()
         M = along.M
         c[:, own] = 0.0
@@ -196,7 +196,7 @@ class Along:
         return Course(law=law, along=along, Z=Z, U=U, u0=linear.u0, forces=linear.forces, within=within)
 
     def program(self, model: Model, course: Course) -> QP:
-        """Return the QP of a course: without rows if it violates no constraint. Source: docs/equations.md (79)."""
+        """Return the QP of a course: without rows if it violates no constraint. Source: docs/equations.md (74)."""
         decision, law, along, rows = self._decision, course.law, course.along, self._rows
         (steps, m), size, own, scale = decision.shape, decision.size, decision.own, decision.scale
         slacks = 0 if course.within else len(rows.penalties)

@@ -45,7 +45,7 @@ class RateLoop:
         system: The UAVs as the inner loops know them.
         limits_Nm: Largest moment about each body axis, (3,).
 
-    Source: docs/equations.md (59).
+    Source: docs/equations.md (57).
     """
 
     failure = ""

@@ -21,7 +21,7 @@ _ACCURACY = 1e-3
 def exceeded(path: Array, system: System, hover: Hover, settings: ControllerSettings) -> str | None:
     """Return the first limit that the team exceeds along a path, as expected and got; None if it keeps all.
 
-    Given are the jets of the path, (7, k, 3). Source: docs/equations.md (74).
+    Given are the jets of the path, (7, k, 3). Source: docs/equations.md (69).
     """
     flown, limits = flight(system, hover, path), settings.limits
     view, inputs = StateView(flown.x), flown.u.reshape(len(flown.x), system.N, INPUTS)

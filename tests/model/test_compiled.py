@@ -46,6 +46,7 @@ def results(built: dict[str, ca.Function]) -> list[Array]:
         "outputs": (x, p),
         "linearise": (x, u, p, F),
         "step": (x, u, p, F, 0.05),
+        "sense": (x, u, p, F),
     }
     assert built.keys() == arguments.keys()
     return [array for name, function in built.items() for array in Compiled(function)(*arguments[name])]
@@ -119,10 +120,10 @@ def test_cache_folder_follows_the_environment(tmp_path: Path, monkeypatch: pytes
 # Run beside a copy of the package, whose source is changed by its relative path: never the one being tested.
 _NAMES_BEFORE_AND_AFTER = """
 from model import compiled
-print(compiled._cache_path(1).name)
+print(compiled._cache_path(1, False).name)
 with open("model/{module}.py", "a") as source:
     source.write("# another version")
-print(compiled._cache_path(1).name)
+print(compiled._cache_path(1, False).name)
 """
 
 

@@ -63,7 +63,7 @@ def difference(values: list[Array]) -> Array:
 @pytest.mark.parametrize("kind", CURVES)
 @pytest.mark.parametrize(("pushed", "gains"), [(False, None), (True, None), (False, [20.0, 20.0, 8.0])])
 def test_reference_satisfies_the_equations_of_motion(kind: str, *, pushed: bool, gains: list[float] | None) -> None:
-    """f(x_ref, u_ref, F) = x_ref', equations (13) and (71)-(73): moments, external forces, commanded body rates."""
+    """f(x_ref, u_ref, F) = x_ref', equations (13) and (66)-(68): moments, external forces, commanded body rates."""
     system, rng = unequal(gains), np.random.default_rng(3)
     maneuver, at_rest, model = along(CURVES[kind]), hover(system), Model(system)
     forces = rng.uniform(-0.5, 0.5, 3 + 3 * system.N) if pushed else np.zeros(3 + 3 * system.N)
@@ -88,7 +88,7 @@ def test_reference_satisfies_the_equations_of_motion(kind: str, *, pushed: bool,
 
 @pytest.mark.parametrize("kind", CURVES)
 def test_path_has_six_derivatives_and_rests_at_its_ends(kind: str) -> None:
-    """Each Taylor coefficient is the rate of the one before, up to the ends, where the team hovers: equation (70)."""
+    """Each Taylor coefficient is the rate of the one before, up to the ends, where the team hovers: equation (65)."""
     curve, system = CURVES[kind], unequal()
     times = np.linspace(0.05, 0.95, 25) * curve.duration_s
     path = curve.path(times)

@@ -46,7 +46,7 @@ def controller(owned: tuple[int, ...] = (1,), settings: ControllerSettings = SET
 
 
 def test_cost_is_the_sum_of_squares_of_corrections() -> None:
-    """From any state, corrections cost sum c' M c beyond the law: (77), simulated on (75) to the end at rest."""
+    """From any state, corrections cost sum c' M c beyond the law: (72), simulated on (70) to the end at rest."""
     model, track = flown()
     one, rng, start = controller(), np.random.default_rng(1), 60
     moving = int(np.flatnonzero((track.X[-1] != track.X).any(axis=1)).max()) + 1 - start

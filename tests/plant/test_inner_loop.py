@@ -30,7 +30,7 @@ def with_rates(system: System) -> System:
 
 @pytest.mark.parametrize("N", [1, 3])
 def test_the_model_is_that_of_moments_with_the_inner_loop(N: int) -> None:
-    """The derivative under body rates is that under the moments of the inner loop, (59); so are the tensions."""
+    """The derivative under body rates is that under the moments of the inner loop, (57); so are the tensions."""
     rng = np.random.default_rng(N)
     system, x, u = random_system(rng, N), random_state(rng, N), random_input(rng, N)
     inputs = RateLoop(with_rates(system), WIDE_NM).moments(0.0, u.reshape(N, 4), x).reshape(-1)
@@ -84,7 +84,7 @@ def test_moments_are_limited() -> None:
 
 
 def test_the_fail_safe_levels_a_uav() -> None:
-    """Roll and pitch of a UAV on its inner loop decay without oscillation under the fail-safe, (60)."""
+    """Roll and pitch of a UAV on its inner loop decay without oscillation under the fail-safe, (58)."""
     system = with_rates(random_system(np.random.default_rng(2), 1))
     gain = FailSafe(system, np.array([9.0, 0.0, 0.0, 0.0])).gain(0)[:, uav_slice(0)]
     for axis in (0, 1):
@@ -98,7 +98,7 @@ def test_the_fail_safe_levels_a_uav() -> None:
 
 @pytest.mark.parametrize("lag_s", [0.01, 0.04, 0.1])
 def test_a_known_lag_is_inside_the_inner_loop(lag_s: float) -> None:
-    """Body rates and actual inputs of the model are those of inner loops whose moments follow with the lag, (60a)."""
+    """Body rates and actual inputs of the model are those of inner loops whose moments follow with the lag, (58a)."""
     rng = np.random.default_rng(1)
     system, period_s, N = with_rates(random_system(rng, 2)), 0.05, 2
     x, u = random_state(rng, N, rate=0.02), random_input(rng, N)
@@ -114,7 +114,7 @@ def test_a_known_lag_is_inside_the_inner_loop(lag_s: float) -> None:
 
 
 def test_the_expansion_with_a_known_lag() -> None:
-    """The factors multiply out to the derivatives of motion and actual inputs, (60a)."""
+    """The factors multiply out to the derivatives of motion and actual inputs, (58a)."""
     rng, lag_s = np.random.default_rng(4), 0.06
     system = with_rates(random_system(rng, 2))
     model, x, a, u = Model(system), random_state(rng, 2), random_input(rng, 2), random_input(rng, 2)

@@ -30,6 +30,12 @@ OTHER_WORDS = {
     "received_states": "as_received",
     "discretisation": "euler",
     "linearisation": "along",
+    "fail_safe": "follow",
+    "estimator": "kalman",
+    "sensors": "vehicle",
+    "inputs": "rates",
+    "inner_loop": "betaflight",
+    "controller": "pid:PID",
     "prediction": "closed_loop",
     "terminal": "riccati",
     "actuation": "immediate",
@@ -132,7 +138,7 @@ def test_defaults() -> None:
     expected = read_scenario(PAPER).tree()
     expected["controller"]["received_plans"] = "by_age"
     del expected["controller"]["separation"]
-    expected["agents"] = {}
+    expected["agents"] = {"controller": "mpc"}
     assert tree == expected
     assert tree["seed"] == 0
     assert tree["clock"] == {
@@ -218,7 +224,7 @@ def test_digest_ignores_formatting(tmp_path: Path) -> None:
     tree = minimal()
     spelled = read_scenario(PAPER, ["controller.separation={minimum_m=1}", "controller.received_plans=by_age"]).tree()
     del spelled["controller"]["separation"]
-    spelled["agents"] = {}
+    del spelled["agents"]["owned"]
     path = tmp_path / "other.toml"
     path.write_text("# a comment\n" + tomli_w.dumps(dict(reversed(spelled.items()))), encoding="utf-8")
     assert read_scenario(path, ["clock.speed=0"]).digest() == validate(tree, "minimal").digest()
