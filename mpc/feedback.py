@@ -94,6 +94,10 @@ class Expansion:
     A_closed: Array
     B: Array
 
+    def at(self, steps: slice | npt.NDArray[np.int_]) -> "Expansion":
+        """Return the expansion at some of the steps, a slice or (k,)."""
+        return Expansion(M=self.M[steps], A_closed=self.A_closed[steps], B=self.B[steps])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Regulator:

@@ -19,7 +19,6 @@ from model.state import input_slice
 from mpc.cost import Cost, UserCosts
 from mpc.fail_safe import FailSafe
 from mpc.feedback import (
-    Expansion,
     FeedbackError,
     FeedbackLaw,
     Preview,
@@ -172,7 +171,7 @@ class Regulation:
             error=error,
             feedforward=tracker.feedforward[at],
             c=c,
-            along=Expansion(M=tracker.M[at], A_closed=tracker.A_closed[at], B=tracker.B[at]),
+            along=tracker.along.at(at),
         )
 
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:

@@ -40,16 +40,12 @@ class Tracker:
     Attributes:
         K: Feedback gain, (L, m, n).
         feedforward: Response to the difference between the reference and the model's steps along it, (L, m).
-        M: Weight of the corrections, (L, m, m).
-        A_closed: State matrix with all feedback, (L, n, n).
-        B: Input matrix, (L, n, m).
+        along: Expansion about the reference at these instants.
     """
 
     K: Array
     feedforward: Array
-    M: Array
-    A_closed: Array
-    B: Array
+    along: Expansion
 
 
 def tracker(
@@ -109,7 +105,7 @@ def tracker(
         P = weighted.T @ weighted + A.T @ P @ A - coupled.T @ gains[:, :-1]
         P, p = (P + P.T) / 2.0, A_closed[k].T @ pushed
     frozen(K, feedforward, M, A_closed, B_all)
-    return Tracker(K=K, feedforward=feedforward, M=M, A_closed=A_closed, B=B_all)
+    return Tracker(K=K, feedforward=feedforward, along=Expansion(M=M, A_closed=A_closed, B=B_all))
 
 
 def _across(x: Array) -> Array:
