@@ -102,6 +102,8 @@ class Curve:
             s /= s[-1]
         else:
             s = self.covered(np.array([0.0, *self.times_s]), 1)[0]
+        if len(points) <= _DEGREE // 2:  # the polynomial through them has no snap, but is not the only such spline
+            return make_interp_spline(s, points, k=len(points) - 1)
         # Minimum snap with free ends; start and stop are those of s.
         ends = [(order, np.zeros(3)) for order in range((_DEGREE + 1) // 2, _DEGREE)]
         return make_interp_spline(s, points, k=_DEGREE, bc_type=(ends, ends))

@@ -2,7 +2,8 @@
 
 The payload stays level, so force and moment on it follow from its acceleration. Their least change from hover gives the
 rod forces, these the directions of the rods, these the motion of the UAVs, and that their attitudes, thrusts and
-moments: all by derivatives of the path (differential flatness: Sreenath, Kumar 2013; Mellinger, Kumar 2011).
+moments: all by derivatives of the path (differential flatness: Sreenath, Kumar 2013; Mellinger, Kumar 2011). Rods lean
+out or in by forces that pull the attachment points apart or together, without force or moment on the payload.
 """
 
 from dataclasses import dataclass
@@ -80,7 +81,7 @@ class FlatReference:
         rho = np.array([uav.rho for uav in self._system.uavs])
         lengths = np.array([uav.rod_length for uav in self._system.uavs])
         places = view.r0_I[:, None] + rho - lengths[:, None] * view.e_P
-        parts = [places.reshape(len(x), -1), view.Theta0, view.omega_B[:, :, 2], path[0], path[1]]
+        parts = [places.reshape(len(x), -1), view.Theta0, view.omega_B[:, :, 2], path[0, :, :3], path[1, :, :3]]
         return np.hstack(parts), x
 
     def flight(self, t_s: Array) -> Flight:
@@ -107,11 +108,13 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Fli
     Args:
         system: Physical parameters.
         hover: Its equilibrium, whose rod forces the others deviate least from.
-        path: Jets of the payload's position, (7, k, 3), inertial frame, m.
+        path: Jets of the payload's position, inertial frame, m, and of length and width of the team as multiples of
+            those at hover, (7, k, 5); without these, (7, k, 3), the team keeps its formation.
         forces: Constant external forces, (3 + 3 N,), inertial frame, N; may be complex.
     Source: docs/equations.md (66)-(68).
     """
     N, k = system.N, path.shape[1]
+    path, formation = path[..., :3], path[..., 3:]
     F = np.zeros(3 + 3 * N) if forces is None else forces
     gravity = np.array([0.0, 0.0, system.gravity])
     rho = np.array([uav.rho for uav in system.uavs])
@@ -123,6 +126,8 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Fli
     needed[0] -= F[:3]
     t = np.einsum("nij,okj->okni", share, needed)
     t[0] -= hover.tensions[:, None] * state.StateView(hover.x).e_P
+    if formation.size:
+        t += _apart(hover, rho, lengths, formation, W)[: len(t)]
     inverse = jets.power(jets.dot(t, t), -0.5)
     e = -jets.product(t, inverse)
     place = path[: len(e), :, None] - lengths * e
@@ -157,6 +162,22 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Fli
     tensions = 1.0 / inverse[0, ..., 0]
     frozen(X, U, tensions)
     return Flight(x=X, u=U, tensions=tensions)
+
+
+def _apart(hover: Hover, rho: Array, lengths: Array, formation: Array, W: Array) -> Array:
+    """Return the jets of rod forces that hold a formation without force or moment on the payload, (7, k, N, 3), N.
+
+    Given are attachments, (N, 3), m, rods' lengths, (N, 1), m, jets of the formation, (7, k, 2), and W, (6, 3 N).
+    Source: docs/equations.md (66a).
+    """
+    away = np.zeros((*formation.shape[:2], *rho.shape))
+    away[0, ..., :2] = -rho[:, :2]
+    away[..., :2] += formation[:, :, None] * rho[:, :2]
+    below = -jets.dot(away, away)
+    below[0] += lengths**2
+    pulls = hover.tensions[:, None] * jets.product(away, jets.power(below, -0.5))
+    flat = pulls.reshape(*pulls.shape[:2], -1)
+    return np.asarray((flat - flat @ (np.linalg.pinv(W) @ W).T).reshape(pulls.shape))
 
 
 def slowed(path: Array, factor: float) -> Array:

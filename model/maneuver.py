@@ -36,6 +36,8 @@ class Phase:
         way: Times since the start of the phase, s, and positions relative to it, m, (k, 4), from zeros to duration and
             displacement, at constant speed between rows. None: straight, by the profile.
         curve: Of the kinds circle, eight and spline.
+        formation: Rows of shares of the duration, rising, and from each on length and width of the team, along x and y,
+            as multiples of those at hover, (k, 3); they change smoothly from row to row. None: as before the phase.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Phase:
     kind: PhaseKind
     way: Array | None
     curve: Curve | None
+    formation: Array | None
 
     def __init__(
         self,
@@ -54,6 +57,7 @@ class Phase:
         kind: PhaseKind = "move",
         way: ArrayLike | None = None,
         curve: Curve | None = None,
+        formation: ArrayLike | None = None,
     ) -> None:
         if not (np.isfinite(duration_s) and duration_s > 0.0):
             raise ParameterError(f"phase {name!r}: expected a duration > 0 s, got {duration_s!r}")
@@ -63,6 +67,7 @@ class Phase:
         object.__setattr__(self, "kind", kind)
         object.__setattr__(self, "way", None if way is None else self._checked_way(way))
         object.__setattr__(self, "curve", curve)
+        object.__setattr__(self, "formation", None if formation is None else self._checked_formation(formation))
         if curve is not None:
             self._check_curve(curve)
 
@@ -74,6 +79,15 @@ class Phase:
         if np.abs(end_I - self.displacement_I).max() > _ROUNDING * max(1.0, float(np.abs(end_I).max())):
             expected = f"expected the displacement of its curve, {end_I.tolist()} m"
             raise ParameterError(f"phase {self.name!r}: {expected}, got {self.displacement_I.tolist()}")
+
+    def _checked_formation(self, formation: ArrayLike) -> Array:
+        name = f"phase {self.name!r} formation"
+        rows = checked(name, formation, (None, 3))
+        shares = np.concatenate([[0.0], rows[:, 0]])
+        if not (np.diff(shares) > 0.0).all() or shares[-1] > 1.0 or not (rows[:, 1:] > 0.0).all():
+            expected = "expected rows of a share of the duration, rising from above 0 to at most 1, and two numbers > 0"
+            raise ParameterError(f"{name}: {expected}, got {rows.tolist()}")
+        return rows
 
     def _checked_way(self, way: ArrayLike) -> Array:
         name = f"phase {self.name!r} way"
@@ -158,6 +172,8 @@ class Maneuver:
     def jets(self, t_s: Array) -> Array:
         """Return the jets (`model.jets`) of a smooth path at times t_s, (k,): (`ORDERS`, k, 3), SI.
 
+        Where the formation changes, those of length and width of the team follow: (`ORDERS`, k, 5).
+
         Raises: ParameterError: a phase is not smooth. Source: docs/equations.md (65).
         """
         found, begin = np.zeros((ORDERS, len(t_s), 3)), 0.0
@@ -168,6 +184,25 @@ class Maneuver:
                 found += curve.path(t_s - begin)
             elif phase.displacement_I.any() or phase.way is not None:
                 raise ParameterError(f"phase {phase.name!r}: expected a smooth path, got {self.profile!r}")
+            begin += phase.duration_s
+        if all(phase.formation is None for phase in self.phases):
+            return found
+        return np.concatenate([found, self.formation(t_s)], axis=-1)
+
+    def formation(self, t_s: Array) -> Array:
+        """Return the jets of length and width of the team, as multiples of those at hover: (`ORDERS`, k, 2).
+
+        Source: docs/equations.md (65), (66a).
+        """
+        found, begin, held = np.zeros((ORDERS, len(t_s), 2)), 0.0, np.ones(2)
+        found[0] = 1.0
+        for phase in self.phases:
+            before = begin
+            for share, *then in [] if phase.formation is None else phase.formation:
+                span = begin + share * phase.duration_s - before
+                change = Curve(kind=None, duration_s=span, ramp_s=span / 2.0).covered(t_s - before, ORDERS)
+                found += change[..., None] * (then - held)
+                before, held = before + span, np.array(then)
             begin += phase.duration_s
         return found
 

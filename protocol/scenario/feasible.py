@@ -23,11 +23,15 @@ def exceeded(path: Array, system: System, hover: Hover, settings: ControllerSett
 
     Given are the jets of the path, (7, k, 3). Source: docs/equations.md (69).
     """
+    rho, lengths = np.array([uav.rho for uav in system.uavs]), np.array([uav.rod_length for uav in system.uavs])
+    if path.shape[-1] > 3:
+        aside = float((np.linalg.norm((path[0, :, None, 3:] - 1.0) * rho[:, :2], axis=-1) / lengths).max())
+        if aside >= 1.0:
+            return f"expected a formation with UAVs less than a rod's length off their attachments, got {aside:.3g}"
     flown, limits = flight(system, hover, path), settings.limits
     view, inputs = StateView(flown.x), flown.u.reshape(len(flown.x), system.N, INPUTS)
     tilt_deg = min(math.degrees(MOST_TILT), settings.tilt.limit_deg if settings.tilt else math.inf)
-    lengths = np.array([uav.rod_length for uav in system.uavs])[:, None]
-    places = np.array([uav.rho for uav in system.uavs]) - lengths * view.e_P
+    places = rho - lengths[:, None] * view.e_P
     apart = [np.linalg.norm(places[:, i] - places[:, j], axis=1).min() for i, j in combinations(range(system.N), 2)]
     lowest: list[tuple[str, str, float, float]] = [
         ("a thrust of at least", " N", limits.thrust_N[0], inputs[..., 0].min()),

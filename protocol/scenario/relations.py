@@ -268,6 +268,12 @@ def _curves(scenario: Scenario) -> Problems:
             yield f"{field}.ramp_s", f"at most half the duration, {phase.duration_s / 2.0:g} s", phase.ramp_s
         if phase.curve() is not None and phase.way is not None:
             yield f"{field}.kind", "'move' with a path from a file", repr(phase.kind)
+    changed = [(i, phase) for i, phase in enumerate(scenario.maneuver.phase, start=1) if phase.formation]
+    for i, phase in changed:
+        if scenario.maneuver.reference == "hover":
+            yield f"maneuver.phase.{i}.formation", "maneuver.reference = 'flat' with it", "'hover'"
+        if i == changed[-1][0] and phase.formation[-1][1:] != (1.0, 1.0):  # type: ignore[index]  # not None
+            yield f"maneuver.phase.{i}.formation", "1, 1 at the end of the maneuver", list(phase.formation[-1][1:])  # type: ignore[index]
     if scenario.maneuver.reference == "hover":
         return
     section = scenario.controller

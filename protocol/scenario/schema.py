@@ -127,6 +127,13 @@ class PhaseSection(Section):
     """largest speed on a circle, eight or spline without times; it decides over `duration_s`"""
     ramp_s: Positive = 3.0
     """time in which a circle, eight or spline speeds up at its start, and slows down at its end"""
+    formation: Annotated[
+        list[Vector] | None, Key(type="list of lists of 3 numbers", unit="shares of duration, length, width")
+    ] = None
+    """rods lean out or in: rows of a share of the phase's duration, rising to at most 1, and from then on length and
+    width of the team of UAVs, along x and y, as multiples of those at hover
+    ([equations.md](equations.md#references-that-a-team-can-fly), (66a)). Between rows they change smoothly, the last
+    row is held; at the end of the maneuver both are 1 again. Only with `reference` flat"""
 
     @model_validator(mode="before")
     @classmethod

@@ -329,6 +329,7 @@ def _maneuver(scenario: Scenario) -> Maneuver:
             kind=p.kind,
             way=p.way,
             curve=p.curve(),
+            formation=p.formation,
         )
         for p in section.phase
     ]

@@ -9,7 +9,7 @@ from model.flat import FlatReference, flight
 from model.hover import hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase
-from model.parameters import ParameterError, Payload, System, Uav
+from model.parameters import ParameterError, Payload, System, Uav, table_1
 
 # Central differences of order 8 over steps of 0.3 ms: rounding of numbers up to 10 over the step.
 STEP_S = 3e-4
@@ -25,6 +25,7 @@ CURVES = {
     "eight": Curve(kind="eight", duration_s=16.0, ramp_s=5.0, size_I=(3.8, 1.9, 0.2), laps=2.0),
     "spline": Curve(kind="spline", duration_s=9.0, ramp_s=2.0, points_I=[[1, 0, 0], [2, 1, 0], [3, -1, -1], [4, 0, 0]]),
     "straight": Curve(kind=None, duration_s=3.0, ramp_s=1.5, size_I=(1.0, -0.5, 0.5)),
+    "leaning": Curve(kind="spline", duration_s=4.0, ramp_s=2.0, points_I=[[2, 0, 0]]),
 }
 
 
@@ -50,7 +51,8 @@ def along(curve: Curve) -> Maneuver:
     """Rest, the curve, and rest."""
     end_I = curve.path(np.array([curve.duration_s]), 1)[0, 0]
     rest = Phase(name="rest", duration_s=1.0, displacement_I=[0.0, 0.0, 0.0])
-    way = Phase(name="way", duration_s=curve.duration_s, displacement_I=end_I, curve=curve)
+    leaning = [[0.5, 1.3, 0.6], [1.0, 1.0, 1.0]] if curve is CURVES["leaning"] else None
+    way = Phase(name="way", duration_s=curve.duration_s, displacement_I=end_I, curve=curve, formation=leaning)
     return Maneuver(start_I=[1.0, 2.0, -9.0], phases=[rest, way, rest], profile="smooth")
 
 
@@ -117,6 +119,18 @@ def test_spline_passes_its_way_points_in_time() -> None:
     times, points = [2.0, 3.5, 5.0, 8.0], np.array([[1.0, 0, 0], [2, 1, 0], [3, -1, -1], [4, 0, 0]])
     curve = Curve(kind="spline", duration_s=8.0, ramp_s=1.5, points_I=points.tolist(), times_s=times)
     np.testing.assert_allclose(curve.path(np.array(times), 1)[0], points, atol=1e-9)
+
+
+def test_formation_is_reached() -> None:
+    """At rest length and width of a symmetric team are the multiples asked for, at any height: equation (66a)."""
+    phases = [
+        Phase(name="rest", duration_s=2.0, displacement_I=[0, 0, 0], formation=rows)
+        for rows in ([[0.5, 1.0, 1.0], [1.0, 1.4, 0.3]], None)
+    ]
+    reference = FlatReference(table_1(), hover(table_1()), Maneuver(start_I=[0, 0, -9], phases=phases))
+    places = reference.outputs(np.array([0.0, 1.0, 2.0, 3.0]))[:, :12].reshape(4, 4, 3)
+    for at, scales in zip(places, [(1, 1), (1, 1), (1.4, 0.3), (1.4, 0.3)], strict=True):
+        np.testing.assert_allclose(at[:, :2], places[0, :, :2] * scales, atol=ROUNDING)
 
 
 def test_track_shifts_with_forces() -> None:

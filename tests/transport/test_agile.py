@@ -63,6 +63,9 @@ def test_infeasible_reference_is_refused_with_the_least_slowing() -> None:
         ("controller.preview", False, "expected True with maneuver.reference = 'flat'"),
         ("maneuver.profile", "ramp", "expected a smooth path"),
         ("maneuver.phase.2.ramp_s", 50.0, "at most half the duration"),
+        ("maneuver.phase.2.formation", [[0.5, 1.0, 0.6]], "expected 1, 1 at the end of the maneuver, got"),
+        ("maneuver.phase.2.formation", [[0.5, 9.0, 1.0], [0.9, 1.0, 1.0]], "less than a rod's length off their"),
+        ("maneuver.phase.2.formation", [[0.5, 1.0, 0.1], [0.9, 1.0, 1.0]], "expected a distance of UAVs of at least"),
     ],
 )
 def test_flat_reference_needs_its_settings(key: str, value: object, reason: str) -> None:

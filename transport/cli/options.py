@@ -25,7 +25,7 @@ ScenarioArgument = Annotated[
     Argument(
         metavar="SCENARIO",
         help="Scenario file, or name: paper, centralized, resilient, precise, centralized_lq, windy, delivery, "
-        "collision, eight, playground.",
+        "collision, eight, gap, playground.",
         autocompletion=_scenarios,
         show_default=True,
     ),
