@@ -14,7 +14,6 @@ from model.arrays import Array
 from model.failure import motor_off_state, released_state
 from model.state import input_indices
 from mpc.controller import Controller
-from mpc.feedback import Regulator
 from mpc.prediction import Prediction
 from mpc.tracking import Course
 from protocol.scenario.setup import Setup
@@ -81,7 +80,7 @@ class TeamEstimate:
         # Start, prediction and own inputs of the last step.
         self._expected: tuple[int, Prediction | Course, Array] | None = None
         # Arguments and result of `_law_inputs` by tick.
-        self._law_cache: dict[int, tuple[Array, Array | None, Regulator | None, Array | None]] = {}
+        self._law_cache: dict[int, tuple[Array, Array | None, object, Array | None]] = {}
 
     @property
     def forces(self) -> Array | None:
@@ -132,7 +131,11 @@ class TeamEstimate:
         tick = known.measurement.tick
         off_roster = set(self._setup.agents) - known.agents
         self.announced.off_roster = off_roster
-        self._update_failures(known)
+        if self._controller.regulation.advance(tick):
+            self.announced.law_since = tick
+        # An agent that starts has no control law for the meantime.
+        since = tick if known.ticks_since_start > 0 else None
+        self._update_failures(known, since)
         if off_roster == self._off_roster:
             return
         for agent in self._off_roster - off_roster:
@@ -140,7 +143,7 @@ class TeamEstimate:
         for agent in off_roster - self._off_roster:
             self._assume_last_plan(agent, tick)
         self._off_roster, self.announced.law_since = off_roster, tick
-        self._controller.without([uav for agent in sorted(off_roster) for uav in self._setup.owned[agent - 1]])
+        self._controller.without([uav for agent in sorted(off_roster) for uav in self._setup.owned[agent - 1]], since)
 
     def _assume_last_plan(self, agent: int, tick: int) -> None:
         """Assume the predicted inputs of an agent that leaves the roster at a tick, if its last plan was not received.
@@ -152,7 +155,7 @@ class TeamEstimate:
             start, prediction, inputs = self._expected
             self.announced.assume(agent, start, self._controller.foreseen(prediction, inputs))
 
-    def _update_failures(self, known: Known) -> None:
+    def _update_failures(self, known: Known, since: int | None) -> None:
         """Switch to model and control law of the remaining UAVs if further UAVs have failed."""
         off, released = known.off, known.released
         known_off, known_released = self._failed
@@ -168,10 +171,10 @@ class TeamEstimate:
                 x = released_state(x, uav)
             return x
 
-        controller, since = self._controller, min(known.measurement.tick, known.failed_since)
-        controller.fail(off, released)
-        self.estimator.change(since, controller.model, moved)
-        self.announced.failed_since = since
+        controller, failed = self._controller, min(known.measurement.tick, known.failed_since)
+        controller.fail(off, released, since)
+        self.estimator.change(failed, controller.model, moved)
+        self.announced.failed_since = failed
         left = [uav for uav in self._owned if uav not in off]
         if self._disturbance is not None and left:
             self._disturbance.rebuild(controller.model, controller.regulation.hover, left)
@@ -183,9 +186,9 @@ class TeamEstimate:
         """
         forces, regulation = self.forces, self._controller.regulation
         cached = self._law_cache.get(tick)
-        if cached is None or cached[0] is not x or cached[1] is not forces or cached[2] is not regulation.regulator:
+        if cached is None or cached[0] is not x or cached[1] is not forces or cached[2] is not regulation.version:
             inputs = regulation.inputs(x, self._setup.X_ref[tick], forces, tick)
-            cached = self._law_cache[tick] = x, forces, regulation.regulator, inputs
+            cached = self._law_cache[tick] = x, forces, regulation.version, inputs
             if len(self._law_cache) > 2 * WINDOW:
                 del self._law_cache[min(self._law_cache)]
         return cached[3]

@@ -6,6 +6,7 @@ moments: all by derivatives of the path (differential flatness: Sreenath, Kumar 
 out or in by forces that pull the attachment points apart or together, without force or moment on the payload.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,6 +51,7 @@ class Track:
         X_middle: States there, (K, n).
         X_forces: Change of X per external force, (K, n, 3 + 3 N), SI per N.
         U_forces: Change of U per external force, (K, m, 3 + 3 N).
+        paths: Jets of the payload's path at the instants and in the middle after each, (2, 7, K, 3).
     """
 
     X: Array
@@ -57,6 +59,7 @@ class Track:
     X_middle: Array
     X_forces: Array
     U_forces: Array
+    paths: Array
 
 
 class FlatReference:
@@ -91,18 +94,24 @@ class FlatReference:
     def track(self, instants: int, period_s: float) -> Track:
         """Return what controllers follow over a number of instants, one period apart, s."""
         times = period_s * np.arange(instants, dtype=np.float64)
-        path, middle = self.maneuver.jets(times), self.maneuver.jets(times + period_s / 2.0)
-        forces = 3 + 3 * self._system.N
-        at, between = (flight(self._system, self._hover, jet) for jet in (path, middle))
-        X_forces, U_forces = np.empty((*at.x.shape, forces)), np.empty((*at.u.shape, forces))
-        for i, unit in enumerate(np.eye(forces)):
-            X_forces[..., i] = flight(self._system, self._hover, path, 1j * _STEP_N * unit).x.imag / _STEP_N
-            U_forces[..., i] = flight(self._system, self._hover, middle, 1j * _STEP_N * unit).u.imag / _STEP_N
-        frozen(X_forces, U_forces)
-        return Track(X=at.x, U=between.u, X_middle=between.x, X_forces=X_forces, U_forces=U_forces)
+        paths = np.array([self.maneuver.jets(times), self.maneuver.jets(times + period_s / 2.0)])
+        return track(self._system, self._hover, paths)
 
 
-def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Flight:
+def track(system: System, hover: Hover, paths: Array, released: Collection[int] = ()) -> Track:
+    """Return what controllers follow along a path, given as in `Track`; the rest as in `flight`."""
+    path, middle = paths
+    forces = 3 + 3 * system.N
+    at, between = (flight(system, hover, jets_of, released=released) for jets_of in paths)
+    X_forces, U_forces = np.empty((*at.x.shape, forces)), np.empty((*at.u.shape, forces))
+    for i, unit in enumerate(np.eye(forces)):
+        X_forces[..., i] = flight(system, hover, path, 1j * _STEP_N * unit, released).x.imag / _STEP_N
+        U_forces[..., i] = flight(system, hover, middle, 1j * _STEP_N * unit, released).u.imag / _STEP_N
+    frozen(X_forces, U_forces, paths)
+    return Track(X=at.x, U=between.u, X_middle=between.x, X_forces=X_forces, U_forces=U_forces, paths=paths)
+
+
+def flight(system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()) -> Flight:
     """Return the motion of a team whose level payload follows a path.
 
     Args:
@@ -111,6 +120,7 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Fli
         path: Jets of the payload's position, inertial frame, m, and of length and width of the team as multiples of
             those at hover, (7, k, 5); without these, (7, k, 3), the team keeps its formation.
         forces: Constant external forces, (3 + 3 N,), inertial frame, N; may be complex.
+        released: UAVs, 0-based, in whose place bobs hang from their rods (`model.failure`), in system and hover too.
     Source: docs/equations.md (66)-(68).
     """
     N, k = system.N, path.shape[1]
@@ -120,7 +130,7 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Fli
     rho = np.array([uav.rho for uav in system.uavs])
     masses, lengths = np.array([[uav.mass, uav.rod_length] for uav in system.uavs]).T[:, :, None]
     # Force and moment on the payload per force of each rod, (6, 3 N).
-    W = np.hstack([np.vstack([np.eye(3), _skew(r)]) for r in rho])
+    W = np.hstack([np.vstack([np.eye(3), _skew(r)]) * (i not in released) for i, r in enumerate(rho)])
     share = np.linalg.pinv(W)[:, :3].reshape(N, 3, 3)
     needed = system.payload.mass * jets.derivative(jets.derivative(path)) + 0.0 * F[0]
     needed[0] -= F[:3]
@@ -134,6 +144,9 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Fli
     place[0] += rho
     carried = -masses * jets.derivative(jets.derivative(place)) - t[:3]
     carried[0] += masses * gravity + F[3:].reshape(N, 3)
+    gone = sorted(released)
+    carried[:, :, gone] = 0.0
+    carried[0, :, gone, 2] = 1.0  # upright, for the directions below
     per_thrust = jets.power(jets.dot(carried, carried), -0.5)
     b3 = jets.product(carried, per_thrust)
     sideways, x, z = b3[..., 1], b3[..., 0], b3[..., 2]
@@ -158,7 +171,9 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None) -> Fli
     blocks[..., state.THETA.start], blocks[..., state.THETA.start + 1] = -np.arcsin(sideways[0]), np.arctan(x[0] / z[0])
     blocks[..., state.OMEGA] = rates
     X[:, state.PAYLOAD :] = blocks.reshape(k, -1)
-    U = np.concatenate([1.0 / per_thrust[0], commands], axis=-1).reshape(k, -1)
+    inputs = np.concatenate([1.0 / per_thrust[0], commands], axis=-1)
+    inputs[:, gone] = 0.0
+    U = inputs.reshape(k, -1)
     tensions = 1.0 / inverse[0, ..., 0]
     frozen(X, U, tensions)
     return Flight(x=X, u=U, tensions=tensions)

@@ -303,15 +303,18 @@ class Controller:
         c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - dX[:-1] @ law.K[columns].T
         return replace(law, c=c)
 
-    def without(self, uavs: Collection[int]) -> None:
-        """Set the UAVs without an agent, 0-based: they follow the fail-safe and are predicted so."""
+    def without(self, uavs: Collection[int], since: int | None = None) -> None:
+        """Set the UAVs without an agent, 0-based: they follow the fail-safe and are predicted so.
+
+        Along a reference, `Regulation.advance` completes the control law if the present instant is given.
+        """
         self._gone = frozenset(uavs)
         # UAVs without agents obstruct the others: several agents correct the same distances, each its share of them.
         share = len(self.owned) / self._whole.system.N if uavs and self.settings.prediction == "closed_loop" else 1.0
         self._relaxation = min(self.settings.relaxation, share)
-        self._form()
+        self._form(since)
 
-    def fail(self, off: Collection[int], released: Collection[int]) -> None:
+    def fail(self, off: Collection[int], released: Collection[int], since: int | None = None) -> None:
         """Set the UAVs without motors, 0-based, and those of them that are released from their rods.
 
         If the remaining UAVs cannot stabilise the team, cost and control law ignore the failure; the model has it.
@@ -320,9 +323,9 @@ class Controller:
         """
         self._off, self._released = frozenset(off), frozenset(released)
         self.model = failed_model(self._whole.system, off, released) if off else self._whole
-        self._form()
+        self._form(since)
 
-    def _form(self) -> None:
-        self.regulation.form(self._gone, self._off, self._released)
+    def _form(self, since: int | None) -> None:
+        self.regulation.form(self._gone, self._off, self._released, since=since)
         self.cost, self._at_hover = self.regulation.cost, None
         self._program.form(self.cost, self._gone)

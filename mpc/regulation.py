@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
+from model import flat
 from model.arrays import Array, padded
 from model.failure import failed_hover, failed_model
 from model.flat import Track
@@ -30,7 +31,7 @@ from mpc.feedback import (
     target,
 )
 from mpc.settings import ControllerSettings
-from mpc.tracking import Tracker, tracker
+from mpc.tracking import Recursion, Tracker
 
 T = TypeVar("T")
 
@@ -84,7 +85,8 @@ class Regulation:
         self._settings, self.user_costs = settings, UserCosts(terms, model)
         followed = None if settings.fail_safe == "level" else hover.x[None] if X_ref is None else X_ref
         self._fail_safe = FailSafe(model.system, hover.u, followed, None if track is None else track.U)
-        self._track, previewed = track, settings.preview and track is None
+        self._track = self._whole_track = track
+        previewed = settings.preview and track is None
         self._X_ref, self._follows_from = X_ref if previewed else None, (hover, settings, X_ref, track)
         # Values of the user's terms on the reference, (K, terms): no team changes them.
         self._on_reference = (
@@ -93,9 +95,10 @@ class Regulation:
         self._preview: Preview | None = None
         self.regulator: Regulator | None = None
         self._tracker: Tracker | None = None
+        self._recursion: Recursion | None = None  # that makes the next one
         self._target: Target | None = None
         self._by_forces: tuple[Array, Array] | None = None
-        self._form(frozenset(), frozenset(), frozenset())
+        self._form(frozenset(), frozenset(), frozenset(), None)
 
     @property
     def target(self) -> Target:
@@ -104,11 +107,14 @@ class Regulation:
             self._target = target(self._model, self.hover, self.cost, self._uncontrolled, self._off, self._released)
         return self._target
 
-    def form(self, gone: Collection[int], off: Collection[int], released: Collection[int]) -> None:
+    def form(
+        self, gone: Collection[int], off: Collection[int], released: Collection[int], *, since: int | None = None
+    ) -> None:
         """Set the UAVs, 0-based, without an agent, without motors, and of these those released from their rods.
 
         The shared control law depends on nothing else, so it is the same in all agents. UAVs without an agent follow
-        the fail-safe.
+        the fail-safe. Along a reference, the law for a team not met before takes the work of several instants: if the
+        present instant is given, `advance` completes it.
         If the remaining UAVs have no hover or cannot stabilise the team, the regulator ignores the lost agents, else
         the failures, else both. Source: docs/equations.md (40), (45), (50), (51).
         """
@@ -116,10 +122,23 @@ class Regulation:
         gone, off, released = frozenset(gone), frozenset(off), frozenset(released)
         for team in ((gone, off, released), (none, off, released), (gone, none, none)):
             with contextlib.suppress(FeedbackError, ParameterError):
-                return self._form(*team)
-        return self._form(none, none, none)
+                return self._form(*team, since)
+        return self._form(none, none, none, since)
 
-    def _form(self, gone: frozenset[int], off: frozenset[int], released: frozenset[int]) -> None:
+    def advance(self, instant: int) -> bool:
+        """Work on the law of a new team at an instant; return whether that law holds from this instant on.
+
+        This is the same instant for all agents.
+        """
+        if self._recursion is None:
+            return False
+        if instant < self._recursion.ready:
+            self._recursion.advance(instant)
+            return False
+        self._tracker, self._recursion = self._recursion.result(), None
+        return True
+
+    def _form(self, gone: frozenset[int], off: frozenset[int], released: frozenset[int], since: int | None) -> None:
         """Set the team. Raises: ParameterError, FeedbackError: there is no hover, or no regulator."""
         self._team, self._off, self._released = (gone, off, released), off, released
         # A UAV without motors has no fail-safe.
@@ -130,10 +149,16 @@ class Regulation:
             held = {uav: float(u[input_slice(uav)][0]) for uav in self._uncontrolled}
             self._model = failed_model(system, off, released)
             self.hover = failed_hover(system, off, released, held)
+        if self._whole_track is not None:
+            self._track = known = self._whole_track
+            if released:
+                self._track = self._shared(
+                    "track", lambda: flat.track(self._model.system, self.hover, known.paths, released)
+                )
         self.cost = Cost(self._settings.weights, self._whole.system, self.hover, off, released)
         self._target = self._by_forces = None
         if self._settings.prediction == "closed_loop" or self._settings.terminal == "riccati":
-            self._regulate()
+            self._regulate(since)
 
     def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
         """Return the shared control law over the horizon; None with open-loop prediction.
@@ -173,6 +198,11 @@ class Regulation:
             c=c,
             along=tracker.along.at(at),
         )
+
+    @property
+    def version(self) -> object:
+        """The same object as long as the control law is the same."""
+        return self.regulator if self._tracker is None else self._tracker
 
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
         """Return the inputs by `law` at one instant without corrections, (m,), or None with open-loop prediction."""
@@ -223,7 +253,7 @@ class Regulation:
         shift: Array = self.target.M_x @ forces
         return shift if self._lag_s == 0.0 else np.concatenate([shift, self.target.M_u @ forces])
 
-    def _regulate(self) -> None:
+    def _regulate(self, since: int | None) -> None:
         further = self.user_costs.about(self.hover.x)
         period_s = self._settings.sampling_period_s
         self.regulator = found = self._shared(
@@ -239,10 +269,18 @@ class Regulation:
             fixed = {
                 uav: (np.array([fail_safe.inputs(uav, x, k) for k, x in enumerate(track.X)]), own[uav]) for uav in own
             }
-            self._tracker = self._shared(
+            before, self._recursion = self._tracker, None
+            making = self._shared(
                 "tracker",
-                lambda: tracker(self._model, track, found, self.cost, self.user_costs, period_s, fixed),
-            )
+                lambda: Recursion(
+                    self._model, track, found, self.cost, self.user_costs, period_s, fixed,
+                    None if since is None else before, since or 0,
+                ),
+            )  # fmt: skip
+            if since is None or since >= making.ready:
+                self._tracker = making.result()
+            else:
+                self._tracker, self._recursion = making.meanwhile(off=self._off), making
         if self._X_ref is not None:
             # On the reference, the output error is zero; the user's terms are not.
             states = len(found.T)

@@ -9,7 +9,7 @@ by completion of squares. So an agent's optimum without constraints follows from
 zero where theirs are. Only where the trajectory under it violates a constraint is a QP solved, about that trajectory.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,8 @@ from mpc.qp import QP
 from mpc.rows import Rows, separation_rows
 from mpc.settings import ControllerSettings
 
+# Gains computed in a sampling period while the team flies: some 15 ms.
+_INSTANTS = 16
 # Integration steps per sampling period of the difference of reference and model.
 _STEPS = 2
 # A constraint counts as violated from this share of the range of inputs on, or of m or rad: rounding otherwise.
@@ -48,11 +50,8 @@ class Tracker:
     along: Expansion
 
 
-def tracker(
-    model: Model, track: Track, regulator: Regulator, cost: Cost, terms: UserCosts, period_s: float,
-    uncontrolled: Mapping[int, tuple[Array, Array]] | None = None,
-) -> Tracker:  # fmt: skip
-    """Return the linear-quadratic regulator along a reference, by the Riccati recursion from its end at rest.
+class Recursion:
+    """Linear-quadratic regulator along a reference in the making, some instants at a time, backwards from its end.
 
     States are deviations from the reference; the cost is blind to those off the manifold, as the expansion is. The
     user's terms count as deviations from their values on the reference.
@@ -66,46 +65,101 @@ def tracker(
         period_s: Sampling period, s.
         uncontrolled: Inputs on the reference, (L, 4), and feedback from the state, (4, n), of each UAV without an
             agent, by its 0-based number.
+        before: The regulator until then, of another team; None: this one holds from the start.
+        since: First instant of this team.
     Source: docs/equations.md (70)-(72).
+
+    Attributes:
+        ready: Instant from which on the result holds; before, it is `meanwhile`.
     """
-    moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
-    last = int(moving.max(initial=-1)) + 1
-    n, m = model.system.n, model.system.m
-    K, feedforward, M = np.empty((last + 1, m, n)), np.zeros((last + 1, m)), np.empty((last + 1, m, m))
-    A_closed, B_all = np.empty((last + 1, n, n)), np.empty((last + 1, n, m))
-    P, p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(n)
-    controlled = regulator.controlled
-    R = cost.R[controlled]
-    for k in range(last, -1, -1):
+
+    def __init__(
+        self, model: Model, track: Track, regulator: Regulator, cost: Cost, terms: UserCosts, period_s: float,
+        uncontrolled: Mapping[int, tuple[Array, Array]] | None = None, before: Tracker | None = None, since: int = 0,
+    ) -> None:  # fmt: skip
+        self._model, self._track, self._regulator, self._cost, self._terms = model, track, regulator, cost, terms
+        self._period_s, self._uncontrolled, self._since = period_s, uncontrolled or {}, since
+        moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
+        last, n, m = int(moving.max(initial=-1)) + 1, model.system.n, model.system.m
+        if before is not None:
+            last = len(before.K) - 1
+        self._last, self._next = last, last  # instant whose gain is the next one
+        shapes = (last + 1, m, n), (last + 1, m), (last + 1, m, m), (last + 1, n, n), (last + 1, n, m)
+        self._K, self._feedforward, self._M, self._A_closed, self._B = (np.zeros(shape) for shape in shapes)
+        if before is not None:
+            along = before.along
+            self._K[:], self._feedforward[:], self._M[:] = before.K, before.feedforward, along.M
+            self._A_closed[:], self._B[:] = along.A_closed, along.B
+        self._P, self._p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(n)
+        self.ready = since if before is None else since + -(-max(last + 1 - since, 0) // _INSTANTS)
+
+    def meanwhile(self, off: Collection[int]) -> Tracker:
+        """Return the regulator until this one is ready: the gains before, without UAVs that are off, 0-based.
+
+        These and what they do count no more: a bob in the place of a released one swings freely.
+        """
+        K, feedforward, now = self._K.copy(), self._feedforward.copy(), slice(self._since, None)
+        K[now, state.input_indices(sorted(off))] = 0.0
+        for uav in off:
+            K[now, :, state.uav_slice(uav)] = 0.0
+        for uav, (on_reference, feedback) in self._uncontrolled.items():
+            at = state.input_slice(uav)
+            K[now, at] = feedback
+            feedforward[now, at] = (on_reference - self._track.U[:, at])[self._since : len(K)]
+        along = Expansion(M=self._M.copy(), A_closed=self._A_closed.copy(), B=self._B.copy())
+        frozen(K, feedforward, along.M, along.A_closed, along.B)
+        return Tracker(K=K, feedforward=feedforward, along=along)
+
+    def advance(self, instant: int) -> None:
+        """Compute so many gains that with as many at each instant the result is ready in time."""
+        self._until(self._last - _INSTANTS * (instant + 1 - self._since))
+
+    def result(self) -> Tracker:
+        """Return the regulator; compute what is missing of it."""
+        self._until(-1)
+        along = Expansion(M=self._M, A_closed=self._A_closed, B=self._B)
+        frozen(self._K, self._feedforward, along.M, along.A_closed, along.B)
+        return Tracker(K=self._K, feedforward=self._feedforward, along=along)
+
+    def _until(self, instant: int) -> None:
+        while self._next > instant and self._next >= self._since:
+            self._step(self._next)
+            self._next -= 1
+
+    def _step(self, k: int) -> None:
+        """Compute the gain at an instant from the cost-to-go after it."""
+        model, track, regulator, cost, P = self._model, self._track, self._regulator, self._cost, self._P
+        n, m, controlled = model.system.n, model.system.m, regulator.controlled
+        R = cost.R[controlled]
         x, u = track.X[k], track.U[k].copy()
         fixed = np.zeros((m, n))
-        for uav, (on_reference, feedback) in (uncontrolled or {}).items():
+        for uav, (on_reference, feedback) in self._uncontrolled.items():
             fixed[state.input_slice(uav)] = feedback
             u[state.input_slice(uav)] = on_reference[k]
         across = _across(x)
-        discrete = zero_order_hold(model.linearise(track.X_middle[k], track.U[k]), period_s)
+        discrete = zero_order_hold(model.linearise(track.X_middle[k], track.U[k]), self._period_s)
         at = model.linearise(x, track.U[k])
         A, B = (discrete.A + discrete.B @ fixed) @ across, discrete.B[:, controlled]
         ahead = track.X[min(k + 1, len(track.X) - 1)]
-        drift = _across(ahead) @ (model.integrate(x, u, period_s, _STEPS)[0] - ahead)
+        drift = _across(ahead) @ (model.integrate(x, u, self._period_s, _STEPS)[0] - ahead)
         PB = P @ B
-        M[k] = np.diag(cost.R)
-        M[k][np.ix_(controlled, controlled)] = inner = np.diag(R) + B.T @ PB
-        coupled, pushed = PB.T @ A, p + P @ drift
+        M = np.diag(cost.R)
+        M[np.ix_(controlled, controlled)] = inner = np.diag(R) + B.T @ PB
+        coupled, pushed = PB.T @ A, self._p + P @ drift
         gains = np.linalg.solve(inner, np.column_stack([coupled, B.T @ pushed]))
-        K[k] = fixed
-        K[k][controlled] -= gains[:, :-1]
-        feedforward[k] = u - track.U[k]
-        feedforward[k][controlled] = -gains[:, -1]
-        A_closed[k], B_all[k] = A - B @ gains[:, :-1], discrete.B
-        if k == last:
-            K[k], feedforward[k] = regulator.K, 0.0
-            continue
-        weighted = np.vstack([np.sqrt(cost.Q)[:, None] * at.C, padded(terms.about(x), n)]) @ across
+        K = fixed
+        K[controlled] -= gains[:, :-1]
+        feedforward = u - track.U[k]
+        feedforward[controlled] = -gains[:, -1]
+        A_closed = A - B @ gains[:, :-1]
+        self._M[k], self._A_closed[k], self._B[k] = M, A_closed, discrete.B
+        if k == self._last:
+            self._K[k], self._feedforward[k] = regulator.K, 0.0
+            return
+        self._K[k], self._feedforward[k] = K, feedforward
+        weighted = np.vstack([np.sqrt(cost.Q)[:, None] * at.C, padded(self._terms.about(x), n)]) @ across
         P = weighted.T @ weighted + A.T @ P @ A - coupled.T @ gains[:, :-1]
-        P, p = (P + P.T) / 2.0, A_closed[k].T @ pushed
-    frozen(K, feedforward, M, A_closed, B_all)
-    return Tracker(K=K, feedforward=feedforward, along=Expansion(M=M, A_closed=A_closed, B=B_all))
+        self._P, self._p = (P + P.T) / 2.0, A_closed.T @ pushed
 
 
 def _across(x: Array) -> Array:
