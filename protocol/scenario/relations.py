@@ -286,6 +286,9 @@ def _curves(scenario: Scenario) -> Problems:
     ):
         if got != needed:
             yield f"controller.{key}", f"{needed!r} with maneuver.reference = 'flat'", repr(got)
+    for i, event in enumerate(scenario.faults.event, start=1):
+        if event.do == "motor_off":
+            yield f"faults.event.{i}.do", "'release' with maneuver.reference = 'flat'", "'motor_off'"
     if section.constraint:
         yield "controller.constraint", "none with maneuver.reference = 'flat'", section.constraint[0].expression
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from model.arrays import Array
+from model.failure import failed_hover, with_released
 from model.flat import FlatReference, Track
 from model.hover import Hover, hover
 from model.linearisation import Model
@@ -23,7 +24,7 @@ from mpc.rows import compile_constraints
 from mpc.settings import ControllerSettings
 from protocol.scenario.budget import ticks_of
 from protocol.scenario.errors import ScenarioError, building
-from protocol.scenario.faults import Fault, scripted
+from protocol.scenario.faults import Fault, scripted, uav_faults
 from protocol.scenario.feasible import exceeded, least_slowing
 from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
@@ -270,11 +271,21 @@ class Setup:
         if self.scenario.maneuver.reference == "hover":
             return
         path = building(source, "maneuver.profile", lambda: self.maneuver.jets(self._instants_s()))
-        wrong = exceeded(path, self.system, self.hover, self.settings)
-        if wrong is not None:
-            factor = least_slowing(path, self.system, self.hover, self.settings)
-            remedy = "" if factor is None else f"; feasible if all phases take {factor:.3f} times as long"
-            raise ScenarioError(source, "maneuver.phase", wrong + remedy)
+        released: frozenset[int] = frozenset()
+        teams = [("maneuver.phase", 0, released)]
+        for tick, what, uav in uav_faults(self.faults):
+            if what == "release":
+                released |= {uav}
+                teams.append(("faults.event", tick, released))
+        for key, since, gone in teams:
+            system, equilibrium = with_released(self.system, gone), self.hover
+            if gone:
+                equilibrium = building(source, key, partial(failed_hover, self.system, gone, gone))
+            if wrong := exceeded(path[:, since:], system, equilibrium, self.settings, gone):
+                # After slowing, the release may be anywhere on the path.
+                factor = least_slowing(path, system, equilibrium, self.settings, gone)
+                remedy = "" if factor is None else f"; feasible if all phases take {factor:.3f} times as long"
+                raise ScenarioError(source, key, wrong + remedy)
 
     def _check_hover_is_possible(self, source: str) -> None:
         """Check that hover is within the limits on thrust and on the distance of UAVs."""

@@ -1,15 +1,19 @@
 """References that a team can fly: the path's derivatives, and the motion of the team that follows from them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from model.arrays import Array
 from model.curves import Curve
+from model.failure import failed_hover, failed_model, with_released
 from model.flat import FlatReference, flight
 from model.hover import hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase
 from model.parameters import ParameterError, Payload, System, Uav, table_1
+from model.state import input_slice, uav_slice
 
 # Central differences of order 8 over steps of 0.3 ms: rounding of numbers up to 10 over the step.
 STEP_S = 3e-4
@@ -17,6 +21,10 @@ STENCIL = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105,
 SAME_RATE = 2e-9
 # Where a difference spans the end of a ramp or a way point of a spline, at which the seventh derivative has a kink.
 ACROSS_KINKS = 1e-7
+# Accelerations by the pull of a bob, 1e-5 N, on the payload.
+BOB = 1e-3
+# Places of the rods of a team that hangs its payload between them without the third one, too.
+LEFT = np.array([[0.3, 0.0, -0.05], [-0.2, -0.3, 0.0], [0.0, 0.0, -0.1], [-0.2, 0.3, -0.05]])
 # Results of a few sums of numbers up to 30.
 ROUNDING = 1e-12
 
@@ -131,6 +139,28 @@ def test_formation_is_reached() -> None:
     places = reference.outputs(np.array([0.0, 1.0, 2.0, 3.0]))[:, :12].reshape(4, 4, 3)
     for at, scales in zip(places, [(1, 1), (1, 1), (1.4, 0.3), (1.4, 0.3)], strict=True):
         np.testing.assert_allclose(at[:, :2], places[0, :, :2] * scales, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("gains", [None, [20.0, 20.0, 8.0]])
+def test_reference_of_the_uavs_left_after_a_release(gains: list[float] | None) -> None:
+    """All but the bob, which pulls with 1e-5 N, move by the equations of the team that is left."""
+    team, bob = unequal(gains), 2
+    uavs = [replace(uav, rho=rho) for uav, rho in zip(team.uavs, LEFT, strict=True)]
+    team, released = replace(team, uavs=tuple(uavs)), {bob}
+    at_rest, model = failed_hover(team, released, released), failed_model(team, released, released)
+    system = with_released(team, released)
+    maneuver, times = along(CURVES["eight"]), np.random.default_rng(4).uniform(0.0, 18.0, 40)
+
+    def motion(t_s: Array) -> tuple[Array, Array]:
+        found = flight(system, at_rest, maneuver.jets(t_s), released=released)
+        return found.x, found.u
+
+    x, u = motion(times)
+    rates = difference([motion(times + STEP_S * j)[0] for j in range(-4, 5)])
+    errors = np.abs(np.array([model.derivative(*row) for row in zip(x, u, strict=True)]) - rates)
+    errors[:, uav_slice(bob)] = 0.0
+    assert errors.max() < BOB
+    assert not u[:, input_slice(bob)].any()
 
 
 def test_track_shifts_with_forces() -> None:

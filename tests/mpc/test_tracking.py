@@ -12,7 +12,7 @@ from model.flat import FlatReference, Track
 from model.hover import hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase
-from model.state import R0, StateView
+from model.state import R0, StateView, input_slice
 from mpc.controller import Controller, StepResult
 from mpc.settings import ControllerSettings, Limits, Separation, Tilt, Weights
 from mpc.tracking import Course, rollout
@@ -106,6 +106,27 @@ def test_no_corrections_on_and_near_the_reference() -> None:
     course, result = step(controller(), near, np.zeros((12, model.system.m)))
     assert course.within
     assert not result.c.any()
+
+
+def test_law_of_another_team_is_the_same_by_parts_and_at_once() -> None:
+    """An agent dies; until all gains are known, its UAV has the fail-safe's gain and the others keep theirs."""
+    by_parts, at_once, gone, since = controller().regulation, controller().regulation, {3}, 60
+    before = by_parts.gain(since + 1)
+    by_parts.form(gone, (), (), since=since)
+    own = input_slice(3)
+    meanwhile = by_parts.gain(since + 1)
+    np.testing.assert_array_equal(by_parts.gain(since - 1), at_once.gain(since - 1))
+    np.testing.assert_array_equal(meanwhile[: own.start], before[: own.start])
+    assert not by_parts.advance(since)
+    ready = next(k for k in range(since, since + 20) if by_parts.advance(k))
+    assert ready > since + 2
+    model, track = flown()
+    other = Controller(model, hover(model.system), SETTINGS.model_copy(), (0,), track.X, track).regulation
+    other.form(gone, (), ())
+    np.testing.assert_array_equal(meanwhile[own], other.gain(since + 1)[own])
+    for k in (since, ready, 120):
+        np.testing.assert_array_equal(by_parts.gain(k), other.gain(k))
+        assert (by_parts.gain(k)[: own.start] != at_once.gain(k)[: own.start]).any()
 
 
 @pytest.mark.parametrize(

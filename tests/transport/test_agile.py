@@ -51,6 +51,32 @@ def test_team_without_an_agent_flies_on() -> None:
     assert error_m(died, on_agent_loss="continue") < 0.05
 
 
+# A fourth UAV above the payload; without it the others carry.
+FOUR = {
+    "system.uav": [
+        {"id": i, "mass_kg": 0.6, "inertia_kgm2": [3e-3, 3e-3, 5e-3], "rho_m": [*place, -0.05], "rod_length_m": 1.0}
+        for i, place in enumerate([(0.4, 0.0), (-0.2, 0.35), (-0.2, -0.35), (0.0, 0.0)], start=1)
+    ],
+    "agents.owned": [[1], [2], [3], [4]],
+}
+
+
+def released(uav: int) -> dict[str, Any]:
+    """Four UAVs, one of which is released at full speed."""
+    return {**FOUR, "faults.event": [{"at_s": 4.0, "do": "release", "target": f"uav{uav}"}]}
+
+
+def test_release_changes_the_reference() -> None:
+    """The three that are left take over the load within a centimetre, on a late network."""
+    assert error_m(released(4)) < 0.005
+
+
+def test_release_that_the_rest_cannot_fly_is_refused() -> None:
+    """Without an outer UAV the payload hangs beside the rods."""
+    with pytest.raises(ScenarioError, match="expected all rods of the UAVs left to carry the payload"):
+        transport.Scenario("eight", released(1)).setup  # noqa: B018
+
+
 def test_infeasible_reference_is_refused_with_the_least_slowing() -> None:
     """Twice the speed takes more than the UAVs have; the factor in the text makes the reference feasible."""
     with pytest.raises(ScenarioError, match=r"expected a .* along the reference, got .* feasible if all phases take"):
