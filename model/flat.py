@@ -191,7 +191,7 @@ def _apart(hover: Hover, rho: Array, lengths: Array, formation: Array, W: Array)
     below = -jets.dot(away, away)
     below[0] += lengths**2
     pulls = hover.tensions[:, None] * jets.product(away, jets.power(below, -0.5))
-    flat = pulls.reshape(*pulls.shape[:2], -1)
+    flat = pulls.reshape(*pulls.shape[:2], -1) * W.any(axis=0)  # none of released UAVs
     return np.asarray((flat - flat @ (np.linalg.pinv(W) @ W).T).reshape(pulls.shape))
 
 

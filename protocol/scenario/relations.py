@@ -12,12 +12,10 @@ from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.keys import out_of_range
 from protocol.scenario.link_sections import LinkChangeSection, LinkOverrideSection
 from protocol.scenario.plant_sections import MujocoSection
-from protocol.scenario.schema import Scenario
+from protocol.scenario.schema import FURTHEST_M, Scenario
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-# Largest distance of a path from the origin along any axis, m.
-FURTHEST_M = 1e5
 # Contacts of MuJoCo have a time constant of 0.02 s, which takes two steps at least.
 LONGEST_MUJOCO_STEP_S = 0.01
 # Shortest lag of motors other than none, in sampling periods: the discretisation takes exponentials of its reciprocal.
@@ -60,7 +58,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
     """
     for field, problem in out_of_range(scenario):
         raise ScenarioError(source, field, problem)
-    for check in (_ownership, _links, _controller, _clock, _faults, _plant, _curves, _path, _network):
+    for check in (_ownership, _links, _controller, _clock, _faults, _plant, _curves, _path, _obstacles, _network):
         for field, expected, got in check(scenario):
             raise ScenarioError(source, field, f"expected {expected}, got {got}")
     if scenario.clock.relayed and (size := estimate(scenario).relay_bytes) > MAX_BYTES:
@@ -291,6 +289,20 @@ def _curves(scenario: Scenario) -> Problems:
             yield f"faults.event.{i}.do", "'release' with maneuver.reference = 'flat'", "'motor_off'"
     if section.constraint:
         yield "controller.constraint", "none with maneuver.reference = 'flat'", section.constraint[0].expression
+
+
+def _obstacles(scenario: Scenario) -> Problems:
+    """An obstacle has the size of its kind, and no other."""
+    sizes = {"radius_m": ("sphere", "cylinder"), "size_m": ("box",), "width_m": ("gap",)}
+    for i, section in enumerate(scenario.obstacle, start=1):
+        for key, kinds in sizes.items():
+            if (getattr(section, key) is None) == (section.kind in kinds):
+                expected = "a size" if section.kind in kinds else "no such size"
+                yield (
+                    f"obstacle.{i}.{key}",
+                    f"{expected} with kind {section.kind!r}",
+                    getattr(section, key) or "nothing",
+                )
 
 
 def _network(scenario: Scenario) -> Problems:

@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 from model.curves import Curve, ShapeKind
 from model.maneuver import PhaseKind, Profile
 from model.parameters import GRAVITY
-from mpc.settings import ControllerSettings, Key, NotNegative, Positive, Section, Vector
+from mpc.settings import ControllerSettings, Key, NotNegative, Positive, PositiveVector, Section, Vector
 from protocol.scenario.link_sections import LinksSection
 from protocol.scenario.own_class import is_class_name
 from protocol.scenario.plant_sections import PlantSection
@@ -52,6 +52,8 @@ Relaxation = Annotated[
     Key(type="number > 0, <= 1, or auto", label="relaxation", short="relaxation"),
 ]
 _WAIT_S = (1e-3, 1e6)
+# Largest distance of a path from the origin along any axis, m.
+FURTHEST_M = 1e5
 
 
 class PayloadSection(Section):
@@ -188,6 +190,31 @@ class ManeuverSection(Section):
     """distance of the controllers' reference below the path of the payload while it stands on the ground
     ([equations.md](equations.md#on-the-ground)): the larger, the less of its weight the team holds"""
     phase: Annotated[list[PhaseSection], Field(min_length=1), Key(short="phases")]
+
+
+class ObstacleSection(Section):
+    """A body to keep clear of: in the reference and, with a flat one, in the program of every agent."""
+
+    kind: Literal["sphere", "cylinder", "box", "gap"]
+    """a cylinder is upright and without ends; a gap is the opening between two walls without other ends"""
+    at_m: Annotated[Vector, Key(within=(0.0, 1e6))]
+    """its centre, that of the opening of a gap; inertial frame, z down"""
+    margin_m: Positive
+    """smallest distance of the centre of a UAV, which holds half its size"""
+    load_margin_m: NotNegative = 0.0
+    """smallest distance of rods and of the payload, a box as far as its attachments"""
+    radius_m: Positive | None = None
+    """of a sphere or cylinder"""
+    size_m: PositiveVector | None = None
+    """edges of a box, along its heading, across, vertical"""
+    width_m: Positive | None = None
+    """of the opening of a gap"""
+    thickness_m: Positive = 0.2
+    """of the walls of a gap"""
+    heading_deg: float = 0.0
+    """direction of the first edge of a box, or of the passage through a gap, from x towards y"""
+    penalty: Annotated[Positive, Key(unit="1/m", within=(1e-12, 1e8))] = 1000.0
+    """penalty on the largest violation of the margin of a UAV over the horizon"""
 
 
 class DisturbanceSection(Section):
@@ -351,6 +378,7 @@ class Scenario(Section):
     """seed of all random numbers of a run: `[links]`, wind and noise"""
     system: SystemSection
     maneuver: ManeuverSection
+    obstacle: Annotated[list[ObstacleSection], Key(short="obstacles")] = []
     controller: ControllerSection = ControllerSection()
     agents: AgentsSection = AgentsSection()
     clock: ClockSection = ClockSection()

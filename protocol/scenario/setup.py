@@ -15,6 +15,7 @@ from model.flat import FlatReference, Track
 from model.hover import Hover, hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference
+from model.obstacles import Obstacle, Solid, bodies, clearances
 from model.parameters import Payload, System, Uav, resting_height
 from model.state import INPUTS, PAYLOAD, REPORTED, REPORTS, SENSED
 from mpc.cost import UserCosts
@@ -28,7 +29,7 @@ from protocol.scenario.faults import Fault, scripted, uav_faults
 from protocol.scenario.feasible import exceeded, least_slowing
 from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
-from protocol.scenario.schema import Scenario, UavSection
+from protocol.scenario.schema import FURTHEST_M, ObstacleSection, Scenario, UavSection
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.messages import Measurement, Plan
 from protocol.wire.names import PLANT
@@ -103,12 +104,18 @@ class Setup:
         setup._check_ground(source)
         setup._check_hover_is_possible(source)
         setup._check_flight(source)
+        setup._check_obstacles(source)
         return setup
 
     @cached_property
     def model(self) -> Model:
         """Compiled equations of motion."""
         return Model(self.system)
+
+    @cached_property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """Obstacles, in the order of the file."""
+        return tuple(_obstacle(section) for section in self.scenario.obstacle)
 
     @cached_property
     def reference(self) -> Reference | FlatReference:
@@ -287,6 +294,20 @@ class Setup:
                 remedy = "" if factor is None else f"; feasible if all phases take {factor:.3f} times as long"
                 raise ScenarioError(source, key, wrong + remedy)
 
+    def _check_obstacles(self, source: str) -> None:
+        """Check that the reference keeps the margins of all obstacles at the sampling instants."""
+        times_s = self._instants_s()
+        for number, obstacle in enumerate(self.obstacles, start=1):
+            clear_m = clearances(self.system, obstacle, self.reference.states(times_s))
+            margins_m = obstacle.margins(self.system.N)
+            row, body = np.unravel_index(np.argmin(clear_m - margins_m), clear_m.shape)
+            if clear_m[row, body] < margins_m[body]:
+                name = bodies(self.system.N)[body]
+                wrong = f"expected {margins_m[body]:g} m between {name} and the {obstacle.name} along the reference"
+                wrong += f", got {max(float(clear_m[row, body]), 0.0):.3g} m at {times_s[row]:g} s"
+                remedy = "move the path or the obstacle, or lean the rods (maneuver.phase.formation)"
+                raise ScenarioError(source, f"obstacle.{number}", f"{wrong}; slowing does not help: {remedy}")
+
     def _check_hover_is_possible(self, source: str) -> None:
         """Check that hover is within the limits on thrust and on the distance of UAVs."""
         thrusts_N, rotors = self.hover.u[::4], self.scenario.plant.motors.rotors
@@ -345,6 +366,27 @@ def _maneuver(scenario: Scenario) -> Maneuver:
         for p in section.phase
     ]
     return Maneuver(start_I=section.start_m, phases=phases, profile=section.profile, press_m=section.press_m)
+
+
+def _obstacle(section: ObstacleSection) -> Obstacle:
+    centre_I, heading_rad = np.array(section.at_m), math.radians(section.heading_deg)
+    half, radius = np.zeros(3), section.radius_m or 0.0
+    shifts_m = [0.0]
+    if section.kind == "cylinder":
+        half[2] = np.inf
+    elif section.size_m is not None:
+        half = np.array(section.size_m) / 2.0
+    elif section.width_m is not None:
+        # Walls this wide have no ends that a path, which is within reach of the origin, comes near.
+        half = np.array([section.thickness_m / 2.0, FURTHEST_M, np.inf])
+        shifts_m = [sign * (section.width_m / 2.0 + FURTHEST_M) for sign in (-1.0, 1.0)]
+    across = np.array([-math.sin(heading_rad), math.cos(heading_rad), 0.0])
+    solids = tuple(
+        Solid(centre_I=centre_I + shift_m * across, heading_rad=heading_rad, half=half, radius=radius)
+        for shift_m in shifts_m
+    )
+    margins_m = {"margin_m": section.margin_m, "load_margin_m": section.load_margin_m}
+    return Obstacle(name=section.kind, solids=solids, penalty=section.penalty, **margins_m)
 
 
 def _settings(scenario: Scenario) -> ControllerSettings:

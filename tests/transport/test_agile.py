@@ -77,6 +77,38 @@ def test_release_that_the_rest_cannot_fly_is_refused() -> None:
         transport.Scenario("eight", released(1)).setup  # noqa: B018
 
 
+@pytest.mark.slow
+def test_gap_is_passed_with_the_margins_kept() -> None:
+    """Late plans and 30 ms of lag that no agent knows: UAVs, rods and payload keep the margins from the walls."""
+    shorter = {"maneuver.phase.2.points_m": [[8.0, 0.0, 0.0]], "obstacle.1.at_m": [4.0, 0.0, -10.0]}
+    run = transport.fly("gap", {"plant.motors.lag_s": 0.03, **shorter}, progress=False)
+    least_m = run.series["clearance_m"].min(axis=0)
+    assert run.completed
+    assert (least_m >= [0.15, 0.03, 0.03]).all()
+    assert run.summary["clearance_min_m"] == dict(zip(("uav", "rod", "payload"), least_m, strict=True))
+    series = series_of(run.scenario.setup, run.log)
+    inside = np.abs(series.x[:, 0] - 4.0) < 0.2
+    assert series.payload_velocity_I[inside, 0].min() > 1.49
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        (
+            {"obstacle.1.width_m": 0.85},
+            "expected 0.03 m between payload and the gap along the reference, got 0.025 m at",
+        ),
+        ({"obstacle.1.margin_m": 0.21}, r"expected 0.21 m between UAV\d and the gap .*; slowing does not help"),
+        ({"obstacle.1.kind": "sphere"}, "obstacle.1.radius_m: expected a size with kind 'sphere', got nothing"),
+        ({"obstacle.1.size_m": [1.0, 1.0, 1.0]}, "expected no such size with kind 'gap', got"),
+    ],
+)
+def test_reference_keeps_clear_of_obstacles(settings: dict[str, Any], reason: str) -> None:
+    """A reference too near to an obstacle is refused with body, distance and instant."""
+    with pytest.raises(ScenarioError, match=reason):
+        transport.Scenario("gap", settings).setup  # noqa: B018
+
+
 def test_infeasible_reference_is_refused_with_the_least_slowing() -> None:
     """Twice the speed takes more than the UAVs have; the factor in the text makes the reference feasible."""
     with pytest.raises(ScenarioError, match=r"expected a .* along the reference, got .* feasible if all phases take"):

@@ -187,9 +187,17 @@ def _flight(setup: Setup, series: Series) -> dict[str, Any]:
             "decays": swing.decays,
         },
         "separation_min_m": _number(series.separation_m.min(initial=np.inf)),
+        "clearance_min_m": _clearance(series) if setup.obstacles else None,
         "constraint_violation_max": _largest(series.violation),
         "local_error_max": _largest(series.local_error),
     }
+
+
+def _clearance(series: Series) -> dict[str, float | None]:
+    """Return the smallest distances from obstacles, m, by kind of body."""
+    return dict(
+        zip(("uav", "rod", "payload"), map(_number, series.clearance_m.min(axis=0, initial=np.inf)), strict=True)
+    )
 
 
 def _tracking(errors_I: Array) -> dict[str, float | None]:

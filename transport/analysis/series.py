@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from model import state
 from model.arrays import Array
+from model.obstacles import clearances
 from model.rotations import rotation
 from protocol.scenario.faults import UavFault, uav_faults
 from protocol.scenario.setup import Setup
@@ -32,6 +33,8 @@ class Series:
         attitude_deg: Payload roll, pitch, yaw, (T, 3), deg.
         on_rods: Whether a UAV has not been released, (T, N).
         separation_m: Smallest distance between two UAVs on their rods, (T,), m; infinite for one UAV.
+        clearance_m: Smallest distances of UAVs on their rods, of rods and of the payload from any obstacle, (T, 3), m;
+            infinite without obstacles.
         violation: Largest constraint violation relative to the constraint's range, (T,); see `_violation`.
         local_error: Largest local error estimate of the plant's integration where it is finite, (<= T,), SI.
     """
@@ -47,6 +50,7 @@ class Series:
     attitude_deg: Array
     on_rods: npt.NDArray[np.bool_]
     separation_m: Array
+    clearance_m: Array
     violation: Array
     local_error: Array
 
@@ -84,7 +88,7 @@ def series_of(setup: Setup, log: RunLog) -> Series:
     y = np.array([setup.model.outputs(row) for row in x]).reshape(y_ref.shape)
     uavs_I = y[:, : 3 * N].reshape(len(ticks), N, 3)
     failures, cost = uav_faults(setup.faults), StageCost(setup)
-    separation_m = _separation(uavs_I, ticks, failures)
+    separation_m, clear_m = _separation(uavs_I, ticks, failures), _clearances(setup, ticks, x, failures)
     return Series(
         ticks=ticks,
         times_s=times_s,
@@ -97,7 +101,8 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         attitude_deg=np.degrees(x[:, state.THETA0]),
         on_rods=_on_rods(N, ticks, failures),
         separation_m=separation_m,
-        violation=_violation(setup, ticks, u, separation_m),
+        clearance_m=clear_m.min(axis=0, initial=np.inf),
+        violation=_violation(setup, ticks, u, separation_m, clear_m[..., 0]),
         local_error=np.array([e for tick in ticks if (e := plant_states[tick].local_error) >= 0.0], dtype=np.float64),
     )
 
@@ -121,11 +126,24 @@ def _separation(uavs_I: Array, ticks: npt.NDArray[np.int64], failures: Sequence[
     return smallest
 
 
-def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_m: Array) -> Array:
+def _clearances(setup: Setup, ticks: npt.NDArray[np.int64], x: Array, failures: Sequence[UavFault]) -> Array:
+    """Return the smallest distances of UAVs on their rods, rods and payload from each obstacle, (k, T, 3), m."""
+    N, found = setup.system.N, np.empty((len(setup.obstacles), len(ticks), 3))
+    gone = ~_on_rods(N, ticks, failures)
+    for row, obstacle in zip(found, setup.obstacles, strict=True):
+        clear_m = clearances(setup.system, obstacle, x)
+        for column in range(2):
+            row[:, column] = np.where(gone, np.inf, clear_m[:, N * column : N * (column + 1)]).min(axis=1)
+        row[:, 2] = clear_m[:, -1]
+    return found
+
+
+def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_m: Array, clear_m: Array) -> Array:
     """Return the largest constraint violation at each tick as a share of the constraint's range, (T,); 0 if all hold.
 
     Ranges: largest minus smallest value of an input; twice the largest change of an input per period (it may rise and
-    fall); the minimum separation itself. Hover inputs precede tick 0; changes across a gap in the record do not count.
+    fall); the minimum separation, and the margin of UAVs from obstacles, themselves. Hover inputs precede tick 0;
+    changes across a gap in the record do not count.
     User-defined constraints are not included.
     """
     settings, N = setup.settings, setup.system.N
@@ -141,4 +159,6 @@ def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_
     if setup.settings.separation is not None:
         minimum_m = setup.settings.separation.minimum_m
         worst = np.maximum(worst, (minimum_m - separation_m) / minimum_m)
+    for obstacle, distance_m in zip(setup.obstacles, clear_m, strict=True):
+        worst = np.maximum(worst, (obstacle.margin_m - distance_m) / obstacle.margin_m)
     return np.asarray(worst)

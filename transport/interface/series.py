@@ -54,6 +54,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "moment_limit_Nm": Quantity("N m", (_XYZ,), "Limit of the moments of each UAV, either sign."),
     "rate_command_radps": Quantity("rad/s", (_UAV, _XYZ), "Body rates commanded from t_k on; NaN with moments."),
     "separation_m": Quantity("m", (), "Smallest distance between two UAVs."),
+    "clearance_m": Quantity(
+        "m", (("UAVs", "rods", "payload"),), "Smallest distances from any obstacle; infinite without obstacles."
+    ),
     "cost": Quantity("", (), "Stage cost, docs/equations.md (21)."),
     "constraint_violation": Quantity("", (), "Largest violation as a share of the constraint's range; 0 if all hold."),
     "plan_age_ticks": Quantity("ticks", (_AGENT,), "Age of the oldest plan of another agent in use; NaN for none."),
@@ -170,6 +173,7 @@ class RunSeries(Mapping[str, Array]):
             "rate_command_radps": lambda: commanded if rates else np.full((T, N, 3), np.nan),
             "moment_limit_Nm": lambda: np.tile(limits.moments_Nm, (T, 1)),
             "separation_m": lambda: s.separation_m,
+            "clearance_m": lambda: s.clearance_m,
             "cost": lambda: s.cost,
             "constraint_violation": lambda: s.violation,
         }

@@ -65,6 +65,7 @@ class ShortSettings(TypedDict, total=False):
     on_agent_loss: Literal["abort", "continue"]
     faults: Sequence[Mapping[str, Any]]
     phases: Sequence[Mapping[str, Any]]
+    obstacles: Sequence[Mapping[str, Any]]
     payload_mass_factor: float
     wind_mps: Sequence[float]
     gust_mps: Sequence[float]
@@ -81,7 +82,7 @@ def key_of(name: str) -> str:
     """
     if name in KEY_OF:
         return KEY_OF[name]
-    if "." in name or name in ("name", "seed", "schema"):
+    if "." in name or name in ("name", "seed", "schema", "obstacle"):
         return name
     near = difflib.get_close_matches(name, KEY_OF, n=1)
     hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(KEY_OF)}"

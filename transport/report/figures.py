@@ -146,6 +146,8 @@ def _plot_uavs(panel: Axes, t: Array, values: Array, widest: float = 1.8) -> Non
 _INPUT_IN = 0.7
 # Smallest range of an axis either side of zero, N and N m.
 _LEAST = 1e-3
+# Shown distances from obstacles as a multiple of the largest margin.
+_NEAR = 6.0
 _AXES = ("roll", "pitch", "yaw")
 
 
@@ -155,7 +157,8 @@ def draw_inputs(figure: Figure, setup: Setup, log: RunLog, series: Series) -> No
     used_s, ages_s, agents = _oldest_plans_s(setup, log)
     separation_m = np.where(np.isfinite(series.separation_m), series.separation_m, np.nan)
     separated = bool(np.isfinite(separation_m).any())
-    panels = column_panels(figure, [_INPUT_IN] * (INPUTS + separated + bool(agents)), marks)
+    obstacles = setup.obstacles
+    panels = column_panels(figure, [_INPUT_IN] * (INPUTS + separated + bool(obstacles) + bool(agents)), marks)
     others = iter(panels[INPUTS:])
     lower, upper = (bound(1) for bound in (setup.settings.lower, setup.settings.upper))
     kind = "rate command (rad/s)" if setup.system.commands_rates else "moment (N m)"
@@ -176,6 +179,13 @@ def draw_inputs(figure: Figure, setup: Setup, log: RunLog, series: Series) -> No
             limits(panel, minimum_m)
             text += f", limit {minimum_m:g}"
         head(panel, text)
+    if obstacles:
+        panel = next(others)
+        _plot(panel, t, series.clearance_m, ("UAVs", "rods", "payload"), [{"color": colour} for colour in COMPONENTS])
+        margins_m = {margin_m for obstacle in obstacles for margin_m in (obstacle.margin_m, obstacle.load_margin_m)}
+        limits(panel, *sorted(margins_m))
+        panel.set_ylim(0.0, _NEAR * max(margins_m))
+        head(panel, "distance from obstacles (m)")
     if agents:
         panel = next(others)
         names = [f"agent {agents[0]}", *map(str, agents[1:])]

@@ -19,7 +19,7 @@ from transport.analysis.series import Series
 from transport.report.column import draw_legend, legend_height_in
 from transport.report.style import COLUMN_IN, PAYLOAD, REFERENCE
 from transport.scene.colours import uav_style
-from transport.scene.drawing import Label, Lines, Mesh, Part, Pose
+from transport.scene.drawing import Label, Lines, Mesh, Part, Pose, obstacles
 
 # Smallest distance between drawn formations, m.
 _APART_M = 0.5
@@ -28,6 +28,8 @@ _SLIMMEST = 0.3
 # Largest height of the box; room beside and below it for numbers and labels, inches; most numbers of an axis.
 _TALLEST_IN, _LEFT_IN, _RIGHT_IN, _BELOW_IN = 3.2, 0.15, 0.4, 0.6
 _TICKS = 5
+# Of obstacles, behind which the team is seen.
+_OPACITY = 0.25
 _UP = np.array([1.0, 1.0, -1.0])  # z points down in the data and up on paper
 
 
@@ -50,7 +52,12 @@ def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
     line(axes, payload_I, color=PAYLOAD, linewidth=1.3)
     for k in _rows_to_draw(setup, series):
         _formation(axes, setup, series, k)
-    frame(axes, np.concatenate([series.uavs_I[series.on_rods], payload_I]) * _UP, ticks=_TICKS)
+    everything = np.concatenate([series.uavs_I[series.on_rods], payload_I])
+    for mesh in obstacles(setup, everything.min(axis=0), everything.max(axis=0)):
+        colour = (*(np.array(mesh.colour) / 255.0), _OPACITY)
+        solid = list(mesh.vertices[mesh.faces] * _UP)
+        axes.add_collection3d(Poly3DCollection(solid, facecolors=colour, linewidths=0.0), autolim=False)
+    frame(axes, everything * _UP, ticks=_TICKS)
     axes.tick_params(pad=-3.0)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.labelpad = -7.0

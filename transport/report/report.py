@@ -30,6 +30,8 @@ ACCURATE = 1e-6
 # Number of faults in the table, so that it fits a screen.
 _SHOWN_FAULTS = 8
 
+# Bodies with a distance from obstacles, as the report names them.
+_CLEAR = {"uav": "UAVs", "rod": "rods", "payload": "payload"}
 _COLOURS = {"completed": "green", "diverged": "red", "aborted": "red", "unknown": "yellow"}
 
 
@@ -94,6 +96,10 @@ def _title(summary: Mapping[str, Any]) -> Text:
     return Text.assemble((summary["scenario"], "bold"), " ", (f"{outcome}{reason}", f"bold {_COLOURS[outcome]}"))
 
 
+def _clearances(clear_m: Mapping[str, float | None]) -> str:
+    return ", ".join(f"{_text(clear_m[key], '.3f')} m {of}" for key, of in _CLEAR.items())
+
+
 def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     cost, controller, solver = (summary[part] for part in ("cost", "controller", "solver"))
     uavs, payload = summary["uav_tracking"], summary["payload_tracking"]
@@ -122,6 +128,7 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ),
         ("payload swing", _swing(payload)),
         ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
+        *([("clearance", _clearances(clear))] if (clear := summary.get("clearance_min_m")) else []),
         ("limits", _constraints(summary["constraint_violation_max"])),
         ("integration", _text(summary["local_error_max"], ".1e", "largest local error {}")),
         ("agent step", _milliseconds(summary["agent_step_ms"])),

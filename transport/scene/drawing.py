@@ -7,6 +7,7 @@ frames are relative to the inertial one, z down; lengths in m.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from model.arrays import Array
 from model.parameters import System, payload_corners, payload_half_size
+from protocol.scenario.setup import Setup
 from transport.scene.colours import Colour, age_colour, uav_colour
 from transport.scene.history import LinkState
 from transport.scene.scene import Scene, SceneBuilder
@@ -31,7 +33,7 @@ LAYERS: Mapping[str, bool] = {
 INERTIAL, PAYLOAD, TEAM, LOAD, GOAL = "inertial", "payload", "team", "load", "goal"
 
 _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150), (0, 0, 0)
-_CONTACT, _GROUND = (178, 24, 43), (225, 222, 214)
+_CONTACT, _GROUND, _OBSTACLE = (178, 24, 43), (225, 222, 214), (196, 120, 60)
 # Arm length, rotor radius, beam and body thickness of a drawn quadrotor, in parts of its span (rotor tip to rotor tip).
 _ARM, _ROTOR, _BEAM, _BODY = 0.31, 0.17, 0.02, 0.06
 # Its span, m, and at most this part of the smallest gap between UAVs, so that they do not overlap.
@@ -41,6 +43,8 @@ _SPAN_M, _SPAN_OF_GAP = 0.9, 0.7
 _PLATE_M, _CORE_M = 0.12, 0.15
 ARROW_M, _HEAD_M = 0.6, 0.05
 _GOAL_M, _CONTACT_M, _GROUND_M = 0.07, 0.03, 0.02
+# Half size from which an obstacle counts as endless, and how far beyond the maneuver it is drawn then, m.
+_ENDLESS_M, _BEYOND_M = 1e4, 1.0
 # Points of a flown and of a reference path, and tolerance of the former in parts of the maneuver's size: wide lines are
 # a third of the work of a browser without a graphics processor.
 _POINTS, _POINTS_REFERENCE, _TOLERANCE = 240, 120, 5e-4
@@ -115,7 +119,7 @@ class Drawing:
         self.size = float(np.linalg.norm(self.high - self.low))
         self._ground_m = self._setup.scenario.plant.ground_m
         self.floor = float(self.high[2]) + 0.5 if self._ground_m is None else self._ground_m
-        self.span = uav_span(builder.start_I)
+        self.span = min([uav_span(builder.start_I), *(2.0 * obstacle.margin_m for obstacle in self._setup.obstacles)])
         self.fixed: tuple[Part, ...] = tuple(self._fixed())
 
     def poses(self, scene: Scene) -> dict[str, Pose]:
@@ -192,6 +196,7 @@ class Drawing:
             yield Lines(name="rod", frame=f"rod{i + 1}", layer="", segments=rod, colours=_colours([_ROD]), width=3.0)
             yield from self._uav(i)
             yield Label(name="name", frame=f"uav{i + 1}", text=f"UAV{i + 1}", position=offsets[i], colour=uav_colour(i))
+        yield from obstacles(self._setup, self.low, np.array([*self.high[:2], self.floor]))
         if self._ground_m is not None:
             middle, width = np.round((self.low + self.high)[:2] / 2.0), np.ceil(0.7 * self.size)
             below = self._ground_m + np.array([1.0, 2.0]) * _GROUND_M  # below the grid of the viewer
@@ -213,6 +218,21 @@ class Drawing:
         for k, (x, y) in enumerate(_ARM * np.column_stack([np.cos(angles), np.sin(angles)])):
             rotor = s * (_disc(_ROTOR, 0.02) + np.array([x, y, -_BODY]))
             yield _solid(f"rotor{k}", frame, rotor, _PAYLOAD if x > 0.0 else colour, opacity=0.6)
+
+
+def obstacles(setup: Setup, low: Array, high: Array) -> Iterator[Mesh]:
+    """Yield the obstacles; endless ones reach beyond a box with corners low and high, (3,), inertial frame, m."""
+    beyond = np.array([_BEYOND_M, _BEYOND_M, 0.0])
+    corners = np.array(list(product(*zip(low - beyond, high + beyond, strict=True))))
+    for k, solid in enumerate(solid for obstacle in setup.obstacles for solid in obstacle.solids):
+        seen, endless = (corners - solid.centre_I) @ solid.R, solid.half > _ENDLESS_M
+        near = np.where(endless, np.maximum(seen.min(axis=0), -solid.half), -solid.half)
+        far = np.where(endless, np.maximum(np.minimum(seen.max(axis=0), solid.half), near + _GROUND_M), solid.half)
+        ends = np.array(list(product(*zip(near, far, strict=True))))
+        around = _disc(solid.radius, 0.0) if endless[2] else _ball(solid.radius)
+        points = ends[:, None] + (around if solid.radius else np.zeros((1, 3)))
+        placed = points.reshape(-1, 3) @ solid.R.T + solid.centre_I
+        yield _solid(f"obstacle{k + 1}", INERTIAL, placed, _OBSTACLE, opacity=0.4)
 
 
 _SQUARE = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
