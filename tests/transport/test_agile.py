@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import transport
+from benchmarks.agile import FOUR
 from protocol.scenario.errors import ScenarioError
 from transport.analysis.series import series_of
 
@@ -23,6 +24,17 @@ QUICK = [
 ]
 
 
+# States measured without noise, and motors without lag.
+_NOISE = ("position_m", "velocity_mps", "attitude_rad", "rate_rads", "specific_force_mps2")
+IDEAL: dict[str, Any] = {
+    "plant.sensors": "state",
+    "controller.estimator": "measured",
+    "plant.motors.lag_s": 0.0,
+    **{f"plant.noise.{key}": 0.0 for key in _NOISE},
+}
+LATE = {"delay_s": 0.2, "loss": 0.3}
+
+
 def error_m(settings: dict[str, Any] | None = None, **changed: Any) -> float:
     """Return the payload's rms distance from its path."""
     run = transport.fly("eight", settings, progress=False, phases=QUICK, **changed)
@@ -33,11 +45,16 @@ def error_m(settings: dict[str, Any] | None = None, **changed: Any) -> float:
 
 
 @pytest.mark.slow
+def test_sensors_of_the_vehicles_suffice_on_a_late_network() -> None:
+    """The scenario as it is, with noise and unknown lag: within the 4 cm that the long flight keeps with every seed."""
+    assert error_m(**LATE) < 0.04
+
+
+@pytest.mark.slow
 def test_delay_and_loss_cost_little() -> None:
     """All plans are the shared law, so of 30 ms of lag that no agent knows a late network makes hardly more."""
     late, perfect, central = (
-        error_m({"plant.motors.lag_s": 0.03}, delay_s=delay, loss=loss, **owned)
-        for delay, loss, owned in ((0.2, 0.3, {}), (0.0, 0.0, {}), (0.0, 0.0, {"owned": [[1, 2, 3]]}))
+        error_m({**IDEAL, "plant.motors.lag_s": 0.03}, **changed) for changed in (LATE, {}, {"owned": [[1, 2, 3]]})
     )
     assert max(late, perfect, central) < 0.01
     assert late < 1.3 * perfect
@@ -47,18 +64,8 @@ def test_delay_and_loss_cost_little() -> None:
 @pytest.mark.slow
 def test_team_without_an_agent_flies_on() -> None:
     """An agent dies for good at full speed; its UAV keeps to its part of the reference, the others take that in."""
-    died = {"faults.event": [{"at_s": 4.0, "do": "kill", "target": "agent3"}], "plant.motors.lag_s": 0.03}
-    assert error_m(died, on_agent_loss="continue") < 0.05
-
-
-# A fourth UAV above the payload; without it the others carry.
-FOUR = {
-    "system.uav": [
-        {"id": i, "mass_kg": 0.6, "inertia_kgm2": [3e-3, 3e-3, 5e-3], "rho_m": [*place, -0.05], "rod_length_m": 1.0}
-        for i, place in enumerate([(0.4, 0.0), (-0.2, 0.35), (-0.2, -0.35), (0.0, 0.0)], start=1)
-    ],
-    "agents.owned": [[1], [2], [3], [4]],
-}
+    died = {**IDEAL, "faults.event": [{"at_s": 4.0, "do": "kill", "target": "agent3"}], "plant.motors.lag_s": 0.03}
+    assert error_m(died, on_agent_loss="continue", **LATE) < 0.05
 
 
 def released(uav: int) -> dict[str, Any]:
@@ -66,9 +73,10 @@ def released(uav: int) -> dict[str, Any]:
     return {**FOUR, "faults.event": [{"at_s": 4.0, "do": "release", "target": f"uav{uav}"}]}
 
 
+@pytest.mark.slow
 def test_release_changes_the_reference() -> None:
     """The three that are left take over the load within a centimetre, on a late network."""
-    assert error_m(released(4)) < 0.005
+    assert error_m({**IDEAL, **released(4)}, **LATE) < 0.005
 
 
 def test_release_that_the_rest_cannot_fly_is_refused() -> None:
