@@ -6,7 +6,7 @@ depend on N alone (physical parameters are arguments), so the next process loads
 
 import hashlib
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import casadi as ca
@@ -78,13 +78,30 @@ class Compiled:
 
     def flat(self, *arguments: Array | float) -> Array:
         """Return the entries of all outputs in one new array; `parts` are their places."""
-        for own, argument in zip(self._arguments, arguments, strict=True):
+        self._take(self._arguments, arguments)
+        self._evaluate()
+        return self._results.copy()
+
+    def partial(self, *last: Array | float) -> Callable[..., Array]:
+        """Return `flat` as a function of the first arguments, unchecked vectors, until the next call of anything here."""
+        first = self._arguments[: -len(last)]
+        self._take(self._arguments[len(first) :], last)
+        evaluate, results = self._evaluate, self._results
+
+        def flat(*arguments: Array) -> Array:
+            for own, argument in zip(first, arguments, strict=True):
+                own[:] = argument
+            evaluate()
+            return results.copy()
+
+        return flat
+
+    def _take(self, places: Sequence[Array], arguments: Sequence[Array | float]) -> None:
+        for own, argument in zip(places, arguments, strict=True):
             size = argument.size if isinstance(argument, np.ndarray) else 1
             if size != own.size:
                 raise ShapeError(f"{self._name}: expected an argument of {own.size} numbers, got {size}")
             own[:] = argument
-        self._evaluate()
-        return self._results.copy()
 
 
 def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:

@@ -6,6 +6,7 @@ alone, so the result has the same bits in every process.
 """
 
 import math
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
@@ -33,7 +34,7 @@ class Integrator:
     """
 
     def __init__(self, step: ca.Function) -> None:
-        self._step, self._single = step, Compiled(step)
+        self._step, self._single, self._stepping = step, Compiled(step), Compiled(step)
         self._blocks: dict[int, Compiled] = {}
 
     def integrate(self, x: Array, held: Held, duration_s: float, steps: int, tolerance: float) -> tuple[Array, float]:
@@ -54,6 +55,14 @@ class Integrator:
                 return self._halved(steps, x, held, length_s, tolerance)
             largest = max(largest, error)
         return end, largest
+
+    def stepper(self, held: tuple[Array, Array], length_s: float) -> Callable[[Array, Array], Array]:
+        """Return the map from state and input to the state after a step, without its error; valid until the next one.
+
+        Parameters and forces are held.
+        """
+        evaluate, state = self._stepping.partial(*held, length_s), self._stepping.parts[0]
+        return lambda x, u: evaluate(x, u)[state]
 
     def _equal(self, steps: int, x: Array, held: Held, length_s: float) -> tuple[Array, float]:
         """Return the state after a few equal steps and the largest local error estimate of any of them."""

@@ -1,7 +1,7 @@
 """The numerical model of one system: derivative, outputs, exact linearisation, integration."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -178,6 +178,11 @@ class Model:
         """
         held = self._effective(u), self._p, self._acting(forces)
         return self._integrator.integrate(x, held, duration_s, steps, tolerance)
+
+    def stepper(self, duration_s: float, forces: Array | None = None) -> Callable[[Array, Array], Array]:
+        """Return the map from state and input to the state after one step of `integrate`; valid until the next one."""
+        step = self._integrator.stepper((self._p, self._acting(forces)), duration_s)
+        return step if not len(self._off) else lambda x, u: step(x, self._effective(u))
 
 
 def _pattern(linearise: ca.Function) -> Pattern:

@@ -87,7 +87,6 @@ class Controller:
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
         self._along = Along(self._decision)
         self._at_hover: Linearisation | None = None
-        self._limits = settings.lower(N), settings.upper(N)
         # Derivatives and difference equation of the newest step.
         self._held: tuple[Array, Discrete] | None = None
         # Outputs along the newest trajectory beyond their linearisation, (N_p + 1, p).
@@ -181,22 +180,14 @@ class Controller:
 
         Source: docs/equations.md (35a).
         """
-        model, settings, n = self.model, self.settings, self.model.system.n
-        lower, upper = self._limits
-        z = z0 = linear.x0 if linear.actual is None else np.concatenate([linear.x0, linear.actual])
-        states, inputs = [z0], []
-        for at_x0 in law.uncorrected + law.c:
-            inputs.append(np.minimum(np.maximum(at_x0 + law.K @ (z - z0), lower), upper))
-            z, _ = motors.integrate(
-                model, z, inputs[-1], settings.sampling_period_s, 1, settings.motor_lag_s, linear.forces
-            )
-            states.append(z)
-        Z = np.array(states)
+        model, n = self.model, self.model.system.n
+        z0 = linear.x0 if linear.actual is None else np.concatenate([linear.x0, linear.actual])
+        Z, U = rollout(model, self.settings, z0, law, linear.forces)
         view = state.StateView(Z[:, :n])
         angles = np.concatenate([view.Theta0[:, None, :2], view.Theta[..., :2]], axis=1)
         if not np.abs(angles).max() < _STEEPEST or not np.isfinite(Z).all():
             return
-        follow(prediction, discrete, linear.u0, self.own, law, Z, np.array(inputs)[:, self.own] - linear.u0[self.own])
+        follow(prediction, discrete, linear.u0, self.own, law, Z, U[:, self.own] - linear.u0[self.own])
         self._curvature = model.outputs_along(Z[:, :n]) - linear.model.y - (Z - z0) @ linear.model.C.T
 
     def condense(

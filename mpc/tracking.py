@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from model import state
+from model import motors, state
 from model.arrays import Array, frozen, padded
 from model.discretisation import zero_order_hold
 from model.flat import Track
@@ -174,25 +174,26 @@ def _across(x: Array) -> Array:
 
 
 def rollout(
-    model: Model, settings: ControllerSettings, x0: Array, law: FeedbackLaw, forces: Array | None = None,
+    model: Model, settings: ControllerSettings, z0: Array, law: FeedbackLaw, forces: Array | None = None,
     decision: Decision | None = None, before: Array | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return states, (N_p + 1, n), and inputs, (N_p, m), under the control law and its corrections.
+    """Return states, (N_p + 1, n), with motor lag (N_p + 1, n + m), and inputs, (N_p, m), under the control law.
 
-    Inputs are within bounds. Those of a decision are free, or also within rates if the owned inputs before the first
-    step are given, (m_own,). Source: docs/equations.md (73).
+    Inputs include the law's corrections and are within bounds. Those of a decision are free, or also within rates if
+    the owned inputs before the first step are given, (m_own,). Source: docs/equations.md (35a), (73).
     """
     lower, upper = settings.lower(model.system.N), settings.upper(model.system.N)
-    at_x0, Z, U = law.uncorrected + law.c, [x0], []
-    for k, gain in enumerate(law.K):
-        wanted = at_x0[k] + gain @ (Z[-1] - x0)
+    step = motors.stepper(model, settings.sampling_period_s, settings.motor_lag_s, forces)
+    at_x0, Z, U = law.uncorrected + law.c, [z0], []
+    for wanted, gain in zip(at_x0, law.K if law.K.ndim == 3 else [law.K] * len(at_x0), strict=True):
+        wanted += gain @ (Z[-1] - z0)
         u = np.minimum(np.maximum(wanted, lower), upper)
         if decision is not None:
             own = wanted[decision.own]
             if before is not None:
                 own = before = decision.clip(np.clip(own, before - decision.rate, before + decision.rate))
             u[decision.own] = own
-        Z.append(model.integrate(Z[-1], u, settings.sampling_period_s, 1, forces=forces)[0])
+        Z.append(step(Z[-1], u))
         U.append(u)
     return np.array(Z), np.array(U)
 
