@@ -116,7 +116,9 @@ class AnnouncedInputs:
 
     def begins_at(self, tick: int) -> bool:
         """Return whether a plan of any agent starts at a tick."""
-        return any(plan.start_tick == tick for plans in self._plans.values() for plan in plans)
+        start = attrgetter("start_tick")  # ascending as the ticks: all plans of a run have the same delay
+        found = (plans[bisect_left(plans, tick, key=start) :][:1] for plans in self._plans.values())
+        return any(plan.start_tick == tick for first in found for plan in first)
 
     def sequence(self, start: int, steps: int, before: int) -> Array:
         """Return the announced inputs of all UAVs over the horizon: the newest plans, held at their ends.

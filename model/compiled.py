@@ -18,7 +18,7 @@ from model.compiler import cache_folder, replace_atomically
 from model.dynamics import Symbols
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
-_FLAGS = ("-Og", "-ffp-contract=off")
+_FLAGS = ("-Og", "-march=native", "-fno-math-errno", "-ffp-contract=off")
 # Instructions; longer functions stay interpreted, as compilation time grows more than linearly.
 _MAX_LENGTH = 80_000
 
