@@ -84,7 +84,7 @@ class Compiled:
         return self._results.copy()
 
     def partial(self, *last: Array | float) -> Callable[..., Array]:
-        """Return `flat` as a function of the first arguments, unchecked vectors, until the next call of anything here."""
+        """Return `flat` as a function of the first arguments, unchecked vectors; valid until the next call here."""
         first = self._arguments[: -len(last)]
         self._take(self._arguments[len(first) :], last)
         evaluate, results = self._evaluate, self._results

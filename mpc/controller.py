@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from model import motors, state
+from model import state
 from model.arrays import Array, checked
 from model.discretisation import Discrete, euler, zero_order_hold
 from model.failure import failed_model
