@@ -64,7 +64,9 @@ class Planner:
         self._setup, self._agent, self._stopwatch = setup, agent, stopwatch
         self._owned = setup.owned[agent - 1]
         self._own_inputs = input_indices(self._owned)
-        self._controller = Controller(setup.model, setup.hover, setup.settings, self._owned, setup.X_ref, setup.track)
+        self._controller = Controller(
+            setup.model, setup.hover, setup.settings, self._owned, setup.X_ref, setup.track, setup.obstacles
+        )
         self._team = TeamEstimate(setup, agent, self._controller)
         self._reset_sharing()
 

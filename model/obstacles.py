@@ -89,6 +89,12 @@ class Obstacle:
     load_margin_m: float
     penalty: float
 
+    def from_points(self, r_I: Array) -> tuple[Array, Array]:
+        """Return distances of points, (..., 3), from the nearest solid, (...,), m, and their gradients, (..., 3)."""
+        distances, normals = (np.array(part) for part in zip(*(s.from_points(r_I) for s in self.solids), strict=True))
+        nearest = np.argmin(distances, axis=0)[None]
+        return distances.min(axis=0), np.take_along_axis(normals, nearest[..., None], axis=0)[0]
+
     def margins(self, N: int) -> Array:
         """Return the smallest distances of the bodies of N UAVs in the order of `clearances`, (2 N + 1,), m."""
         return np.repeat([self.margin_m, self.load_margin_m], [N, N + 1])

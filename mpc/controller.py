@@ -14,6 +14,7 @@ from model.hover import Hover
 from model.linearisation import Linearisation, Model
 from model.motors import lagged
 from model.native import Places
+from model.obstacles import Obstacle
 from model.state import LARGEST
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
@@ -59,6 +60,7 @@ class Controller:
         owned: UAVs this controller decides for, 0-based, ascending.
         X_ref: Reference states at instants 0..K-1 of the maneuver, (K, n), for the preview.
         track: A flat reference at these instants, which the shared control law follows instead.
+        obstacles: To keep clear of along it.
     Raises: SettingsError: UAVs that do not exist, or a constraint that cannot be read.
 
     Attributes:
@@ -70,7 +72,7 @@ class Controller:
 
     def __init__(
         self, model: Model, hover: Hover, settings: ControllerSettings, owned: Sequence[int],
-        X_ref: Array | None = None, track: Track | None = None,
+        X_ref: Array | None = None, track: Track | None = None, obstacles: Sequence[Obstacle] = (),
     ) -> None:  # fmt: skip
         N = model.system.N
         if not owned or list(owned) != sorted(set(owned)) or not 0 <= owned[0] <= owned[-1] < N:
@@ -85,7 +87,7 @@ class Controller:
         self.law, self.end = self.regulation.law, self.regulation.cost_to_go
         self.cost = self.regulation.cost
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
-        self._along = Along(self._decision)
+        self._along = Along(self._decision, obstacles)
         self._at_hover: Linearisation | None = None
         # Derivatives and difference equation of the newest step.
         self._held: tuple[Array, Discrete] | None = None

@@ -9,8 +9,9 @@ by completion of squares. So an agent's optimum without constraints follows from
 zero where theirs are. Only where the trajectory under it violates a constraint is a QP solved, about that trajectory.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from model.arrays import Array, frozen, padded
 from model.discretisation import zero_order_hold
 from model.flat import Track
 from model.linearisation import Model
+from model.obstacles import Obstacle
+from mpc.clearance import Clearance
 from mpc.cost import Cost, UserCosts
 from mpc.decision import Decision
 from mpc.feedback import Expansion, FeedbackLaw, Regulator
@@ -227,8 +230,11 @@ class Along:
     The decision is the change of the owned corrections, scaled as the inputs; its unconstrained optimum is zero.
     """
 
-    def __init__(self, decision: Decision) -> None:
+    def __init__(self, decision: Decision, obstacles: Sequence[Obstacle] = ()) -> None:
         self._decision, self._rows, self._settings = decision, Rows(decision), decision.settings
+        self._clearance = Clearance(decision, obstacles) if obstacles else None
+        clear = () if self._clearance is None else self._clearance.penalties
+        self._penalties = np.concatenate([self._rows.penalties, clear])
 
     def course(self, model: Model, linear: Linear, law: FeedbackLaw, along: Expansion) -> Course:
         """Return the trajectory of a step. Source: docs/equations.md (72), (73)."""
@@ -250,13 +256,14 @@ class Along:
         """Return the QP of a course: without rows if it violates no constraint. Source: docs/equations.md (74)."""
         decision, law, along, rows = self._decision, course.law, course.along, self._rows
         (steps, m), size, own, scale = decision.shape, decision.size, decision.own, decision.scale
-        slacks = 0 if course.within else len(rows.penalties)
+        penalties = self._penalties[: 0 if course.within else None]
+        slacks = len(penalties)
         H = np.zeros((size + slacks, size + slacks))
         for k in range(steps):
             at = slice(m * k, m * (k + 1))
             H[at, at] = 2.0 * scale[:, None] * along.M[k][np.ix_(own, own)] * scale
-        H[range(size, size + slacks), range(size, size + slacks)] = rows.penalties[:slacks]
-        g = np.concatenate([np.zeros(size), rows.penalties[:slacks]])
+        H[range(size, size + slacks), range(size, size + slacks)] = penalties
+        g = np.concatenate([np.zeros(size), penalties])
         lower = np.concatenate([np.full(size, -np.inf), np.zeros(slacks)])
         upper = np.full(size + slacks, np.inf)
         if course.within:
@@ -278,12 +285,15 @@ class Along:
         apart = np.array(on_places).reshape(-1, size)
         tilted = np.array(states)[:, rows.angles].reshape(-1, size)
         changes = np.diff(inputs, axis=0).reshape(-1, size)
-        parts = [inputs.reshape(-1, size), changes, apart, tilted, tilted]
+        clear, clear_m = self._clear_rows(model, course, states)
+        parts = [inputs.reshape(-1, size), changes, apart, tilted, tilted, *clear]
         A = np.zeros((sum(map(len, parts)), size + slacks))
         A[:, :size] = np.concatenate(parts)
-        ends = np.cumsum(list(map(len, parts)))
+        ends, tilt = np.cumsum(list(map(len, parts))), size + len(rows.penalties)
         A[ends[1] : ends[2], size : size + 1] = 1.0
-        A[ends[2] : ends[3], -1:], A[ends[3] :, -1:] = -1.0, 1.0
+        A[ends[2] : ends[3], tilt - 1 : tilt], A[ends[3] : ends[4], tilt - 1 : tilt] = -1.0, 1.0
+        for slack, (begin, end) in enumerate(pairwise(ends[4:]), start=tilt):
+            A[begin:end, slack] = 1.0
         nominal = course.U[:, own]
         low, high = decision.bounds(nominal, course.u0)
         changed, rate = np.diff(nominal, axis=0).reshape(-1), np.tile(decision.rate, steps - 1)
@@ -292,9 +302,27 @@ class Along:
         any_far = np.full(len(far), np.inf)
         return QP(
             H=H, g=g, lower=lower, upper=upper, A=A,
-            row_lower=np.concatenate([low * each, -rate - changed, rows.minimum_m - far, -none, -rows.limit - angles]),
-            row_upper=np.concatenate([high * each, rate - changed, any_far, rows.limit - angles, none]),
+            row_lower=np.concatenate([low * each, -rate - changed, rows.minimum_m - far, -none, -rows.limit - angles,
+                                      -clear_m]),
+            row_upper=np.concatenate([high * each, rate - changed, any_far, rows.limit - angles, none,
+                                      np.full(len(clear_m), np.inf)]),
         )  # fmt: skip
+
+    def _clear_rows(self, model: Model, course: Course, states: list[Array]) -> tuple[Array, Array]:
+        """Return the decision's effect on distances from each obstacle, (obstacles, rows, size), and what they exceed.
+
+        The latter are the distances beyond the margins on the course, (obstacles * rows,), m.
+        """
+        size = self._decision.size
+        if self._clearance is None:
+            return np.zeros((0, 0, size)), np.zeros(0)
+        Z, keep = course.Z[1:], self._clearance
+        excess, normals = keep.excess(Z, self._places(model, course.Z).reshape(len(Z), -1, 3))
+        effects = [
+            keep.rows(model, x, course.u0, normals[:, k], effect)
+            for k, (x, effect) in enumerate(zip(Z, states, strict=True))
+        ]
+        return np.stack(effects, axis=1).reshape(len(excess), -1, size), excess.reshape(-1)
 
     def planned(self, model: Model, course: Course, announced: FeedbackLaw, z: Array, w: float) -> tuple[Array, Array]:
         """Return owned inputs and corrections of a plan, (N_p, m_own) each.
@@ -311,13 +339,15 @@ class Along:
         return U[:, own], c[:, own]
 
     def _apart(self, model: Model, Z: Array) -> bool:
-        """Return whether distances and angles along a trajectory keep their limits."""
+        """Return whether distances, from obstacles too, and angles along a trajectory keep their limits."""
         rows = self._rows
         if not np.isfinite(Z).all() or (np.abs(Z[1:, rows.angles]) > rows.limit + _ROUNDING).any():
             return False
-        if not len(rows.pairs):
+        if not len(rows.pairs) and self._clearance is None:
             return True
         places = self._places(model, Z).reshape(len(Z) - 1, -1, 3)
+        if self._clearance is not None and (self._clearance.excess(Z[1:], places)[0] < -_ROUNDING).any():
+            return False
         apart = np.linalg.norm(places[:, rows.pairs[:, 0]] - places[:, rows.pairs[:, 1]], axis=2)
         return bool((apart >= rows.minimum_m - _ROUNDING).all())
 

@@ -214,7 +214,8 @@ class ObstacleSection(Section):
     heading_deg: float = 0.0
     """direction of the first edge of a box, or of the passage through a gap, from x towards y"""
     penalty: Annotated[Positive, Key(unit="1/m", within=(1e-12, 1e8))] = 1000.0
-    """penalty on the largest violation of the margin of a UAV over the horizon"""
+    """penalty on the largest violation of a margin by a UAV or the payload over the horizon; only with a flat
+    reference"""
 
 
 class DisturbanceSection(Section):

@@ -1,6 +1,7 @@
 """The control law along a flat reference, and the program about it."""
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -12,6 +13,7 @@ from model.flat import FlatReference, Track
 from model.hover import hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase
+from model.obstacles import Obstacle, Solid, clearances
 from model.state import R0, StateView, input_slice
 from mpc.controller import Controller, StepResult
 from mpc.settings import ControllerSettings, Limits, Separation, Tilt, Weights
@@ -39,10 +41,12 @@ def flown(instants: int = 80) -> tuple[Model, Track]:
     return Model(system), FlatReference(system, hover(system), maneuver).track(instants + 80, PERIOD_S)
 
 
-def controller(owned: tuple[int, ...] = (1,), settings: ControllerSettings = SETTINGS) -> Controller:
+def controller(
+    owned: tuple[int, ...] = (1,), settings: ControllerSettings = SETTINGS, obstacles: Sequence[Obstacle] = ()
+) -> Controller:
     """Return a controller on the arc."""
     model, track = flown()
-    return Controller(model, hover(model.system), settings, owned, track.X, track)
+    return Controller(model, hover(model.system), settings, owned, track.X, track, obstacles)
 
 
 def test_cost_is_the_sum_of_squares_of_corrections() -> None:
@@ -173,3 +177,29 @@ def _violation(model: Model, settings: ControllerSettings, Z: Array) -> float:
             tilted = float(np.abs(StateView(x).Theta[:, :2]).max())
             worst = max(worst, tilted - math.radians(settings.tilt.limit_deg))
     return worst
+
+
+@pytest.mark.parametrize(("margin_m", "load_margin_m"), [(0.3, 0.0), (0.1, 0.3)], ids=["UAVs", "payload"])
+def test_program_keeps_clear_of_an_obstacle(margin_m: float, load_margin_m: float) -> None:
+    """The law leads 5 cm too near to a wall; with the program's corrections the model keeps the margin, (74a)."""
+    model, track = flown()
+    start, bodies = 60, slice(0, 4) if margin_m > load_margin_m else slice(8, 9)
+    x0, c = track.X[start].copy(), np.zeros((12, model.system.m))
+    x0[R0] += [0.6, -0.5, 0.3]
+    free, _ = step(controller(), x0, c)
+
+    def least_m(Z: Array, obstacle: Obstacle) -> float:
+        return float(clearances(model.system, obstacle, Z[1:])[:, bodies].min())
+
+    def wall(y_m: float) -> Obstacle:
+        solid = Solid(centre_I=np.array([0.0, y_m - 10.0, 0.0]), heading_rad=0.0, half=np.array([50.0, 10.0, np.inf]))
+        return Obstacle(name="", solids=(solid,), margin_m=margin_m, load_margin_m=load_margin_m, penalty=1e4)
+
+    obstacle = wall(least_m(free.Z, wall(-20.0)) - 20.0 + 0.05 - max(margin_m, load_margin_m))
+    one = controller((0, 1, 2, 3), obstacles=[obstacle])
+    course, result = step(one, x0, c)
+    law = one.law(x0, track.X[start : start + 12], result.c, None, start)
+    assert not course.within
+    assert law is not None
+    assert least_m(course.Z, obstacle) == pytest.approx(max(margin_m, load_margin_m) - 0.05, abs=1e-6)
+    assert least_m(rollout(model, SETTINGS, x0, law)[0], obstacle) > max(margin_m, load_margin_m) - 0.005
