@@ -26,7 +26,7 @@ test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, t
 test-pages: $(VENV)/.installed-test ## run the commands of README (playground), docs/getting-started.md and the notebooks
 	@$(BIN)/python -m pytest -m pages
 
-test-firmware: $(VENV)/.installed-test $(VENV)/.installed-firmware ## build Betaflight (5 minutes) and run the tests with it as inner loop
+test-firmware: $(VENV)/.installed-test $(VENV)/.installed-firmware ## build Betaflight (1 minute) and run the tests with it as inner loop
 	@$(BIN)/python -m pytest -m firmware
 
 test-all: test test-slow test-pages ## run all tests

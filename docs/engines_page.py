@@ -1,12 +1,13 @@
-"""Renew the measured tables of docs/engines.md: part of `make figures`, two minutes on two cores."""
+"""Renew the measured tables of docs/engines.md: part of `make figures`, five minutes on two cores."""
 
 import time
 from collections.abc import Mapping, Sequence
+from importlib import metadata
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from simulations import Flown, Measured, Run, renew
+from simulations import Flown, Measured, Run, cost, renew
 from tables import ROOT, table
 
 from plant.engines import Engine, engine_version
@@ -18,10 +19,8 @@ from transport.interface.fly import fly
 DOCUMENT = ROOT / "docs" / "engines.md"
 
 ENGINE = "plant.engine"
-NETWORKS: Mapping[str, tuple[str, ...]] = {
-    "perfect": (),
-    "200 ms delay, 30 % packet loss": ("links.delay_s=0.2", "links.loss=0.3"),
-}
+LATE = ("links.delay_s=0.2", "links.loss=0.3")
+NETWORKS: Mapping[str, tuple[str, ...]] = {"perfect": (), "200 ms delay, 30 % packet loss": LATE}
 
 # Suspensions of the load, as settings of MuJoCo.
 SUSPENSIONS: Mapping[str, Mapping[str, Any]] = {
@@ -33,6 +32,27 @@ SUSPENSIONS: Mapping[str, Mapping[str, Any]] = {
         "controller.disturbance.estimate": True,
     },
     "cables": {"plant.mujoco.suspension": "cables"},
+}
+
+# Runs with body rates, and the inner loops that are compared in them.
+DEATH = ("clock.on_agent_loss=continue", 'faults.event=[{at_s=8.0,do="kill",target="agent3"}]')
+SENSORS = (
+    "plant.sensors=vehicle",
+    "controller.estimator=kalman",
+    "plant.noise={position_m=0.01,velocity_mps=0.02,attitude_rad=0.0087,rate_rads=0.0175,specific_force_mps2=0.3}",
+)
+LOOPS = ("model", "betaflight")
+FIRMWARE: Mapping[tuple[str, str], tuple[str, ...]] = {
+    ("resilient", "perfect network"): (),
+    ("resilient", "motor lag of 50 ms (`plant.motors.lag_s=0.05`)"): ("plant.motors.lag_s=0.05",),
+    ("resilient", "in MuJoCo"): (f"{ENGINE}=mujoco",),
+    ("resilient", "200 ms delay, 30 % packet loss"): LATE,
+    ("resilient", "the same, agent 3 killed at 8 s for good"): (*LATE, *DEATH),
+    ("precise", "perfect network"): (),
+    ("precise", "200 ms delay, 30 % packet loss"): LATE,
+    ("precise", "the same, agent 3 killed at 8 s for good"): (*LATE, *DEATH),
+    ("precise", "200 ms delay, 30 % packet loss, no sensor at the payload, noise"): (*LATE, *SENSORS),
+    ("eight", "as it is"): (),
 }
 
 # The delivery without its release, held for long; it lands at the end of this phase, counted from 1.
@@ -53,6 +73,13 @@ def deliveries(_: str, results: Sequence[Flown]) -> list[str]:
     ends_cm = [100.0 * result.payload_last_m for result in results if result.completed]
     cells = [f"{np.median(ends_cm):.1f} cm", f"{max(ends_cm):.1f} cm"] if ends_cm else ["", ""]
     return [f"{len(ends_cm)} of {len(results)}", *cells]
+
+
+def compared(_: str, modelled: Flown, firmware: Flown) -> list[str]:
+    """Return the costs with the modelled inner loop and with firmwares, and their ratio."""
+    costs = [cost(each) if each.completed else f"**diverged** at {each.lost_s:.1f} s" for each in (modelled, firmware)]
+    both = modelled.completed and firmware.completed
+    return [*costs, f"{firmware.cost_mean / modelled.cost_mean:.2f}" if both else ""]
 
 
 def suspensions() -> str:
@@ -119,9 +146,21 @@ TABLES = (
         {"noise of `windy`": [Run("delivery", seeds=10)]},
         deliveries,
     ),
+    Measured(
+        "firmware",
+        ["scenario", "settings", "modelled", "Betaflight", "ratio"],
+        {
+            (f"`{name}`", what): [
+                Run(name, ("controller.inputs=rates", f"plant.inner_loop={loop}", *settings)) for loop in LOOPS
+            ]
+            for (name, what), settings in FIRMWARE.items()
+        },
+        compared,
+    ),
 )
 TEXTS = {"suspensions": suspensions, "speed": speed, "held": held}
 
 
 if __name__ == "__main__":
-    renew(DOCUMENT, TABLES, TEXTS, f", mujoco {engine_version('mujoco')}")
+    versions = f", mujoco {engine_version('mujoco')}, betaflight {metadata.version('betaflight')}"
+    renew(DOCUMENT, TABLES, TEXTS, versions)

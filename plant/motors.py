@@ -1,8 +1,9 @@
 """Motors of the plant, between the commands of the plans and the wrench on the UAVs, for any physics engine.
 
 In this order: the command's thrust is rounded to its steps; thrust and moments are distributed to the four rotors,
-limited there, and summed up again; the result follows with a first-order lag; what arrives is multiplied by the
-efficiency of the UAV's motors. Each stage that a scenario does not name is left out.
+limited there, and summed up again; the result follows with a first-order lag, or each rotor with a lag for rising and
+one for falling thrust; what arrives is multiplied by the efficiency of the UAV's motors. Each stage that a scenario
+does not name is left out.
 """
 
 from collections.abc import Iterator
@@ -36,9 +37,13 @@ class Rotors:
         )
         self._back = np.linalg.inv(self.mixing)
 
+    def thrusts(self, inputs: Array) -> Array:
+        """Return the thrusts of the rotors that make inputs, (N, 4) each."""
+        return np.asarray(inputs @ self._back.T)
+
     def limited(self, inputs: Array) -> Array:
         """Return the inputs that limited rotors make of commands, (N, 4). Source: docs/equations.md (56)."""
-        thrusts = inputs @ self._back.T
+        thrusts = self.thrusts(inputs)
         # The difference alone is mixed back, so that commands within the limits pass without rounding.
         limited: Array = inputs + (np.clip(thrusts, self._least, self._most) - thrusts) @ self.mixing.T
         return limited
@@ -58,7 +63,7 @@ class Motors:
 
     def __init__(self, section: MotorsSection, u_hover: Array, fails: bool = False) -> None:
         self.ideal = not (fails or section.lag_s or section.thrust_step_N or section.rotors)
-        self._lag_s, self._step_N = section.lag_s, section.thrust_step_N
+        self._lag_s, self._falling_lag_s, self._step_N = section.lag_s, section.falling_lag_s, section.thrust_step_N
         self._rotors = None if section.rotors is None else Rotors(section.rotors)
         self._a: Array = u_hover.copy()  # what the lag has reached
         self._efficiency = np.ones(len(u_hover))
@@ -83,9 +88,28 @@ class Motors:
             yield self._efficiency * command, period_s, steps
             return
         for _ in range(steps):
-            halves, self._a = motors.held(self._a, command, self._lag_s, period_s / steps)
+            halves, self._a = self._lagged(command, period_s / steps)
             for half in halves:
                 yield self._efficiency * half, period_s / steps / 2.0, 1
+
+    def _lagged(self, command: Array, step_s: float) -> tuple[tuple[Array, Array], Array]:
+        """Return two inputs for half a step each, and those at its end, (4 N,). Source: docs/equations.md (54), (56a).
+
+        Under a held command the thrust of a rotor rises or falls all the time.
+        """
+        rising, rotors = motors.held(self._a, command, self._lag_s, step_s), self._rotors
+        if rotors is None or self._falling_lag_s is None:
+            return rising
+        falling = motors.held(self._a, command, self._falling_lag_s, step_s)
+        falls = rotors.thrusts((command - self._a).reshape(-1, state.INPUTS)) < 0.0
+
+        def chosen(up: Array, down: Array) -> Array:
+            """Return inputs, (4 N,), with the thrusts of falling rotors from the second ones."""
+            change = rotors.thrusts((down - up).reshape(falls.shape))
+            return np.asarray(up + (np.where(falls, change, 0.0) @ rotors.mixing.T).reshape(-1))
+
+        first, second = (chosen(*both) for both in zip(rising[0], falling[0], strict=True))
+        return (first, second), chosen(rising[1], falling[1])
 
     def _limited(self, u: Array) -> Array:
         """Return commands in steps of the thrust and within the limits of the rotors, (4 N,)."""

@@ -101,8 +101,10 @@ class Process:
         """
         try:
             answer = self._socket.recv(_MOTORS.size)
-        except OSError as error:
-            raise FirmwareError(f"a firmware does not answer: {error}") from error
+        except TimeoutError as error:
+            raise FirmwareError(f"a firmware has not answered within {_PATIENCE_S:g} s") from error
+        except ConnectionError:  # ended with packets that it had not read
+            answer = b""
         if len(answer) != _MOTORS.size:
             raise FirmwareError(f"a firmware has ended with exit code {self._process.wait()}")
         return _MOTORS.unpack(answer)

@@ -50,6 +50,9 @@ class MotorsSection(Section):
 
     lag_s: Annotated[NotNegative, Key(label="motor lag", shown="ms")] = 0.0
     """time constant of thrust and moments; 0, or at least a hundredth of T_s"""
+    falling_lag_s: Annotated[Positive | None, Key(label="motor lag of falling thrust", shown="ms")] = None
+    """time constant of a rotor whose thrust falls, `lag_s` is then that of rising thrust; default: `lag_s`. Needs
+    `lag_s` > 0 and `[plant.motors.rotors]`"""
     thrust_step_N: Annotated[NotNegative, Key(label="thrust step")] = 0.0
     """the thrust of a UAV is rounded to multiples of this step; 0: any thrust"""
     rotors: RotorsSection | None = None

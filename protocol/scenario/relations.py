@@ -145,10 +145,17 @@ def _controller(scenario: Scenario) -> Problems:
                 yield f"controller.{key}", f"{needed!r} with controller.estimator 'kalman', {why}", repr(got)
     # A lag is none, or long enough for the exponential of the discretisation.
     shortest_s = _SHORTEST_LAG * section.sampling_period_s
-    motors_s = scenario.plant.motors.lag_s
-    for key, lag_s in (("controller.motor_lag_s", section.motor_lag_s), ("plant.motors.lag_s", motors_s)):
+    motors = scenario.plant.motors
+    for key, lag_s in (
+        ("controller.motor_lag_s", section.motor_lag_s),
+        ("plant.motors.lag_s", motors.lag_s),
+        ("plant.motors.falling_lag_s", motors.falling_lag_s or 0.0),
+    ):
         if 0.0 < lag_s < shortest_s:
             yield key, f"0 or at least a hundredth of the sampling period, {shortest_s:g}", lag_s
+    if motors.falling_lag_s is not None and (motors.rotors is None or not motors.lag_s):
+        got = f"lag_s {motors.lag_s:g}, {'no ' if motors.rotors is None else ''}rotors"
+        yield "plant.motors.falling_lag_s", "lag_s > 0 and rotors with it", got
 
 
 def _clock(scenario: Scenario) -> Problems:

@@ -86,6 +86,22 @@ def test_lag_goes_on_from_period_to_period() -> None:
         a = u + left * (a - u)
 
 
+def test_rotors_rise_and_fall_with_their_own_lag() -> None:
+    """Each rotor follows the exponential of its direction, (56a); equal time constants are one, bit for bit."""
+    one, two = (MotorsSection(lag_s=0.02, falling_lag_s=falling_s, rotors=ROTORS) for falling_s in (None, 0.05))
+    same = Motors(one.model_copy(update={"falling_lag_s": 0.02}), U_HOVER)
+    rotors, motors, single = Rotors(ROTORS), Motors(two, U_HOVER), Motors(one, U_HOVER)
+    a = rotors.thrusts(U_HOVER.reshape(4, 4))
+    for u in commands(9, 5):
+        aim = rotors.thrusts(rotors.limited(u.reshape(4, 4)))
+        lags_s = np.where(aim > a, 0.02, 0.05)
+        left = np.exp(-PERIOD_S / lags_s)
+        expected = (aim + lags_s / PERIOD_S * (1.0 - left) * (a - aim)) @ rotors.mixing.T
+        np.testing.assert_allclose(mean(motors, u), expected.reshape(-1), rtol=0.0, atol=1e-10)
+        np.testing.assert_array_equal(mean(same, u), mean(single, u))
+        a = aim + left * (a - aim)
+
+
 def test_efficiency() -> None:
     """A degraded UAV gives a share of thrust and moments, a motor-off one nothing at once; the others all."""
     motors, u = Motors(MotorsSection(lag_s=0.07), U_HOVER, fails=True), commands(7)[0]
