@@ -96,6 +96,45 @@ def suspensions() -> str:
     return table(["`resilient` in MuJoCo with", "largest distance to the path of massless rods", "payload error"], rows)
 
 
+def cables() -> str:
+    """Return the table of flights on cables, some with a UAV that is almost without thrust for a moment."""
+    rows = []
+    for name, changes in CABLES.items():
+        run = fly(
+            name.split("`")[1], {ENGINE: "mujoco", "plant.mujoco.suspension": "cables", **changes}, progress=False
+        )
+        found, payload = run.summary["cables"], run.series["payload_error_m"]
+        slack = f"{found['slack']} times, up to {found['slack_longest_s']:.2f} s" if found["slack"] else "never"
+        error, end = 100.0 * run.summary["payload_tracking"]["max_m"], 100.0 * np.linalg.norm(payload[-1])
+        rows.append([name, run.outcome, f"{found['tension_min_N']:.2f} N", slack, f"{error:.1f} cm", f"{end:.1f} cm"])
+    return table(
+        ["on cables", "run", "smallest tension", "slack", "payload error, largest", "at the end"],
+        rows,
+    )
+
+
+def dip(at_s: float, duration_s: float, share: float) -> dict[str, Any]:
+    """Return the fault of a UAV that has a share of its thrust and moments for some time."""
+    events = ((at_s, share), (at_s + duration_s, 1.0))
+    return {"faults.event": [{"at_s": t, "do": "degrade", "target": "uav2", "efficiency": e} for t, e in events]}
+
+
+CABLES: Mapping[str, Mapping[str, Any]] = {
+    "`resilient`": {},
+    "`eight` at 5 m/s, 200 ms delay, 30 % packet loss": {},
+    "`eight` at 3 m/s, the same network": {"maneuver.phase.2.speed_mps": 3.0},
+    "`resilient`, UAV 2 with 5 % of its thrust for 0.15 s": dip(8.0, 0.15, 0.05),
+    "`eight` at 3 m/s, UAV 2 with 5 % of its thrust for 0.15 s": {
+        "maneuver.phase.2.speed_mps": 3.0,
+        **dip(10.0, 0.15, 0.05),
+    },
+    "`eight` at 3 m/s, UAV 2 with 30 % of its thrust for 0.3 s": {
+        "maneuver.phase.2.speed_mps": 3.0,
+        **dip(10.0, 0.3, 0.3),
+    },
+}
+
+
 def held() -> str:
     """Return the sentence about a team that stays on its rods above a payload on the ground."""
     run = fly("delivery", HELD, progress=False)
@@ -158,7 +197,7 @@ TABLES = (
         compared,
     ),
 )
-TEXTS = {"suspensions": suspensions, "speed": speed, "held": held}
+TEXTS = {"suspensions": suspensions, "cables": cables, "speed": speed, "held": held}
 
 
 if __name__ == "__main__":

@@ -79,6 +79,11 @@ class Engine:
                 self._x = self._read()
         return self._x, error
 
+    @property
+    def tensions(self) -> Array:
+        """Least tension of each cable in the last interval, (N,), N; (0,) where the engine tells none."""
+        return np.asarray(getattr(self._physics, "tensions", ()), dtype=np.float64)
+
     def _built(self, system: System, x: Array) -> Physics:
         """Return a new engine at a state."""
         physics: Physics = made(self._make, _METHODS, system, self._section)

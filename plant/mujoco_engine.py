@@ -30,7 +30,11 @@ mujoco.set_mju_user_warning(lambda _: None)
 
 
 class MujocoEngine:
-    """MuJoCo, by Runge-Kutta steps of order 4 of at most `plant.mujoco.step_s`."""
+    """MuJoCo, by Runge-Kutta steps of order 4 of at most `plant.mujoco.step_s`.
+
+    Attributes:
+        tensions: Least tension of each cable in the last interval, (N,), N, 0 while it is slack; (0,) with rods.
+    """
 
     version = mujoco.__version__
 
@@ -39,6 +43,7 @@ class MujocoEngine:
         self._cables = section.mujoco.suspension == "cables"
         self._model = mujoco.MjModel.from_xml_string(mjcf(system, section))
         self._data = mujoco.MjData(self._model)
+        self.tensions = np.zeros(system.N if self._cables else 0)
         self._turns = np.zeros((1 + system.N, 3))  # attitudes of the last state, of payload and UAVs
 
     def reset(self, x: Array) -> None:
@@ -71,7 +76,15 @@ class MujocoEngine:
             bodies = [data.body("payload"), *(data.body(f"uav{i}") for i in range(self._system.N))]
             for body, force_I in zip(bodies, forces.reshape(-1, 3), strict=True):
                 body.xfrc_applied[:3] = force_I
-        mujoco.mj_step(model, data, nstep=steps)
+        if not self._cables:
+            mujoco.mj_step(model, data, nstep=steps)
+            return
+        self.tensions = np.full(self._system.N, np.inf)
+        for _ in range(steps):
+            mujoco.mj_step(model, data)
+            pulling, pulls = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON, np.zeros(self._system.N)
+            pulls[data.efc_id[pulling]] = data.efc_force[pulling]
+            self.tensions = np.minimum(self.tensions, pulls)
 
     def state(self) -> Array:
         """Return the present state, (n,)."""

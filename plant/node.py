@@ -237,6 +237,7 @@ class PlantNode:
             sources = tuple(MOTOR_OFF if i in self._off else source for i, source in enumerate(sources))
         forces = self.environment.forces(k, x)
         end, error, mean = x, UNKNOWN_ERROR, np.zeros_like(u)
+        tensions = np.full(len(self.engine.tensions), np.inf)
         part_s = self._period_s / self._parts
         for part in range(self._parts):
             command = u
@@ -247,6 +248,8 @@ class PlantNode:
                 end, local_error = self.engine.advance(actual, forces, duration_s)
                 error, mean = max(local_error, error), mean + duration_s / self._period_s * actual
                 self._acted = actual, forces
+                if len(tensions):
+                    tensions = np.minimum(tensions, self.engine.tensions)
         inner_failure = "" if self._inner_loop is None else self._inner_loop.failure
         reason = self.engine.failure or inner_failure or self._divergence(k + 1, end)
         self._diverged = bool(reason)
@@ -263,9 +266,12 @@ class PlantNode:
                 diverged=reason,
             )
         ]
-        if not self._motors.ideal or self._inner_loop is not None:
-            uavs = tuple(range(1, len(sources) + 1))
-            found.append(self._out.stamp(ActualInputs, tick=k, uavs=uavs, inputs=mean.reshape(len(uavs), state.INPUTS)))
+        if not self._motors.ideal or self._inner_loop is not None or len(tensions):
+            uavs, inputs = tuple(range(1, len(sources) + 1)), mean.reshape(-1, state.INPUTS)
+            cables = uavs[: len(tensions)]
+            found.append(
+                self._out.stamp(ActualInputs, tick=k, uavs=uavs, inputs=inputs, cables=cables, tensions=tensions)
+            )
         return found
 
     def _divergence(self, tick: int, x: Array) -> str:

@@ -16,6 +16,7 @@ from protocol.scenario.plant_sections import PlantSection
 class Physics(Protocol):
     """Integration of the ground truth: N UAVs, one payload, in the layout and the signs of `model.state`.
 
+    An engine with cables may have an attribute `tensions`, the least tension of each in the last interval, (N,), N.
     Errors may be raised as any exception: the run then ends with its text.
     """
 

@@ -56,6 +56,7 @@ def check_plausible(message: Message, run: RunShape) -> None:
             _check_agents("peers", message.peers, run)
         case ActualInputs():
             _check_uavs("uavs", message.uavs, run)
+            _check_uavs("cables", message.cables, run)
         case PlantState():
             if len(message.plan_ticks) != run.uavs:
                 text = f"x: expected a state of {run.uavs} UAVs, got one of {len(message.plan_ticks)}"

@@ -10,7 +10,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from msgspec import Meta
+from msgspec import field as with_default
 
 from model.arrays import Array
 from model.state import INPUTS, PAYLOAD, PER_UAV, REPORTED, REPORTS, SENSED
@@ -268,17 +270,22 @@ class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
 
 
 class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):
-    """Plant to the record: mean thrust and moments over [t_k, t_{k+1}), where motors or inner loops make them differ.
+    """Plant to the record: mean thrust and moments over [t_k, t_{k+1}), and the least tension of each cable.
 
-    Sent only in a run whose motors are not ideal, or with commanded body rates. With those of `PlantState`, the
-    commands, it explains the motion.
+    Sent only in a run whose motors are not ideal, with commanded body rates or with cables. With the commands of
+    `PlantState` it explains the motion.
     """
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(RECORDER,), grows="tick")
-    shapes: ClassVar[Mapping[str, ShapeOf]] = {"inputs": _per_uav(INPUTS)}
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {
+        "inputs": _per_uav(INPUTS),
+        "tensions": lambda message: (len(message.cables),),
+    }
 
     uavs: Ids  # all of them, 1-based ids, ascending
     inputs: Array  # (N, 4), N and N m
+    cables: Ids = ()  # UAVs on cables, in the order of `uavs`; none with rods
+    tensions: Array = with_default(default_factory=lambda: np.zeros(0))  # of these, N, 0 while slack
 
 
 class FaultNote(Message, tag="fault", frozen=True, kw_only=True):

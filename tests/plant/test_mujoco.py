@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+import transport
 from model import state
 from model.arrays import Array
 from model.linearisation import Model
@@ -151,16 +152,19 @@ def test_uavs_lie_on_the_ground_too() -> None:
 
 
 def test_cables_pull_and_do_not_push() -> None:
-    """A cable carries the load at its length; UAVs that sink faster than the load fall freely beside it."""
+    """A cable carries the load at its length; UAVs that sink faster than the load fall freely, their cables slack."""
     system = table_1()
     x = at_rest(system, -10.0)
     engine = MujocoEngine(system, CABLES)
     hanging = StateView(advanced(engine, x, hover_inputs(system), 1.0))
     assert hanging.r0_I == pytest.approx([0.0, 0.0, -10.0], abs=0.01)
+    tensions = Model(system).tensions(x, hover_inputs(system))
+    assert engine.tensions == pytest.approx(tensions, rel=1e-3)
     push = np.zeros(system.m)
     forces = np.zeros(3 + 3 * system.N)
     forces[5::3] = 30.0  # N on each UAV, down
     pushed = advanced(engine, x, push, 0.2, forces)
+    assert not engine.tensions.any()
     # The load falls as without UAVs: 0.2 m in 0.2 s.
     assert pushed[2] == pytest.approx(-10.0 + 0.5 * 9.81 * 0.2**2, abs=1e-3)
     rods = advanced(MujocoEngine(system, LIGHTEST), x, push, 0.2, forces)
@@ -185,6 +189,25 @@ def test_the_controllers_hold_in_mujoco(name: str, network: tuple[str, ...]) -> 
     assert len(found) == len(own) == 500
     assert found.max() < 1.3 * own.max() + 0.01
     assert np.sqrt(np.mean(found**2)) < 1.3 * np.sqrt(np.mean(own**2)) + 0.01
+
+
+@pytest.mark.slow
+def test_fast_flight_on_cables() -> None:
+    """At 3 m/s no cable is slack. A UAV almost without thrust for 0.15 s slackens some; then all are taut for good."""
+    dip = [{"at_s": at_s, "do": "degrade", "target": "uav2", "efficiency": e} for at_s, e in ((6.0, 0.05), (6.15, 1.0))]
+    settings = {
+        "plant.engine": "mujoco",
+        "plant.mujoco.suspension": "cables",
+        "maneuver.phase.2.speed_mps": 3.0,
+        "maneuver.phase.2.laps": 1.0,
+        "faults.event": dip,
+    }
+    run = transport.fly("eight", settings, progress=False)
+    tensions_N, cables = run.series["cable_tension_N"], run.summary["cables"]
+    assert run.completed
+    assert tensions_N[:120].min() > 1.0
+    assert (tensions_N[200:].min() > 1.0, cables["slack"] > 0, cables["slack_at_end"]) == (True, True, 0)
+    assert np.linalg.norm(run.series["payload_error_m"][-20:], axis=1).max() < 0.01
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from transport.analysis.metrics import events, rest_of_tick_ms, summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.cli.top import Watch
-from transport.report.report import warnings
+from transport.report.report import summary_table, warnings
 
 # A few roundings of numbers of order one to a hundred.
 ROUNDING = 1e-12
@@ -346,6 +346,33 @@ def test_events_are_in_the_order_of_their_ticks() -> None:
     )
     log = log_of([runs.roster(), runs.tick(0), off, actual, control(9)])
     assert [(event["tick"], event["processes"]) for event in events(run, log, None)] == [(2, ["uav1"]), (4, ["uav3"])]
+
+
+def test_slack_cables_are_counted() -> None:
+    """A cable slack for two periods, one slack at the end; nothing without cables. The report says so."""
+    run = runs.setup(HOVER)
+    tensions = [[5.0, 4.0, 7.0, 7.0], [5.0, 0.0, 7.0, 7.0], [3.0, 0.0, 7.0, 7.0], [3.0, 2.0, 7.0, 0.0]]
+    messages: list[Message] = [plant_state(run, k) for k in range(4)]
+    messages += [
+        ActualInputs(
+            sender="plant",
+            incarnation=0,
+            sequence=k,
+            tick=k,
+            uavs=runs.ALL,
+            inputs=np.zeros((4, 4)),
+            cables=runs.ALL,
+            tensions=np.array(found),
+        )
+        for k, found in enumerate(tensions)
+    ]
+    summary = summarise(run, log_of(messages))
+    assert summary["cables"] == {
+        "tension_min_N": 0.0, "slack": 2, "slack_longest_s": pytest.approx(0.1), "slack_at_end": 1
+    }  # fmt: skip
+    lines = [str(cell) for column in summary_table(summary).columns for cell in column.cells]
+    assert "min tension 0.00 N, slack 2 times, at most 0.10 s, 1 slack at the end" in lines
+    assert summarise(run, log_of([plant_state(run, 0)]))["cables"] is None
 
 
 def test_real_time_delivers_no_more_than_was_sent() -> None:

@@ -46,6 +46,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         "controller": {"name": log.header.get("controller", "mpc"), **_controller(setup)},
         **_durations(setup, log, series),
         **_flight(setup, series),
+        "cables": _cables(setup, log),
         "agent_step_ms": _step_times(reports),
         "rest_of_tick_ms": _percentiles(rest_of_tick_ms(setup, log).values()),
         "deadline": _deadline(setup, log),
@@ -198,6 +199,23 @@ def _clearance(series: Series) -> dict[str, float | None]:
     return dict(
         zip(("uav", "rod", "payload"), map(_number, series.clearance_m.min(axis=0, initial=np.inf)), strict=True)
     )
+
+
+def _cables(setup: Setup, log: RunLog) -> dict[str, Any] | None:
+    """Return the least tension of the cables, and how often and how long they were slack; None without cables."""
+    found = {actual.tick: actual.tensions for actual in log.of(ActualInputs) if len(actual.tensions)}
+    if not found:
+        return None
+    tensions_N = np.array([found[tick] for tick in sorted(found)])
+    slack = np.vstack([np.zeros_like(tensions_N[:1]), tensions_N <= 0.0, np.zeros_like(tensions_N[:1])])
+    changes = np.diff(slack, axis=0).T  # +1 at the first tick of a slack, -1 behind its last
+    ticks = np.concatenate([np.flatnonzero(of < 0.0) - np.flatnonzero(of > 0.0) for of in changes])
+    return {
+        "tension_min_N": _number(tensions_N.min()),
+        "slack": len(ticks),
+        "slack_longest_s": float(ticks.max(initial=0)) * setup.settings.sampling_period_s,
+        "slack_at_end": int((tensions_N[-1] <= 0.0).sum()),
+    }
 
 
 def _tracking(errors_I: Array) -> dict[str, float | None]:

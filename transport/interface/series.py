@@ -53,6 +53,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     ),
     "moment_limit_Nm": Quantity("N m", (_XYZ,), "Limit of the moments of each UAV, either sign."),
     "rate_command_radps": Quantity("rad/s", (_UAV, _XYZ), "Body rates commanded from t_k on; NaN with moments."),
+    "cable_tension_N": Quantity("N", (_UAV,), "Least tension of each cable from t_k on, 0 while slack; NaN with rods."),
     "separation_m": Quantity("m", (), "Smallest distance between two UAVs."),
     "clearance_m": Quantity(
         "m", (("UAVs", "rods", "payload"),), "Smallest distances from any obstacle; infinite without obstacles."
@@ -169,7 +170,8 @@ class RunSeries(Mapping[str, Array]):
             "uav_attitude_deg": lambda: np.where(on_rods, np.degrees(uavs[:, :, state.THETA]), np.nan),
             "thrust_N": lambda: s.u.reshape(T, N, state.INPUTS)[:, :, 0],
             "thrust_limits_N": lambda: np.tile(limits.thrust_N, (T, 1)),
-            "moment_Nm": lambda: self._moments() if rates else commanded,
+            "moment_Nm": lambda: self._actual(lambda m: m.inputs[:, 1:], (N, 3)) if rates else commanded,
+            "cable_tension_N": lambda: self._actual(lambda m: m.tensions, (N,)),
             "rate_command_radps": lambda: commanded if rates else np.full((T, N, 3), np.nan),
             "moment_limit_Nm": lambda: np.tile(limits.moments_Nm, (T, 1)),
             "separation_m": lambda: s.separation_m,
@@ -183,11 +185,11 @@ class RunSeries(Mapping[str, Array]):
             self._reports = self._of_reports()
         return self._reports[name]
 
-    def _moments(self) -> Array:
-        """Return the mean moments of the inner loops over each period, (T, N, 3), N m; NaN where they are missing."""
-        actual = {message.tick: message.inputs[:, 1:] for message in self._log.of(ActualInputs)}
-        missing = np.full((self._setup.system.N, 3), np.nan)
-        return np.array([actual.get(int(tick), missing) for tick in self._series.ticks]).reshape(-1, *missing.shape)
+    def _actual(self, part: Callable[[ActualInputs], Array], shape: tuple[int, ...]) -> Array:
+        """Return a part of the actual inputs at each tick, (T, *shape); NaN where they are missing."""
+        actual = {message.tick: found for message in self._log.of(ActualInputs) if len(found := part(message))}
+        missing = np.full(shape, np.nan)
+        return np.array([actual.get(int(tick), missing) for tick in self._series.ticks]).reshape(-1, *shape)
 
     def _of_reports(self) -> dict[str, Array]:
         """Return the series that come from the agents' reports."""

@@ -46,7 +46,7 @@ _SPREAD = {
     StepReport.kind: ("peers", "plan_ages", "state_ages", "force", "times_ms"),
     Note.kind: ("names", "values"),
     PlantState.kind: ("x", "u", "plan_ticks"),
-    ActualInputs.kind: ("uavs", "inputs"),
+    ActualInputs.kind: ("uavs", "inputs", "cables", "tensions"),
 }
 
 
@@ -118,8 +118,9 @@ def _spread(message: Message, commands: tuple[str, ...]) -> Iterator[Row]:
                 row[f"uav{i + 1}_plan_tick"] = plan_tick
             yield row
         case ActualInputs():
-            for uav, inputs in zip(message.uavs, message.inputs, strict=True):
-                yield {"uav": uav, **_named("", INPUT_NAMES, inputs)}
+            for i, (uav, inputs) in enumerate(zip(message.uavs, message.inputs, strict=True)):
+                tension = {"tension_N": float(message.tensions[i])} if message.cables else {}
+                yield {"uav": uav, **_named("", INPUT_NAMES, inputs), **tension}
         case _:
             yield {}
 

@@ -127,6 +127,7 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
             for name, of in (("UAV", uavs), ("payload", payload))
         ),
         ("payload swing", _swing(payload)),
+        *([("cables", _slack(summary["cables"]))] if summary.get("cables") else []),
         ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
         *([("clearance", _clearances(clear))] if (clear := summary.get("clearance_min_m")) else []),
         ("limits", _constraints(summary["constraint_violation_max"])),
@@ -153,6 +154,15 @@ def _faults(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _swing(payload: Mapping[str, Any]) -> str:
     text = _text(payload["swing_m"], ".3f", f"max {{}} m in the last {SWING_S:g} s")
     return text if payload["decays"] is None else f"{text}, {'decays' if payload['decays'] else 'does not decay'}"
+
+
+def _slack(cables: Mapping[str, Any]) -> str:
+    times, left = cables["slack"], cables["slack_at_end"]
+    text = _text(cables["tension_min_N"], ".2f", "min tension {} N")
+    if not times:
+        return f"{text}, never slack"
+    end = f"{left} slack at the end" if left else "all taut again"
+    return f"{text}, slack {times} time{'s' * (times > 1)}, at most {cables['slack_longest_s']:.2f} s, {end}"
 
 
 def _constraints(violation: float | None) -> str:
