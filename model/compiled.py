@@ -120,6 +120,21 @@ def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
     sense       (x, u, p, F) -> measurements y of the UAVs' own sensors, and their derivatives in parts, those by
                 (x, F) with the payload's acceleration held, sparse, by that acceleration, and its own by (x, F)
     """
+    return _loaded(N, rates, compiler.enabled(), _stamp(_compiled_file(N, rates)), _stamp(_cache_path(N, rates)))
+
+
+def _stamp(path: Path) -> tuple[Path, int, int]:
+    """Return a file with time and size, zero if it is not there: it is read again when they have changed."""
+    try:
+        found = path.stat()
+    except OSError:
+        return path, 0, 0
+    return path, found.st_mtime_ns, found.st_size
+
+
+@lru_cache(maxsize=4)
+def _loaded(N: int, rates: bool, *_: object) -> dict[str, ca.Function]:
+    """Return what `functions` returns, which takes 0.1 s to read: a sweep needs it for each of its points."""
     compiled = _compiled(N, rates)
     if len(compiled) == len(_FUNCTIONS):
         return compiled
@@ -248,8 +263,9 @@ def _name(N: int, rates: bool) -> str:
     return f"model-{'rates-' if rates else ''}N{N}"
 
 
+@lru_cache
 def _digest() -> str:
-    """Return a hash of all code that determines the functions."""
+    """Return a hash of all code that determines the functions, as it is when this process first asks."""
     sources: Sequence[str | None] = (__file__, dynamics.__file__, rotations.__file__, state.__file__)
     digest = hashlib.sha256(ca.CasadiMeta.version().encode())
     for source in sources:
@@ -268,13 +284,7 @@ def _read_cache(path: Path, names: Sequence[str]) -> dict[str, ca.Function] | No
     if hashlib.sha256(b"\n".join(lines)).hexdigest().encode() != checksum or len(lines) != len(_FUNCTIONS):
         return None
     texts = dict(zip(_FUNCTIONS, lines, strict=True))
-    return {name: _deserialized(texts.pop(name)) for name in names}
-
-
-@lru_cache(maxsize=3 * len(_FUNCTIONS))
-def _deserialized(text: bytes) -> ca.Function:
-    """Return a function from its text: 0.1 s for those of a team, which a sweep needs for each of its points."""
-    return ca.Function.deserialize(text.decode("latin-1"))
+    return {name: ca.Function.deserialize(texts.pop(name).decode("latin-1")) for name in names}
 
 
 def _write_cache(path: Path, built: dict[str, ca.Function]) -> None:

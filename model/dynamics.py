@@ -13,7 +13,7 @@ from model import state
 from model.rotations import euler_rates, rotation
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Symbols:
     """The symbols of a system of N UAVs: state x, input u, parameters p and external forces F, in their named parts.
 

@@ -12,6 +12,7 @@ import ast
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal
 
 import casadi as ca
@@ -154,6 +155,7 @@ def _scalar(tree: ast.expr, symbols: Symbols, what: str) -> ca.SX:
     return value
 
 
+@lru_cache(maxsize=1)  # the texts of a scenario are read one after the other
 def _names(symbols: Symbols) -> dict[str, Any]:
     x, u = symbols.x, symbols.u
     names = {"r0": x[state.R0], "v0": x[state.V0], "Theta0": x[state.THETA0], "omega0": x[state.OMEGA0], "pi": ca.pi}

@@ -1,5 +1,6 @@
 """Documents against the code: equations, scenario keys, links and command lines that they name exist."""
 
+import json
 import re
 import shlex
 import subprocess
@@ -39,15 +40,16 @@ PAGES = {
     "engines.md": "engines_page",
 }
 
-# Names of the parts that such a program renews, once each of their runs has been read.
+# Names of the parts that such programs renew, once each of their runs has been read.
 TABLES = """
-import sys
+import json, sys
 from importlib import import_module
 from protocol.scenario.file import find_scenario, read_scenario
-page = import_module(sys.argv[1])
-for run in {run for table in page.TABLES for runs in table.rows.values() for run in runs if run}:
+pages = {name: import_module(name) for name in sys.argv[1:]}
+tables = [table for page in pages.values() for table in page.TABLES]
+for run in {run for table in tables for runs in table.rows.values() for run in runs if run}:
     read_scenario(find_scenario(run.scenario), run.settings)
-print(*(table.name for table in page.TABLES), *getattr(page, "TEXTS", ()))
+print(json.dumps({name: [*(t.name for t in page.TABLES), *getattr(page, "TEXTS", ())] for name, page in pages.items()}))
 """
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -132,21 +134,16 @@ def test_relative_links_resolve(document: Path) -> None:
         assert not anchor or anchor in anchors(path), f"{document.name} links to {target}, which has no such heading"
 
 
-@pytest.mark.parametrize("document", PAGES)
-def test_measured_tables_have_a_place(document: str) -> None:
+def test_measured_tables_have_a_place() -> None:
     """A document has markers for each part that its program renews, and no others; all runs are scenarios."""
-    done = subprocess.run(
-        [sys.executable, "-c", TABLES, PAGES[document]],
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-        cwd=ROOT / "docs",
-    )
-    names = sorted(done.stdout.split())
-    text = (ROOT / "docs" / document).read_text(encoding="utf-8")
-    begun = re.findall(r"^<!-- (\w+) -->$", text, re.MULTILINE)
-    assert sorted(begun) == sorted(["origin", *names])
-    assert re.findall(r"^<!-- end of (\w+) -->$", text, re.MULTILINE) == begun
+    command = [sys.executable, "-c", TABLES, *PAGES.values()]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT / "docs")
+    names = json.loads(done.stdout)
+    for document, program in PAGES.items():
+        text = (ROOT / "docs" / document).read_text(encoding="utf-8")
+        begun = re.findall(r"^<!-- (\w+) -->$", text, re.MULTILINE)
+        assert sorted(begun) == sorted(["origin", *names[program]]), document
+        assert re.findall(r"^<!-- end of (\w+) -->$", text, re.MULTILINE) == begun, document
 
 
 def command_lines(document: Path) -> list[list[str]]:

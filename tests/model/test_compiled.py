@@ -117,24 +117,17 @@ def test_cache_folder_follows_the_environment(tmp_path: Path, monkeypatch: pytes
     assert cache_folder() == tmp_path / "home" / ".cache" / "payload-transport"
 
 
-# Run beside a copy of the package, whose source is changed by its relative path: never the one being tested.
-_NAMES_BEFORE_AND_AFTER = """
-from model import compiled
-print(compiled._cache_path(1, False).name)
-with open("model/{module}.py", "a") as source:
-    source.write("# another version")
-print(compiled._cache_path(1, False).name)
-"""
-
-
 @pytest.mark.parametrize("module", ["compiled", "dynamics", "state", "rotations"])
 def test_changed_source_has_another_file(tmp_path: Path, module: str) -> None:
     """Every module the expressions come from is part of the file's name: old equations are never loaded."""
     (package,) = model.__path__
     shutil.copytree(package, tmp_path / "model", ignore=shutil.ignore_patterns("__pycache__"))
-    code = _NAMES_BEFORE_AND_AFTER.format(module=module)
-    output = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, check=True, text=True)
-    before, after = output.stdout.split()
+    # A process beside a copy of the package, whose source is changed: never the one being tested.
+    code = [sys.executable, "-c", "from model import compiled; print(compiled._cache_path(1, False).name)"]
+    before = subprocess.run(code, cwd=tmp_path, capture_output=True, check=True).stdout
+    with (tmp_path / "model" / f"{module}.py").open("a") as source:
+        source.write("# another version")
+    after = subprocess.run(code, cwd=tmp_path, capture_output=True, check=True).stdout
     assert before != after
 
 

@@ -61,7 +61,7 @@ def test_size_of_the_program(name: str, uavs: int, group: int) -> None:
 def test_size_of_the_log(name: str, settings: list[str], tmp_path: Path) -> None:
     """The log of a run is within a factor of two of its estimate."""
     path = find_scenario(name)
-    climb = "maneuver.phase=[{name='climb',duration_s=6.0,displacement_m=[0.0,0.0,-2.0]}]"
+    climb = "maneuver.phase=[{name='climb',duration_s=3.0,displacement_m=[0.0,0.0,-1.0]}]"
     scenario = read_scenario(path, [climb, *settings])
     record_run(Setup.of(scenario, str(path)), tmp_path)
     assert 0.5 < (tmp_path / "run.mcap").stat().st_size / estimate(scenario).log_bytes < 2.0
