@@ -22,9 +22,7 @@ LAG_WITH_RATES_S = 0.08
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("actuation", "inputs"), [("immediate", "moments"), ("next_tick", "moments"), ("next_tick", "rates")]
-)
+@pytest.mark.parametrize(("actuation", "inputs"), [("immediate", "moments"), ("next_tick", "rates")])
 def test_runs_diverge_where_the_analysis_says(actuation: str, inputs: str) -> None:
     """An unknown lag of 0.9 times the margin completes, one of 1.1 times diverges; with body rates it is 80 ms."""
     scenario = transport.Scenario("resilient", {"controller.inputs": inputs})
