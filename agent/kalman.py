@@ -19,6 +19,7 @@ from model import motors, state
 from model.arrays import Array
 from model.discretisation import zero_order_hold
 from model.linearisation import Model
+from model.rotations import rotation
 from protocol.scenario.setup import Setup
 
 # Gain of the shared control law at a tick, (m, n), with motor lag (m, n + m); of UAVs without agents their fail-safe's.
@@ -31,10 +32,12 @@ _UAV = (0.06, 0.1, 0.1, 0.2)
 _ACCELERATION = 0.01
 # Smallest standard deviations assumed of sensors, in the order of the sensors: errors of the model show in them.
 _FLOOR = (1e-3, 5e-3, 1e-3, 2e-3, 0.1)
-# External forces on the payload, and horizontal and equal ones on the UAVs, over the body's weight: standard
-# deviations at first, and of the change over a second. A mass is known to a fifth; gusts of 1 m/s are slow.
+# Horizontal forces on the payload over its weight, its mass error over its mass, and horizontal and equal forces on the
+# UAVs over the weight: standard deviations at first, and of the change over a second. Gusts of 1 m/s are slow.
 _FORCE = (0.03, 0.03, 0.2, 0.03, 0.03)
-_FORCE_CHANGE = (0.015, 0.015, 0.015, 0.012, 0.012)
+_FORCE_CHANGE = (0.045, 0.045, 0.015, 0.036, 0.036)
+# Correlation of the changes on payload and UAVs: the same air moves all of them.
+_SAME_AIR = 0.8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +46,7 @@ class Belief:
 
     Attributes:
         x: State, (n,); with motor lag [x, a], (n + m,).
-        forces: External forces: on the payload (3), and horizontal on each UAV (2); (0,) if they are not estimated.
+        forces: Horizontal forces on the payload (2), its mass error, horizontal force on each UAV (2), N, kg; or none.
         P: Covariance, (r, r), of the coordinates of the state, the actual inputs with motor lag, and the forces.
         T, L: Basis of these coordinates, without the forces; that about the state before its correction.
         u: Inputs until the tick, (m,).
@@ -71,6 +74,10 @@ class KalmanFilter:
     Args:
         setup: The run.
         feedback: Gain of the shared control law.
+
+    Attributes:
+        ages: Of the sensors' quantities, ticks.
+        Q: Covariance of what the model lacks, per period, in the coordinates of a belief.
     """
 
     def __init__(self, setup: Setup, feedback: Feedback) -> None:
@@ -84,8 +91,14 @@ class KalmanFilter:
         self._inputs = system.m if self._lag_s > 0.0 else 0
         masses = [system.payload.mass, min(uav.mass for uav in system.uavs)]
         forces = 5 if section.disturbance.estimate else 0
-        weights = system.gravity * np.repeat(masses, (3, 2))[:forces]
-        self._spread = np.vstack([np.eye(3, 5), np.tile(np.eye(3, 5, k=3), (N, 1))])[:, :forces]
+        weights = (system.gravity * np.repeat(masses, (3, 2)))[:forces]
+        weights[2:3] /= system.gravity
+        # External forces and mass from those that are estimated.
+        self._spread = np.zeros((4 + 3 * N, forces))
+        if forces:
+            self._spread[[0, 1, -1], [0, 1, 2]] = 1.0
+            self._spread[3:-1] = np.tile(np.eye(3, 5, k=3), (N, 1))
+        self._lightest = -0.9 * system.payload.mass
         deviations = [*np.repeat(_PAYLOAD, 3), *np.tile(np.repeat(_UAV, (2, 2, 3, 3)), N), *[0.0] * self._inputs]
         self._P0 = np.diag(np.concatenate([deviations, weights * _FORCE[:forces]]) ** 2)
         rates = np.zeros(state.PAYLOAD + 10 * N)
@@ -93,8 +106,12 @@ class KalmanFilter:
         rates[moving] = 1.0
         rates[state.PAYLOAD :].reshape(N, 10)[:, [2, 3, 7, 8, 9]] = 1.0
         steps = (self._period_s * _ACCELERATION) ** 2 * rates
-        walk = self._period_s * (weights * _FORCE_CHANGE[:forces]) ** 2
-        self._Q = np.concatenate([steps, np.zeros(self._inputs), walk])
+        self.Q = np.diag(np.concatenate([steps, np.zeros(self._inputs + forces)]))
+        if forces:
+            together = np.eye(forces)
+            together[[0, 1, 3, 4], [3, 4, 0, 1]] = _SAME_AIR
+            change = np.sqrt(self._period_s) * weights * _FORCE_CHANGE
+            self.Q[-forces:, -forces:] = together * np.outer(change, change)
         # Places of a UAV's block in the basis.
         first = np.arange(N)[:, None]
         self._rows = (state.PAYLOAD + state.PER_UAV * first + np.arange(state.PER_UAV))[:, :, None]
@@ -106,8 +123,25 @@ class KalmanFilter:
         return Belief(x=x, forces=np.zeros(self._spread.shape[1]), P=self._P0, T=T, L=L, u=self._u_hover)
 
     def forces(self, belief: Belief) -> Array | None:
-        """Return the estimated external forces, (3 + 3 N,), inertial frame, N; None if they are not estimated."""
-        return self._spread @ belief.forces if len(belief.forces) else None
+        """Return the estimated forces and mass error as `Model` takes them, (4 + 3 N,); None if not estimated."""
+        if not len(belief.forces):
+            return None
+        found: Array = self._spread @ belief.forces
+        found[-1] = max(found[-1], self._lightest)
+        return found
+
+    def _effects(self, model: Model, x: Array, u: Array, forces: Array) -> Array:
+        """Return the external forces per estimated one, (3 + 3 N, 5).
+
+        Gravity minus acceleration acts on a mass. Its inertia, which turns the payload, is left out.
+        """
+        rate = model.derivative(x, u, forces=forces)
+        view = state.StateView(x)
+        lacking = -rotation(view.Theta0) @ (rate[state.V0] + np.cross(view.omega0_P, view.v0_P))
+        lacking[2] += model.system.gravity
+        effects = self._spread[:-1].copy()
+        effects[:3, 2] = lacking
+        return effects
 
     def basis(self, x: Array) -> tuple[Array, Array]:
         """Return T with dx = T xi, and L with xi = L' dx, about a state; both (n, r), with motor lag (n + m, r + m).
@@ -162,8 +196,8 @@ class KalmanFilter:
         discrete = zero_order_hold(linear, self._period_s)
         T, (T_ahead, L) = belief.T, self.basis(ahead)
         moved, s = discrete.A @ T, T.shape[1]
-        pushed = self._pushed(model, x, actual, discrete.A) if len(belief.forces) else np.zeros((len(T), 0))
-        P, Q = belief.P, np.diag(self._Q)
+        pushed = np.zeros((len(T), 0)) if forces is None else self._pushed(model, x, actual, forces, discrete.A)
+        P, Q = belief.P, self.Q.copy()
         if by_fail_safe.any() or by_law.any():
             K, B = self._feedback(tick), discrete.B
             closed = by_law | by_fail_safe
@@ -175,11 +209,13 @@ class KalmanFilter:
         P = A @ P @ A.T + Q
         return Belief(x=ahead, forces=belief.forces, P=(P + P.T) / 2.0, T=T_ahead, L=L, u=u)
 
-    def _pushed(self, model: Model, x: Array, u: Array, A: Array) -> Array:
+    def _pushed(self, model: Model, x: Array, u: Array, forces: Array, A: Array) -> Array:
         """Return the effect of the unknown forces over a period, (n, forces), to second order in it."""
-        f = model.derivative(x, u)
+        still = np.append(np.zeros(len(forces) - 1), forces[-1])
+        f = model.derivative(x, u, forces=still)
         effect = np.zeros((len(A), self._spread.shape[1]))
-        effect[: len(x)] = np.column_stack([model.derivative(x, u, forces=unit) - f for unit in self._spread.T])
+        units = np.vstack([self._effects(model, x, u, forces), np.zeros((1, 5))])
+        effect[: len(x)] = np.column_stack([model.derivative(x, u, forces=still + unit) - f for unit in units.T])
         found: Array = self._period_s / 2.0 * (effect + A @ effect)
         return found
 
@@ -204,22 +240,25 @@ class KalmanFilter:
         angles = (of >= state.THETA.start) & (of < state.THETA.stop)
         P, R, T, s = belief.P, self._R[of], belief.T, belief.T.shape[1]
         actual = belief.x[n:] if self._inputs else belief.u
-        y, slopes = model.sense(belief.x[:n], actual, forces=self.forces(belief))
+        forces = self.forces(belief)
+        y, slopes = model.sense(belief.x[:n], actual, forces=forces)
         error = z - y[within]
         error[angles] -= 2.0 * np.pi * np.round(error[angles] / (2.0 * np.pi))
         H = np.empty((len(z), len(P)))
-        H[:, :s], H[:, s:] = slopes[within, :n] @ T[:n], slopes[within, n:] @ self._spread
+        H[:, :s] = slopes[within, :n] @ T[:n]
+        if forces is not None:
+            H[:, s:] = slopes[within, n:] @ self._effects(model, belief.x[:n], actual, forces)
         H_P = H @ P
         S = H_P @ H.T
         S[np.diag_indices_from(S)] += R
         solved = np.linalg.solve(S, np.column_stack([H_P, error]))
         G = solved[:, :-1].T
         xi = G @ error
-        x, forces = self.moved(belief.x, T @ xi[:s]), belief.forces + xi[s:]
+        x, found = self.moved(belief.x, T @ xi[:s]), belief.forces + xi[s:]
         kept = np.eye(len(P)) - G @ H
         P = kept @ P @ kept.T + (G * R) @ G.T
         surprise = float(error @ solved[:, -1]), len(error)
-        return replace(belief, x=x, forces=forces, P=(P + P.T) / 2.0, surprise=surprise)
+        return replace(belief, x=x, forces=found, P=(P + P.T) / 2.0, surprise=surprise)
 
     def moved(self, x: Array, dx: Array) -> Array:
         """Return a state moved along the manifold. Source: docs/equations.md (62)."""

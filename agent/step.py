@@ -232,7 +232,7 @@ class Planner:
             plan_ages=tuple(-1 if plan is None else k - plan.tick for plan in newest),
             state_ages=tuple(team.estimator.age(agent, k) for agent in team.peers),
             measurement_age=-1 if measured < 0 else k - measured,
-            force=np.zeros(3) if team.forces is None else team.forces[:3],
+            force=np.zeros(3) if team.forces is None else self._controller.model.at_rest(team.forces)[:3],
             times_ns=step.times_ns,
         )
 

@@ -49,8 +49,8 @@ class Track:
         X: States, (K, n).
         U: Inputs for the period after each instant: those of its middle, (K, m).
         X_middle: States there, (K, n).
-        X_forces: Change of X per external force, (K, n, 3 + 3 N), SI per N.
-        U_forces: Change of U per external force, (K, m, 3 + 3 N).
+        X_forces: Change of X per external force and the payload's further mass, (K, n, 4 + 3 N), SI per N and per kg.
+        U_forces: Change of U, (K, m, 4 + 3 N).
         paths: Jets of the payload's path at the instants and in the middle after each, (2, 7, K, 3).
     """
 
@@ -101,7 +101,7 @@ class FlatReference:
 def track(system: System, hover: Hover, paths: Array, released: Collection[int] = ()) -> Track:
     """Return what controllers follow along a path, given as in `Track`; the rest as in `flight`."""
     path, middle = paths
-    forces = 3 + 3 * system.N
+    forces = 4 + 3 * system.N
     at, between = (flight(system, hover, jets_of, released=released) for jets_of in paths)
     X_forces, U_forces = np.empty((*at.x.shape, forces)), np.empty((*at.u.shape, forces))
     for i, unit in enumerate(np.eye(forces)):
@@ -119,21 +119,22 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
         hover: Its equilibrium, whose rod forces the others deviate least from.
         path: Jets of the payload's position, inertial frame, m, and of length and width of the team as multiples of
             those at hover, (7, k, 5); without these, (7, k, 3), the team keeps its formation.
-        forces: Constant external forces, (3 + 3 N,), inertial frame, N; may be complex.
+        forces: Constant external forces and the payload's further mass, (4 + 3 N,), inertial frame, N and kg; may be
+            complex.
         released: UAVs, 0-based, in whose place bobs hang from their rods (`model.failure`), in system and hover too.
     Source: docs/equations.md (66)-(68).
     """
     N, k = system.N, path.shape[1]
     path, formation = path[..., :3], path[..., 3:]
-    F = np.zeros(3 + 3 * N) if forces is None else forces
+    F = np.zeros(4 + 3 * N) if forces is None else forces
     gravity = np.array([0.0, 0.0, system.gravity])
     rho = np.array([uav.rho for uav in system.uavs])
     masses, lengths = np.array([[uav.mass, uav.rod_length] for uav in system.uavs]).T[:, :, None]
     # Force and moment on the payload per force of each rod, (6, 3 N).
     W = np.hstack([np.vstack([np.eye(3), _skew(r)]) * (i not in released) for i, r in enumerate(rho)])
     share = np.linalg.pinv(W)[:, :3].reshape(N, 3, 3)
-    needed = system.payload.mass * jets.derivative(jets.derivative(path)) + 0.0 * F[0]
-    needed[0] -= F[:3]
+    needed = (system.payload.mass + F[-1]) * jets.derivative(jets.derivative(path))
+    needed[0] -= F[:3] + F[-1] * gravity
     t = np.einsum("nij,okj->okni", share, needed)
     t[0] -= hover.tensions[:, None] * state.StateView(hover.x).e_P
     if formation.size:
@@ -143,7 +144,7 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
     place = path[: len(e), :, None] - lengths * e
     place[0] += rho
     carried = -masses * jets.derivative(jets.derivative(place)) - t[:3]
-    carried[0] += masses * gravity + F[3:].reshape(N, 3)
+    carried[0] += masses * gravity + F[3:-1].reshape(N, 3)
     gone = sorted(released)
     carried[:, :, gone] = 0.0
     carried[0, :, gone, 2] = 1.0  # upright, for the directions below

@@ -63,7 +63,7 @@ class Model:
     """The equations of motion of one system, evaluated numerically.
 
     External forces, where a method takes them, are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs,
-    (3 + 3 N,), inertial frame, N; zero by default.
+    (3 + 3 N,), inertial frame, N; zero by default. A mass that the payload has beyond the known one, kg, may follow.
 
     Args:
         system: Physical parameters.
@@ -92,17 +92,33 @@ class Model:
         """Return inputs without those of motor-off UAVs, (m,)."""
         return _zeroed(u, self._off)
 
-    def _acting(self, forces: Array | None) -> Array:
-        """Return external forces without those on released UAVs, (3 + 3 N,)."""
-        return self._no_forces if forces is None else _zeroed(forces, self._unforced)
+    def _acting(self, forces: Array | None) -> tuple[Array, Array]:
+        """Return the parameters, and external forces without those on released UAVs, (3 + 3 N,)."""
+        if forces is None:
+            return self._p, self._no_forces
+        p, count = self._p, len(self._no_forces)
+        if len(forces) > count:
+            p = p.copy()
+            p[2:8] *= 1.0 + forces[count] / p[1]
+            p[1] += forces[count]
+        return p, _zeroed(forces[:count], self._unforced)
+
+    def at_rest(self, forces: Array) -> Array:
+        """Return constant forces, (3 + 3 N,), that act on a hovering team as the given ones and a mass."""
+        count = len(self._no_forces)
+        if len(forces) == count:
+            return forces
+        found = forces[:count].copy()
+        found[2] += self.system.gravity * forces[count]
+        return found
 
     def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
-        return self._derivative(x, self._effective(u), self._p, self._acting(forces))[0]
+        return self._derivative(x, self._effective(u), *self._acting(forces))[0]
 
     def tensions(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return the rod tensions, (N,), N; positive when the rod pulls. Source: docs/equations.md (9), (37)."""
-        return self._tensions(x, self._effective(u), self._p, self._acting(forces))[0]
+        return self._tensions(x, self._effective(u), *self._acting(forces))[0]
 
     def outputs(self, x: Array) -> Array:
         """Return y = h(x), (4 N + 9,), SI. Source: docs/equations.md (14)."""
@@ -126,7 +142,7 @@ class Model:
         Returns: y in the layout of `model.state`, and dy/d(x, F), (15 N, n + 3 + 3 N).
         Source: docs/equations.md (61).
         """
-        y, values, by_acceleration, acceleration = self._sense(x, self._effective(u), self._p, self._acting(forces))
+        y, values, by_acceleration, acceleration = self._sense(x, self._effective(u), *self._acting(forces))
         slopes: Array = by_acceleration @ acceleration
         slopes[self._sensed] += values
         return y, slopes
@@ -136,7 +152,7 @@ class Model:
 
         Source: docs/equations.md (15), (15a), (37); paper (13).
         """
-        flat = self._linearise.flat(x, self._effective(u), self._p, self._acting(forces))
+        flat = self._linearise.flat(x, self._effective(u), *self._acting(forces))
         f, y, first = self._linearise.parts[:3]
         values = flat[first.start :]
         values[self._without_effect] = 0.0
@@ -176,12 +192,12 @@ class Model:
             tolerance only where the shortest or the most possible steps (model/integration.py) do not suffice.
         Source: docs/equations.md (13b), (13c).
         """
-        held = self._effective(u), self._p, self._acting(forces)
+        held = self._effective(u), *self._acting(forces)
         return self._integrator.integrate(x, held, duration_s, steps, tolerance)
 
     def stepper(self, duration_s: float, forces: Array | None = None) -> Callable[[Array, Array], Array]:
         """Return the map from state and input to the state after one step of `integrate`; valid until the next one."""
-        step = self._integrator.stepper((self._p, self._acting(forces)), duration_s)
+        step = self._integrator.stepper(self._acting(forces), duration_s)
         return step if not len(self._off) else lambda x, u: step(x, self._effective(u))
 
 

@@ -114,7 +114,7 @@ class Controller:
                 previous plan, shifted.
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
             law: With closed-loop prediction, the shared control law over the horizon (`law`).
-            forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None without estimate.
+            forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
             ticks_since_start: Ticks since this controller began; see `conclude`.
             end: With terminal "riccati", the cost after the horizon (`end`).
         Returns: The plan and the solution of its QP. Never raises for a problem without solution.
@@ -136,7 +136,7 @@ class Controller:
         """
         u_target = self.cost.u_target
         if forces is not None and self.settings.weights.penalised_input == "deviation":
-            u_target = u_target + self.regulation.target.M_u @ forces
+            u_target = u_target + self.regulation.target.M_u @ self.model.at_rest(forces)
         lag_s, n = self.settings.motor_lag_s, self.model.system.n
         if lag_s == 0.0:
             model = self._expansion(x0, u0, forces)

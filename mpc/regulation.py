@@ -167,7 +167,7 @@ class Regulation:
             x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
             x_ref: Reference states at steps 0..N_p-1, (N_p, n).
             c: Announced corrections of all UAVs, (N_p, m).
-            forces: Estimated external forces, (3 + 3 N,), inertial frame, N; None without estimate.
+            forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
             start: Instant of the first step.
         Source: docs/equations.md (35), (40).
         """
@@ -178,6 +178,7 @@ class Regulation:
         u_rest, error = self.hover.u, self._error(x0, x_ref)
         feedforward = self.feedforward(start, len(x_ref))
         if forces is not None:
+            forces = self._model.at_rest(forces)
             u_rest, error = u_rest + self.target.M_u @ forces, error - self._shift(forces)
             feedforward = feedforward + self._forced(self.regulator)[0] @ forces
         return FeedbackLaw(K=self.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c)
@@ -189,7 +190,8 @@ class Regulation:
         at, where = _clamped(start, steps, len(tracker.K)), _clamped(start, steps, len(track.X))
         u_rest, error = track.U[where], x0 - track.X[where]
         if forces is not None:
-            u_rest, error = u_rest + track.U_forces[where] @ forces, error - track.X_forces[where] @ forces
+            u_rest = u_rest + track.U_forces[where, :, : len(forces)] @ forces
+            error = error - track.X_forces[where, :, : len(forces)] @ forces
         return FeedbackLaw(
             K=tracker.K[at],
             u_rest=u_rest,
@@ -230,6 +232,7 @@ class Regulation:
         error = self._error(x0, x_ref)
         slope = np.zeros_like(x0) if self._preview is None else self._preview.slope[self._within(instant, 1)][0]
         if forces is not None:
+            forces = self._model.at_rest(forces)
             error = error - self._shift(forces)
             slope = slope + self._forced(self.regulator)[1] @ forces
         return CostToGo(root=self.regulator.root, error=error, slope=slope)

@@ -96,38 +96,49 @@ def in_time(seed: int, late: int, doubt: float = 1.0) -> dict[int, list[Plan]]:
     return {k + late: [reported(run, agent, k, U, Z) for agent in (2, 3, 4)] for k in range(TICKS - late)}
 
 
-def test_against_a_dense_filter_with_numerical_jacobians() -> None:
+@pytest.mark.parametrize("forces", ["false", "true"])
+def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
     """Means and covariances are those of the textbook filter with differences of the nonlinear model as Jacobians."""
-    run, _, U, Z = moving(1, SMALL)
+    _, _, U, Z = moving(1, SMALL)
+    run = setup(*VEHICLE, f"controller.disturbance.estimate={forces}")
     model, kalman = run.model, KalmanFilter(run, lambda _: np.zeros((16, 60)))
     belief = kalman.first(run.X_ref[0])
     belief = replace(belief, P=SMALL**2 * belief.P)
-    x, P = belief.x, belief.P
+    n, r, P = len(belief.x), belief.T.shape[1], belief.P
+    z = np.concatenate([belief.x, belief.forces])
     R = np.diag(np.tile(np.repeat(run.sensors.noise**2, 3), 4))
     every = [(uav, range(5)) for uav in range(4)]
 
-    def jacobian(f, at: Array) -> Array:  # type: ignore[no-untyped-def]
-        T, _ = kalman.basis(at)
-        return np.column_stack([(f(kalman.moved(at, d)) - f(kalman.moved(at, -d))) / 2e-6 for d in 1e-6 * T.T])
+    def unknown(z: Array) -> Array | None:
+        return kalman.forces(replace(belief, forces=z[n:]))
+
+    def moved(z: Array, xi: Array) -> Array:
+        T, _ = kalman.basis(z[:n])
+        return np.concatenate([kalman.moved(z[:n], T @ xi[:r]), z[n:] + xi[r:]])
+
+    def jacobian(f, z: Array) -> Array:  # type: ignore[no-untyped-def]
+        return np.column_stack([(f(moved(z, d)) - f(moved(z, -d))) / 2e-6 for d in 1e-6 * np.eye(len(P))])
 
     for k in range(12):
-        H = jacobian(lambda at, k=k: model.sense(at, U[k])[0], x)
+
+        def sensed(z: Array, k: int = k) -> Array:
+            return model.sense(z[:n], U[k], forces=unknown(z))[0]
+
+        def step(z: Array, k: int = k) -> Array:
+            return model.integrate(z[:n], U[k + 1], PERIOD_S, STEPS, forces=unknown(z))[0]
+
+        H = jacobian(sensed, z)
         G = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-        x = kalman.moved(x, kalman.basis(x)[0] @ (G @ (Z[k].reshape(-1) - model.sense(x, U[k])[0])))
-        P = (np.eye(len(P)) - G @ H) @ P
+        z, P = moved(z, G @ (Z[k].reshape(-1) - sensed(z))), (np.eye(len(P)) - G @ H) @ P
         belief = kalman.correct(belief, model, [(uav, sensors, Z[k][uav]) for uav, sensors in every])
-
-        def step(at: Array, k: int = k) -> Array:
-            return model.integrate(at, U[k + 1], PERIOD_S, STEPS)[0]
-
-        ahead = step(x)
-        A = kalman.basis(ahead)[1].T @ jacobian(step, x)
-        x, P = ahead, A @ P @ A.T
-        none = np.zeros(16, dtype=bool)
-        belief = kalman.predict(belief, model, k, step(belief.x), U[k + 1], none, none)
+        A = np.eye(len(P))
+        A[:r] = kalman.basis(step(z))[1].T @ jacobian(step, z)
+        z, P = np.concatenate([step(z), z[n:]]), A @ P @ A.T + kalman.Q
+        none, ahead = np.zeros(16, dtype=bool), step(np.concatenate([belief.x, belief.forces]))
+        belief = kalman.predict(belief, model, k, ahead, U[k + 1], none, none)
     deviation = np.sqrt(np.diag(P))
     np.testing.assert_allclose(np.sqrt(np.diag(belief.P)), deviation, rtol=SAME_DEVIATION, atol=1e-3)
-    xi = kalman.basis(x)[1].T @ (belief.x - x)
+    xi = np.concatenate([kalman.basis(z[:n])[1].T @ (belief.x - z[:n]), belief.forces - z[n:]])
     assert np.abs(xi / deviation).max() < SAME_MEAN
     assert deviation[:3].max() < FOUND_M
 

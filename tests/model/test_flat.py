@@ -73,10 +73,10 @@ def difference(values: list[Array]) -> Array:
 @pytest.mark.parametrize("kind", CURVES)
 @pytest.mark.parametrize(("pushed", "gains"), [(False, None), (True, None), (False, [20.0, 20.0, 8.0])])
 def test_reference_satisfies_the_equations_of_motion(kind: str, *, pushed: bool, gains: list[float] | None) -> None:
-    """f(x_ref, u_ref, F) = x_ref', equations (13) and (66)-(68): moments, external forces, commanded body rates."""
+    """f(x_ref, u_ref, F) = x_ref', (13) and (66)-(68): moments, external forces and mass, commanded body rates."""
     system, rng = unequal(gains), np.random.default_rng(3)
     maneuver, at_rest, model = along(CURVES[kind]), hover(system), Model(system)
-    forces = rng.uniform(-0.5, 0.5, 3 + 3 * system.N) if pushed else np.zeros(3 + 3 * system.N)
+    forces = rng.uniform(-0.5, 0.5, 4 + 3 * system.N) if pushed else np.zeros(4 + 3 * system.N)
     times = rng.uniform(0.0, maneuver.duration_s, 60)
 
     def motion(t_s: Array) -> tuple[Array, Array]:
@@ -164,11 +164,11 @@ def test_reference_of_the_uavs_left_after_a_release(gains: list[float] | None) -
 
 
 def test_track_shifts_with_forces() -> None:
-    """Its derivatives with respect to forces, by an imaginary step, equal differences."""
+    """Its derivatives with respect to forces and mass, by an imaginary step, equal differences."""
     system = unequal()
     reference, small = FlatReference(system, hover(system), along(CURVES["circle"])), 1e-4
     track, path = reference.track(30, 0.1), reference.maneuver.jets(0.1 * np.arange(30, dtype=np.float64))
-    for i, unit in enumerate(small * np.eye(15)):
+    for i, unit in enumerate(small * np.eye(16)):
         ends = [flight(system, hover(system), path, sign * unit).x for sign in (1.0, -1.0)]
         np.testing.assert_allclose(track.X_forces[..., i], (ends[0] - ends[1]) / (2.0 * small), atol=1e-7)
 
