@@ -213,7 +213,7 @@ class ObstacleSection(Section):
     """of the walls of a gap"""
     heading_deg: float = 0.0
     """direction of the first edge of a box, or of the passage through a gap, from x towards y"""
-    penalty: Annotated[Positive, Key(unit="1/m", within=(1e-12, 1e8))] = 1000.0
+    penalty: Annotated[Positive, Key(unit="1/m", within=(1e-12, 1e8))] = 100.0
     """penalty on the largest violation of a margin by a UAV or the payload over the horizon; only with a flat
     reference"""
 

@@ -22,7 +22,13 @@ from protocol.scenario.schema import Scenario
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO
 from transport.cli.options import RUNS, FormatOption, LargeOption, with_options
 from transport.cli.output import Format, exit_on, fail, show_json
-from transport.experiments import comparison, comparison_report, design_experiments, network_experiments
+from transport.experiments import (
+    agile_experiment,
+    comparison,
+    comparison_report,
+    design_experiments,
+    network_experiments,
+)
 from transport.experiments.cases import Case, cases_of
 from transport.experiments.conclusions import conclusions, scaling_conclusions
 from transport.experiments.declaration import EXPERIMENTS, Declaration, Values
@@ -35,12 +41,18 @@ from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, means_in_words
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.header import machine
 
-__all__ = ["EXPERIMENTS", "design_experiments", "network_experiments", "paper"]  # declared when imported
+__all__ = [
+    "EXPERIMENTS",
+    "agile_experiment",
+    "design_experiments",
+    "network_experiments",
+    "paper",
+]  # declared when imported
 
 _OUT = "Folder, by default a new one in runs/; an existing folder of the same experiment is resumed."
 _SCENARIO = (
     "Scenario file or name; default: paper and resilient (hover: also centralized; "
-    "deaths, sharing: resilient). Repeatable."
+    "deaths, sharing: resilient; agile: eight). Repeatable."
 )
 _QUICK_SEEDS = 2
 

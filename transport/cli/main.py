@@ -67,6 +67,7 @@ app.add_typer(
             "horizon": ("transport.cli.experiment:horizon", "Effect of horizon and terminal weight."),
             "hover": ("transport.cli.experiment:hover", "Stability in a long hover after the maneuver."),
             "sharing": ("transport.cli.experiment:sharing", "Cost against the number of plans sent."),
+            "agile": ("transport.cli.experiment:agile", "Fast flight: the payload's error over speed."),
             "paper": ("transport.cli.experiment:paper", "The paper's claim: centralized against distributed."),
             "scaling": ("transport.cli.experiment:scaling", "Growth of cost, computation and messages."),
         },

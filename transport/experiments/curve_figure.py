@@ -46,6 +46,11 @@ _SHARING_PANELS = (
     Panel("mean cost over that with all plans sent", COST_RATIO, from_zero=False),
     _ATTITUDE,
 )
+_TRACKING_PANELS = (
+    Panel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
+    Panel("largest payload error (cm)", "payload_max_m", 100.0),
+    _ATTITUDE,
+)
 _DIVERGED = "time at which runs diverge (s, hollow), or never"
 
 # Height of a panel, and of the title of the first, in.
@@ -77,7 +82,7 @@ def draw_curves(figure: Figure, experiment: Experiment, measured: Sequence[Point
     Of shared plans: plans sent, cost over that with all sent, and attitude over the threshold, in equal distances.
     """
     is_sharing = experiment.drawn_as == "sharing"
-    shown = _SHARING_PANELS if is_sharing else _PANELS
+    shown = {"sharing": _SHARING_PANELS, "tracking": _TRACKING_PANELS}.get(experiment.drawn_as, _PANELS)
     column = experiment.x.label
     values = list(dict.fromkeys(m.point.labels[column] for m in measured))
     joined = not isinstance(values[0], str) and len(values) <= _MOST_TICKS  # no line between names or random times
@@ -150,7 +155,7 @@ def _styled_curves(experiment: Experiment, measured: Sequence[PointStatistics], 
         for index, (name, points) in enumerate(own.items()):
             shape = index if experiment.curves is not None else place
             colour = shape if len(scenarios) == 1 else place  # with one scenario, curves have colours of their own
-            _, marker, line = CURVES[shape % len(CURVES)]
+            _, marker, line = CURVES[(shape + shape // len(CURVES)) % len(CURVES)]
             shown = CURVES[colour % len(CURVES)][0]
             style = {"color": shown, "marker": marker, "linestyle": line if joined else "none"}
             found.append(_Curve(scenario, name, points, style))

@@ -29,14 +29,14 @@ _SMALLEST = math.ulp(0.0)  # lower bound of numbers that must be positive
 class Experiment:
     """A sweep and how it is drawn.
 
-    It is drawn as curves, a map, curves over team size, a row for each variant, or curves of shared plans.
+    It is drawn as curves, a map, curves over team size, a row for each variant, or curves of shared plans or of errors.
     """
 
     name: str  # of the command
     points: tuple[Point, ...]
     x: Axis  # horizontal
     y: Axis | None = None  # vertical axis of a map
-    drawn_as: Literal["curves", "map", "scaling", "variants", "sharing"] = "curves"
+    drawn_as: Literal["curves", "map", "scaling", "variants", "sharing", "tracking"] = "curves"
     # Column that tells the curves of a scenario apart, and names of its values in the figure. Points labelled `NONE`
     # belong to all curves.
     curves: str | None = None

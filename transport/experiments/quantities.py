@@ -43,6 +43,7 @@ _COLUMNS: Mapping[str, Quantity] = {
     "std_s": Quantity("standard deviation of the delay", "ms", 1e3),
     "killed_s": Quantity("time at which the agent is killed", "s"),
     "hover_s": Quantity("duration of the last hover", "s"),
+    "speed_mps": Quantity("largest speed", "m/s"),
     "uavs": Quantity("number of UAVs"),
     "terminal": Quantity("terminal weight"),
 }

@@ -49,6 +49,13 @@ _SHARING_COLUMNS = [
     *(shown for shown in _COLUMNS if shown.name not in (_DIVERGED, "cost_max", "swing_m", "separation_min_m")),
 ]
 
+# Columns of runs at several speeds.
+_TRACKING_COLUMNS = [
+    _Column("error rms\n(cm)", "payload_rms_m", 100.0, 2, True),
+    _Column("largest\n(cm)", "payload_max_m", 100.0, 1, False),
+    *(shown for shown in _COLUMNS if shown.name not in ("cost_mean", "cost_max", "swing_m")),
+]
+
 # Columns of timed runs.
 _TIMED_COLUMNS = [
     _Column("CPU step\np50 (ms)", "cpu_step_p50_ms", 1.0, 2, True),
@@ -103,8 +110,9 @@ def means_in_words(measured: Sequence[PointStatistics]) -> str:
 
 def table_of(title: str, measured: Sequence[PointStatistics], *, timed: bool = False) -> Table:
     """Return the table for the console, `WIDTH` characters wide; timed points have one scenario and more columns."""
-    sharing = "share_threshold" in measured[0].point.labels
-    columns, named = (_TIMED_COLUMNS, False) if timed else (_SHARING_COLUMNS if sharing else _COLUMNS, True)
+    chosen = {"share_threshold": _SHARING_COLUMNS, "speed_mps": _TRACKING_COLUMNS}
+    columns = next((found for label, found in chosen.items() if label in measured[0].point.labels), _COLUMNS)
+    columns, named = (_TIMED_COLUMNS, False) if timed else (columns, True)
     headings = [name.replace("_", "\n", 1) for name in measured[0].point.labels]
     table = empty_table(title, [*["scenario"] * named, *headings], ["done", *[shown.heading for shown in columns]])
     for m in measured:

@@ -109,7 +109,17 @@ def test_another_version_does_not_mix(tmp_path: Path, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"latency", "scaling"}))
 def test_a_trial_says_so(name: str, tmp_path: Path) -> None:
     """`--quick` of every experiment runs, is called a trial, and its table fits its width."""
-    settings = ("--set", ticks(4), "--seeds", "1", "--jobs", "1", "--scenario", "resilient")
+    quick = "maneuver.phase=[{name='way',kind='spline',points_m=[[0.1,0,0]],speed_mps=1.0,ramp_s=0.1}]"
+    settings = (
+        "--set",
+        quick if name == "agile" else ticks(4),
+        "--seeds",
+        "1",
+        "--jobs",
+        "1",
+        "--scenario",
+        "resilient",
+    )
     result = here("experiment", name, "--quick", *settings, "--out", tmp_path)
     assert result.exit_code == DONE, result.output
     assert "--quick: a trial, no measurement" in result.stderr

@@ -246,3 +246,18 @@ def test_sharing_on_the_command_line(tmp_path: Path) -> None:
     drawn = (tmp_path / "figure.svg").read_text()
     assert "plans sent (%)" in drawn
     assert all(network in drawn for network in NETWORKS)
+
+
+def test_agile_flies_every_case_at_every_speed() -> None:
+    """Each speed is set where the maneuver has one, and each has a baseline of its own; the fastest is feasible."""
+    experiment = built("agile", of=("eight",))
+    speeds = {point.labels["speed_mps"] for point in experiment.points}
+    assert speeds == {3.0, 4.0, 5.0, 6.0}
+    assert len(experiment.points) == len(speeds) * len({point.labels["case"] for point in experiment.points})
+    assert [point.group for point in experiment.points if point.baseline] == [
+        f"{speed:g} m/s" for speed in sorted(speeds)
+    ]
+    (case,) = cases_of([point for point in experiment.points if point.baseline][-1:], (), 1)
+    assert case.scenario.maneuver.phase[1].speed_mps == 6.0
+    with pytest.raises(ExperimentError, match="expected a maneuver with speed_mps in a phase, got resilient"):
+        built("agile", of=("resilient",))
