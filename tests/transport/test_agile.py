@@ -32,7 +32,7 @@ IDEAL: dict[str, Any] = {
     "plant.motors.lag_s": 0.0,
     **{f"plant.noise.{key}": 0.0 for key in _NOISE},
 }
-LATE = {"delay_s": 0.2, "loss": 0.3}
+LATE: dict[str, Any] = {"delay_s": 0.2, "loss": 0.3}
 
 
 def error_m(settings: dict[str, Any] | None = None, **changed: Any) -> float:
