@@ -53,6 +53,7 @@ class AnnouncedInputs:
 
     Attributes:
         off_roster: Agents that make no more plans.
+        fail_safe: Control law after the last plan of one of them.
         law_since: Tick from which on the shared control law is that of the present team.
         failed_since: Tick of the newest failure of a UAV: from then on every agent follows the control law of the UAVs
             that are left; earlier plans apply until then.
@@ -79,7 +80,7 @@ class AnnouncedInputs:
         self._bounds = None if settings is None else (settings.lower(uavs), settings.upper(uavs))
         self._alignment, self._own = alignment, own
         self._u_hover = u_hover
-        self._owned, self._fail_safe = owned, fail_safe
+        self._owned, self.fail_safe = owned, fail_safe
         self._columns = {agent: _columns(uavs) for agent, uavs in enumerate(owned, start=1)}
         # By agent, ascending in the tick they were made at.
         self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
@@ -205,9 +206,9 @@ class AnnouncedInputs:
                 begun, inputs = self._assumed[agent]
             step = tick - begun
             if agent in self.off_roster and step >= len(inputs):
-                if x is not None and self._fail_safe is not None:
+                if x is not None and self.fail_safe is not None:
                     owned = self._owned[agent - 1]
-                    u[columns] = np.concatenate([self._fail_safe.inputs(uav, x, tick) for uav in owned])
+                    u[columns] = np.concatenate([self.fail_safe.inputs(uav, x, tick) for uav in owned])
                 continue
             u[columns] = inputs[min(step, len(inputs) - 1)]
             replaced = step > 0 and agent != self._own and agent not in self.off_roster

@@ -19,8 +19,9 @@ from protocol.admission.membership import Membership
 from protocol.admission.plausibility import check_tick
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
+from protocol.scenario.targets import check_target, headed
 from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Control, Event, LinkChange, Measurement, Plan, Presence, Roster
+from protocol.wire.messages import Control, Event, LinkChange, Measurement, Plan, Presence, Roster, Target
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 from protocol.wire.node import Outbox, lost
 
@@ -42,6 +43,8 @@ class AgentNode:
         self.publish_ns = 0
         self._window = setup.shape.window
         self.finished: Control | None = None
+        self._ahead = setup  # the run with all targets that are known
+        self._targets: deque[tuple[int, Setup]] = deque()  # those still to come: the tick, the run with it
         self._begin(incarnation)
 
     def _begin(self, incarnation: int) -> None:
@@ -107,6 +110,9 @@ class AgentNode:
                     self._handle(plan, now_ns)
             case LinkChange():
                 self._link_changes.apply(message)
+            case Target() if message.number == len(self._ahead.maneuver.targets) + 1:
+                self._ahead = headed(self._ahead, message)
+                self._targets.append((message.tick, self._ahead))
             case Measurement():
                 self._measurement = message
                 self._measurements.put(message, now_ns)
@@ -123,6 +129,9 @@ class AgentNode:
             case LinkChange():  # repeated for agents that join, so of any past tick
                 check_tick(message, 0, message.tick if now is None else now + 1 + window)
                 self._link_changes.check(message)
+            case Target():
+                check_tick(message, 0, message.tick if now is None else now + 1 + window)
+                check_target(self._ahead, message)
             case Control() | Roster() if now is not None:
                 check_tick(message, now - window, now + 1 + window)
             case Measurement():
@@ -178,12 +187,21 @@ class AgentNode:
         if self._measurement is not None and self._step is None and self._has_plans_for(self._measurement):
             measurement, self._measurement = self._measurement, None
             self._last_tick = measurement.tick
+            self._head(measurement.tick)
             self._step = self._planner.begin(self._known(measurement, now_ns))
             out += self._plan(self._step)
         while self._step is not None and self._has_proposals_for(self._step):
             self._planner.adopt(self._step, self._take_proposals(self._step))
             out += self._plan(self._step)
         return out
+
+    def _head(self, tick: int) -> None:
+        """Follow the newest of the targets that hold at a tick."""
+        found = None
+        while self._targets and self._targets[0][0] <= tick:
+            found = self._targets.popleft()[1]
+        if found is not None:
+            self._planner.head(found)
 
     def _plan(self, step: Step | OwnStep) -> list[Message]:
         """Return the next proposal of a step, or its plan and report, which conclude it."""

@@ -164,6 +164,10 @@ class OwnPlanner:
         except OwnClassError as error:
             self._problem = str(error)
 
+    def head(self, setup: Setup) -> None:
+        """Let the class have the reference with a further target, from that target's tick on."""
+        self._setup, self._run._X_ref = setup, setup.X_ref
+
     def stop(self) -> str:
         """End the run for the class, once; return why that failed, empty if it did not."""
         controller, self._controller = self._controller, None

@@ -82,6 +82,10 @@ class TeamEstimate:
         # Arguments and result of `_law_inputs` by tick.
         self._law_cache: dict[int, tuple[Array, Array | None, object, Array | None]] = {}
 
+    def head(self, setup: Setup) -> None:
+        """Take the reference from a run with a further target."""
+        self._setup, self.announced.fail_safe = setup, setup.fail_safe
+
     @property
     def forces(self) -> Array | None:
         """Estimated external forces, (3 + 3 N,), inertial frame, N; None where they are not estimated."""

@@ -11,12 +11,15 @@ from enum import Enum
 from coordinator.clock import Clock
 from coordinator.links import RequestedLinkChanges
 from coordinator.roster import TeamRoster, names
+from coordinator.targets import Targets
 from protocol.admission.plausibility import check_tick
 from protocol.scenario.links import LinkError, words_of
 from protocol.scenario.setup import Setup
+from protocol.scenario.targets import TargetError
+from protocol.scenario.targets import words_of as target_in_words
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Control, Event, Outcome, Plan, PlantState, Presence, Request, Tick
+from protocol.wire.messages import Control, Event, Outcome, Plan, PlantState, Presence, Request, Target, Tick
 from protocol.wire.names import COORDINATOR, PLANT
 from protocol.wire.node import Outbox
 
@@ -74,6 +77,7 @@ class CoordinatorNode:
         self._clock = Clock(setup)
         self._roster = TeamRoster(setup, self._out)
         self._link_changes = RequestedLinkChanges(setup, self._out)
+        self._targets = Targets(setup, self._out)
         self._awaited = {PLANT, *self._roster.agents, *observers}
         self._observers = set(observers)  # that have not left
         self._answered: set[int] = set()
@@ -216,24 +220,41 @@ class CoordinatorNode:
         return self._lose([agent], f"{event.name} is gone", now_ns) if agent in self._roster.members else ()
 
     def _answer_request(self, request: Request) -> Sequence[Message]:
-        """Answer a request for the status of the run, or for a change of links from the next tick on."""
+        """Answer a request for the status of the run, or for a change of links or a target from the next tick on."""
         if request.what == "status":
             members, observers = sorted(self._roster.members), sorted(self._observers)
             request.reply({"tick": self.tick, "ticks": self._ticks, "members": members, "observers": observers})
             return ()
         try:
-            if request.what != "link":
-                raise LinkError(f"what: expected status or link, got {request.what!r}")
+            if request.what not in ("link", "target"):
+                raise LinkError(f"what: expected status, link or target, got {request.what!r}")
             if self.state is State.WAITING or self._is_last:
                 raise LinkError("expected a running simulation")
+            if request.what == "target":
+                target = self._targets.request(request.given, self.tick + 1)
+                request.reply(self._told(target))
+                return self._announced(target)
             change = self._link_changes.change(request.given, self.tick + 1)
-        except LinkError as error:
+        except (LinkError, TargetError) as error:
             request.reply({"error": str(error)})
             return ()
         request.reply({"tick": change.tick, "t_s": change.tick * self._period_ns / 1e9})
         reason = f"{words_of(change)}, from {self._roster.time(change.tick)} on"
         # Ticks name the version of this roster, so no process opens the next one without knowing of the change.
         return [change, self._roster.message(reason, self.tick)]
+
+    def _told(self, target: Target) -> dict[str, float]:
+        """Return what is answered to the request for a target: from when on it holds, and when it is reached."""
+        since_s = target.tick * self._period_ns / 1e9
+        reached_s = since_s + target.approach_s
+        return {"tick": target.tick, "t_s": since_s, "reached_s": reached_s, "ends_s": reached_s + target.way_s}
+
+    def _announced(self, target: Target | TargetError) -> list[Message]:
+        """Return a target with the roster that the ticks name from then on."""
+        if isinstance(target, TargetError):
+            return [self._roster.message(f"target refused: {target}", self.tick)]
+        reason = f"{target_in_words(target)}, from {self._roster.time(target.tick)} on"
+        return [target, self._roster.message(reason, target.tick)]
 
     def _drop_silent(self, silent: set[int], now_ns: int) -> Sequence[Message]:
         """Take agents that have not answered in time off the roster."""
@@ -291,9 +312,11 @@ class CoordinatorNode:
     def _open(self, now_ns: int) -> list[Message]:
         """Open the next tick, also for agents that have returned."""
         tick = self.tick + 1
-        repeated = self._link_changes.repeated() if self._roster.joining else []
+        changes = [*self._link_changes.repeated(), *self._targets.repeated()] if self._roster.joining else []
         joined, rosters = self._roster.join(tick)
-        messages: list[Message] = [*repeated, *rosters, *self._roster.fail_uavs(tick)]
+        messages: list[Message] = [*changes, *rosters, *self._roster.fail_uavs(tick)]
+        for target in self._targets.due(tick):
+            messages += self._announced(target)
         late_ns, overrun_ns = self._clock.lateness_ns(tick, now_ns)
         opened = self._out.stamp(
             Tick,

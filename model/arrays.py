@@ -1,13 +1,16 @@
 """Arrays of the project: float64, checked at construction, read-only from then on."""
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 ArrayLike = npt.ArrayLike
+
+T = TypeVar("T")
 
 
 class ShapeError(ValueError):
@@ -48,6 +51,33 @@ def padded(rows: Array, columns: int) -> Array:
     """Return rows with zeros behind them, up to a number of columns; the rows themselves if they have as many."""
     missing = columns - rows.shape[1]
     return np.pad(rows, ((0, 0), (0, missing))) if missing else rows
+
+
+def rows(start: int, steps: int, known: int) -> slice | npt.NDArray[np.intp]:
+    """Return rows from `start` on; those that are not known are replaced by the nearest."""
+    if 0 <= start <= known - steps:
+        return slice(start, start + steps)
+    return np.clip(np.arange(start, start + steps), 0, known - 1)
+
+
+def continued(before: T, after: T, kept: int) -> T:
+    """Return data of instants from their `first` on, a row each, with up to `kept` rows of earlier data ahead of them.
+
+    Both are objects of one dataclass whose other fields are arrays, or dataclasses of arrays.
+    """
+    first, now = before.first, after.first  # type: ignore[attr-defined]
+    count = min(kept, now - first)
+
+    def joined(old: Any, new: Any) -> Any:
+        if is_dataclass(new):
+            names = [field.name for field in fields(new) if field.name != "first"]
+            found = {name: joined(getattr(old, name), getattr(new, name)) for name in names}
+            return replace(new, **found)  # type: ignore[type-var]
+        both = np.concatenate([old[rows(now - first - count, count, len(old))], new])
+        frozen(both)
+        return both
+
+    return replace(joined(before, after), first=now - count)  # type: ignore[no-any-return]
 
 
 def _text(shape: Sequence[object]) -> str:

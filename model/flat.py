@@ -43,7 +43,7 @@ class Flight:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Track:
-    """What controllers follow at instants 0..K-1, one sampling period apart; the last one is held.
+    """What controllers follow at instants 0..K-1 from `first` on, one sampling period apart; the last one is held.
 
     Attributes:
         X: States, (K, n).
@@ -51,7 +51,8 @@ class Track:
         X_middle: States there, (K, n).
         X_forces: Change of X per external force and the payload's further mass, (K, n, 4 + 3 N), SI per N and per kg.
         U_forces: Change of U, (K, m, 4 + 3 N).
-        paths: Jets of the payload's path at the instants and in the middle after each, (2, 7, K, 3).
+        paths: Jets of the payload's path at the instants and in the middle after each, (K, 2, 7, 3).
+        first: Number of the first instant.
     """
 
     X: Array
@@ -60,6 +61,7 @@ class Track:
     X_forces: Array
     U_forces: Array
     paths: Array
+    first: int = 0
 
 
 class FlatReference:
@@ -91,24 +93,25 @@ class FlatReference:
         """Return the motion of the team at times t_s, (k,), s."""
         return flight(self._system, self._hover, self.maneuver.jets(t_s))
 
-    def track(self, instants: int, period_s: float) -> Track:
-        """Return what controllers follow over a number of instants, one period apart, s."""
-        times = period_s * np.arange(instants, dtype=np.float64)
-        paths = np.array([self.maneuver.jets(times), self.maneuver.jets(times + period_s / 2.0)])
-        return track(self._system, self._hover, paths)
+    def track(self, instants: int, period_s: float, first: int = 0) -> Track:
+        """Return what controllers follow over a number of instants from the first on, one period apart, s."""
+        times = period_s * np.arange(first, first + instants, dtype=np.float64)
+        paths = np.stack([self.maneuver.jets(times), self.maneuver.jets(times + period_s / 2.0)])
+        return track(self._system, self._hover, np.ascontiguousarray(np.moveaxis(paths, 2, 0)), first)
 
 
-def track(system: System, hover: Hover, paths: Array, released: Collection[int] = ()) -> Track:
+def track(system: System, hover: Hover, by_instant: Array, first: int = 0, released: Collection[int] = ()) -> Track:
     """Return what controllers follow along a path, given as in `Track`; the rest as in `flight`."""
-    path, middle = paths
+    path, middle = paths = np.ascontiguousarray(np.moveaxis(by_instant, 0, 2))
     forces = 4 + 3 * system.N
     at, between = (flight(system, hover, jets_of, released=released) for jets_of in paths)
     X_forces, U_forces = np.empty((*at.x.shape, forces)), np.empty((*at.u.shape, forces))
     for i, unit in enumerate(np.eye(forces)):
         X_forces[..., i] = flight(system, hover, path, 1j * _STEP_N * unit, released).x.imag / _STEP_N
         U_forces[..., i] = flight(system, hover, middle, 1j * _STEP_N * unit, released).u.imag / _STEP_N
-    frozen(X_forces, U_forces, paths)
-    return Track(X=at.x, U=between.u, X_middle=between.x, X_forces=X_forces, U_forces=U_forces, paths=paths)
+    frozen(X_forces, U_forces, by_instant)
+    motion = {"X": at.x, "U": between.u, "X_middle": between.x, "X_forces": X_forces, "U_forces": U_forces}
+    return Track(**motion, paths=by_instant, first=first)
 
 
 def flight(system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()) -> Flight:

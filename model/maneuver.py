@@ -1,13 +1,13 @@
 """The maneuver: phases of payload motion, straight, along a table or a curve, and the references that follow."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, get_args
 
 import numpy as np
 
-from model import state
+from model import jets, state
 from model.arrays import Array, ArrayLike, checked
 from model.curves import ORDERS, Curve
 from model.hover import Hover
@@ -102,6 +102,55 @@ class Phase:
         return table
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """A target given during the flight: the payload leaves its path for it, and may run through a curve from there.
+
+    Attributes:
+        since_s: Time from which on the path changes, s.
+        point_I: Position of the target, (3,), inertial frame, m.
+        approach: Straight curve of length 1, whose share is that of the target in the path.
+        way: Curve from the target on; None: the target is the end.
+    """
+
+    since_s: float
+    point_I: Array
+    approach: Curve
+    way: Curve | None = None
+
+    @property
+    def reached_s(self) -> float:
+        """Time at which the payload's reference is at the target, s."""
+        return self.since_s + self.approach.duration_s
+
+    @property
+    def ends_s(self) -> float:
+        """Time from which on the reference is at rest, s."""
+        return self.reached_s + (0.0 if self.way is None else self.way.duration_s)
+
+    @property
+    def end_I(self) -> Array:
+        """Position of the reference from then on, (3,), m."""
+        return self.goal(np.array([self.ends_s]), 1)[0, 0]
+
+    def goal(self, t_s: Array, orders: int) -> Array:
+        """Return the jets of the target, and of the curve after it, at times t_s, (k,): (orders, k, 3), SI."""
+        found = np.zeros((orders, len(t_s), 3)) if self.way is None else self.way.path(t_s - self.reached_s, orders)
+        found[0] += self.point_I
+        return found
+
+    def joined(self, t_s: Array, found: Array) -> Array:
+        """Return jets of a path, (orders, k, 3), that leads to the target from then on. Source: docs/equations.md (75).
+
+        A weighted mean of path and target: as smooth as both, and never outside their convex hull.
+        """
+        orders, goal = len(found), self.goal(t_s, len(found))
+        share = self.approach.covered(t_s - self.since_s, orders)[..., None]
+        mean = found + jets.product(share, goal - found)
+        on_the_way, there = t_s >= self.since_s, t_s >= self.reached_s
+        return np.where(there[:, None], goal, np.where(on_the_way[:, None], mean, found))
+
+
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Maneuver:
     """The payload's reference path r0(t).
@@ -112,16 +161,19 @@ class Maneuver:
         profile: Of straight phases: constant speed, minimum jerk, a step at the beginning, or as a `Curve`.
         press_m: How far below the ground the controllers' reference is while the ground carries the payload, m: the
             larger, the less of its weight the team holds.
+        targets: Given during the flight, in this order: each leads away from the path before it.
     """
 
     start_I: Array
     phases: tuple[Phase, ...]
     profile: Profile
     press_m: float
+    targets: tuple[Target, ...]
 
     def __init__(
-        self, *, start_I: ArrayLike, phases: Sequence[Phase], profile: Profile = "ramp", press_m: float = 0.0
-    ) -> None:
+        self, *, start_I: ArrayLike, phases: Sequence[Phase], profile: Profile = "ramp", press_m: float = 0.0,
+        targets: Sequence[Target] = (),
+    ) -> None:  # fmt: skip
         if not phases:
             raise ParameterError("maneuver: expected at least one phase, got none")
         for phase, after in pairwise(phases):
@@ -133,6 +185,11 @@ class Maneuver:
         object.__setattr__(self, "phases", tuple(phases))
         object.__setattr__(self, "profile", profile)
         object.__setattr__(self, "press_m", press_m)
+        object.__setattr__(self, "targets", tuple(targets))
+
+    def headed(self, target: Target) -> "Maneuver":
+        """Return the maneuver with a further target."""
+        return replace(self, targets=(*self.targets, target))
 
     @property
     def duration_s(self) -> float:
@@ -141,6 +198,10 @@ class Maneuver:
 
     def phase_at(self, t_s: float) -> Phase:
         """Return the phase that a time belongs to: the first phase before the start, the last one after the end."""
+        for target in reversed(self.targets):
+            if t_s >= target.since_s:
+                name = "target" if t_s < target.ends_s else "at target"
+                return Phase(name=name, duration_s=target.ends_s - target.since_s, displacement_I=np.zeros(3))
         end_s = 0.0
         for phase in self.phases:
             end_s += phase.duration_s
@@ -167,7 +228,17 @@ class Maneuver:
                 covered, speed = s[:, None] * phase.displacement_I, s_dot[:, None] * phase.displacement_I
             r, v = r + covered, v + speed
             begin += phase.duration_s
+        if self.targets:
+            r, v = self._led(t_s, np.stack([r, v]))
         return r, v
+
+    def _led(self, t_s: Array, found: Array) -> Array:
+        """Return jets of the path of all phases, (orders, k, 3), led to the targets."""
+        for target in self.targets:
+            after = t_s >= target.since_s
+            if after.any():
+                found[:, after] = target.joined(t_s[after], found[:, after])
+        return found
 
     def jets(self, t_s: Array) -> Array:
         """Return the jets (`model.jets`) of a smooth path at times t_s, (k,): (`ORDERS`, k, 3), SI.
@@ -185,6 +256,7 @@ class Maneuver:
             elif phase.displacement_I.any() or phase.way is not None:
                 raise ParameterError(f"phase {phase.name!r}: expected a smooth path, got {self.profile!r}")
             begin += phase.duration_s
+        found = self._led(t_s, found)
         if all(phase.formation is None for phase in self.phases):
             return found
         return np.concatenate([found, self.formation(t_s)], axis=-1)
@@ -221,6 +293,8 @@ class Maneuver:
         """
         level = np.full(len(t_s), float(self.phases[0].kind == "take_off"))
         rate = np.zeros(len(t_s))
+        if self.targets:  # given in flight; landings after them do not take place
+            t_s = np.minimum(t_s, self.targets[0].since_s)
         begin = 0.0
         for phase in self.phases:
             span = HANDOVER * phase.duration_s

@@ -21,7 +21,7 @@ from mpc.feedback import FeedbackLaw
 from mpc.prediction import Linear, Prediction, convolve, follow, free_response
 from mpc.program import Program
 from mpc.qp import QP, Solution
-from mpc.regulation import CostToGo, Regulation
+from mpc.regulation import Ahead, CostToGo, Regulation
 from mpc.settings import ControllerSettings, SettingsError
 from mpc.solvers import solve, unsolved
 from mpc.tracking import Along, Course, rollout
@@ -295,6 +295,10 @@ class Controller:
         dX = free_response(discrete.A, discrete.f_d + (U - linear.u0) @ discrete.B.T)
         c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - dX[:-1] @ law.K[columns].T
         return replace(law, c=c)
+
+    def head(self, X_ref: Array, ahead: Ahead) -> bool:
+        """Follow another reference from the present instant on; see `Regulation.head`."""
+        return self.regulation.head(X_ref, ahead)
 
     def without(self, uavs: Collection[int], since: int | None = None) -> None:
         """Set the UAVs without an agent, 0-based: they follow the fail-safe and are predicted so.

@@ -3,10 +3,13 @@
 The plant's actuators follow it, and controllers predict a UAV without an agent by it.
 """
 
+from copy import copy
+
 import numpy as np
 
 from model import state
-from model.arrays import Array
+from model.arrays import Array, rows
+from model.flat import Track
 from model.parameters import System
 from model.rotations import rotation
 
@@ -30,11 +33,13 @@ class FailSafe:
         u_hover: Hover input with the thrusts to hold, (4 N,).
         X_ref: Reference states at the sampling instants, (K, n), the last one held, for UAVs that measure their
             position and velocity and follow them; None for UAVs that keep level.
-        U_ref: With a flat reference its inputs, (K, m), which take the place of hover.
+        track: A flat reference, whose inputs take the place of hover.
     """
 
-    def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None, U_ref: Array | None = None) -> None:
-        self._u_hover, self._uavs, self._X_ref, self._U_ref = u_hover, system.uavs, X_ref, U_ref
+    def __init__(
+        self, system: System, u_hover: Array, X_ref: Array | None = None, track: Track | None = None
+    ) -> None:
+        self._u_hover, self._uavs, self._X_ref, self._track = u_hover, system.uavs, X_ref, track
         self._gains = []
         level = np.diag([1.0, 1.0, 0.0])  # the heading is free
         for uav in system.uavs:
@@ -46,6 +51,12 @@ class FailSafe:
                 gain[1:, state.THETA] = -(_FREQUENCY_RAD_S**2) * inertia @ level
                 gain[1:, state.OMEGA] = -2.0 * _DAMPING * _FREQUENCY_RAD_S * inertia
             self._gains.append(gain)
+
+    def following(self, X_ref: Array, track: Track | None) -> "FailSafe":
+        """Return the fail-safe with another reference, unless it keeps level."""
+        found = copy(self)
+        found._X_ref, found._track = None if self._X_ref is None else X_ref, track
+        return found
 
     def gain(self, uav: int) -> Array:
         """Return the linearised feedback from the state to a UAV's inputs, (4, n).
@@ -79,9 +90,9 @@ class FailSafe:
             wanted = self._wanted(uav, turned @ (position - expected[0]), turned @ (velocity - expected[1]))
             own[state.THETA] -= np.clip(wanted, -_STEEPEST, _STEEPEST)
         at_rest: Array = self._u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])
-        if self._X_ref is not None and self._U_ref is not None:
-            at = min(tick, len(self._U_ref) - 1)
-            at_rest, own = self._U_ref[at, state.input_slice(uav)], own - self._X_ref[at, state.uav_slice(uav)]
+        if self._X_ref is not None and self._track is not None:
+            at = rows(tick - self._track.first, 1, len(self._track.U))
+            at_rest, own = self._track.U[at][0, state.input_slice(uav)], own - self._track.X[at][0, state.uav_slice(uav)]
         return at_rest + self._gains[uav] @ own
 
     def _motion(self, uav: int, x: Array) -> tuple[Array, Array]:

@@ -259,18 +259,20 @@ def with_motors(T: Array, off: Collection[int]) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview:
-    """Effect of the reference on the optimum at instants 0..K-1 of a maneuver; the last one holds from then on.
+    """Effect of the reference on the optimum at instants 0..K-1 from `first` on; the last one holds from then on.
 
     Attributes:
         feedforward: Added to the shared control law, (K, m).
         slope: Half the gradient of the cost-to-go where the deviation from the reference is zero, (K, n).
+        first: Number of the first instant.
     """
 
     feedforward: Array
     slope: Array
+    first: int = 0
 
 
-def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
+def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> Preview:
     """Solve the tracking problem backwards from the reference at rest after the last instant.
 
     With xi the deviation from the reference, the regulator's problem becomes
@@ -283,6 +285,7 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
         regulator: Of the team.
         X_ref: Reference states at the instants of the maneuver, (K, n); held after the last one.
         pull: Half the gradient of the stage cost where the deviation is zero, (K, n).
+        first: Number of the first of these instants.
     Source: docs/equations.md (36b), (36c).
     """
     T, P, A_closed = regulator.T, regulator.P, regulator.A_closed
@@ -303,7 +306,7 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array) -> Preview:
         p = slope[k]
     slope = slope @ T.T
     frozen(feedforward, slope)
-    return Preview(feedforward=feedforward, slope=slope)
+    return Preview(feedforward=feedforward, slope=slope, first=first)
 
 
 def at_rest(regulator: Regulator, pulled: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model import flat
-from model.arrays import Array, padded
+from model.arrays import Array, continued, padded, rows
 from model.failure import failed_hover, failed_model
 from model.flat import Track
 from model.hover import Hover
@@ -35,9 +35,12 @@ from mpc.tracking import Recursion, Tracker
 
 T = TypeVar("T")
 
+# Instants before a change of the reference for which its law is kept: more than estimators look back.
+KEPT = 128
 _NO_CORRECTIONS = np.zeros((1, 0))
 # Regulators and previews by model and team: computed once for all controllers of a process. Keys have the identities of
-# what else they follow from, which is kept beside the result.
+# what else they follow from, which is kept beside the result; the oldest are forgotten.
+_MOST_FOUND = 64
 _FOUND: WeakKeyDictionary[Model, dict[tuple[Any, ...], tuple[Any, tuple[object, ...]]]] = WeakKeyDictionary()
 
 
@@ -54,6 +57,21 @@ class CostToGo:
     root: Array
     error: Array
     slope: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ahead:
+    """Reference from an instant on, until it is at rest: another than before.
+
+    Attributes:
+        first: The instant.
+        X_ref: Reference states from then on, (L, n); the last one is held.
+        track: With a flat reference, that at the same instants.
+    """
+
+    first: int
+    X_ref: Array
+    track: Track | None
 
 
 class Regulation:
@@ -84,14 +102,14 @@ class Regulation:
         terms = (*settings.cost, *settings.weights.terms(model.system.N))
         self._settings, self.user_costs = settings, UserCosts(terms, model)
         followed = None if settings.fail_safe == "level" else hover.x[None] if X_ref is None else X_ref
-        self._fail_safe = FailSafe(model.system, hover.u, followed, None if track is None else track.U)
+        self._fail_safe = FailSafe(model.system, hover.u, followed, track)
         self._track = self._whole_track = track
         previewed = settings.preview and track is None
         self._X_ref, self._follows_from = X_ref if previewed else None, (hover, settings, X_ref, track)
-        # Values of the user's terms on the reference, (K, terms): no team changes them.
-        self._on_reference = (
-            None if self._X_ref is None else np.array([self.user_costs.at(x).value for x in self._X_ref])
-        )
+        # The newest change of the reference, and the preview before it.
+        self._ahead: tuple[Ahead, ...] = ()
+        self._preview_before: Preview | None = None
+        self._value_on_reference()
         self._preview: Preview | None = None
         self.regulator: Regulator | None = None
         self._tracker: Tracker | None = None
@@ -138,6 +156,31 @@ class Regulation:
         self._tracker, self._recursion = self._recursion.result(), None
         return True
 
+    def head(self, X_ref: Array, ahead: Ahead) -> bool:
+        """Follow another reference from the present instant on; the control law before it stays as it was.
+
+        Args:
+            X_ref: Reference states at all instants, (K, n), for UAVs without an agent.
+            ahead: The new part.
+        Returns: Whether the law of a new team, on which `advance` works, holds from this instant on.
+        """
+        completed = self._recursion is not None and self.advance(self._recursion.ready)
+        self._ahead, self._preview_before = (ahead,), self._preview
+        self._X_ref = None if self._X_ref is None else ahead.X_ref
+        self._value_on_reference()
+        if self._whole_track is not None and ahead.track is not None:
+            self._whole_track = continued(self._whole_track, ahead.track, KEPT)
+        self._fail_safe = self._fail_safe.following(X_ref, self._whole_track)
+        self._set_track()
+        found = self.regulator
+        if found is not None and self._track is not None and self._tracker is not None:
+            track = self._of_team(ahead.track)
+            new = self._shared("ahead", lambda: self._recursion_along(track, found, None, ahead.first).result())
+            self._tracker = continued(self._tracker, new, KEPT)
+        if found is not None:
+            self._foresee(found)
+        return completed
+
     def _form(self, gone: frozenset[int], off: frozenset[int], released: frozenset[int], since: int | None) -> None:
         """Set the team. Raises: ParameterError, FeedbackError: there is no hover, or no regulator."""
         self._team, self._off, self._released = (gone, off, released), off, released
@@ -149,16 +192,23 @@ class Regulation:
             held = {uav: float(u[input_slice(uav)][0]) for uav in self._uncontrolled}
             self._model = failed_model(system, off, released)
             self.hover = failed_hover(system, off, released, held)
-        if self._whole_track is not None:
-            self._track = known = self._whole_track
-            if released:
-                self._track = self._shared(
-                    "track", lambda: flat.track(self._model.system, self.hover, known.paths, released)
-                )
+        self._set_track()
         self.cost = Cost(self._settings.weights, self._whole.system, self.hover, off, released)
         self._target = self._by_forces = None
         if self._settings.prediction == "closed_loop" or self._settings.terminal == "riccati":
             self._regulate(since)
+
+    def _set_track(self) -> None:
+        """Set the reference of the team as it is."""
+        self._track = whole = self._whole_track
+        if whole is not None and self._released:
+            self._track = self._shared("track", lambda: self._of_team(whole))
+
+    def _of_team(self, whole: Track) -> Track:
+        """Return a reference for the team without the released UAVs."""
+        if not self._released:
+            return whole
+        return flat.track(self._model.system, self.hover, whole.paths, whole.first, self._released)
 
     def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
         """Return the shared control law over the horizon; None with open-loop prediction.
@@ -187,7 +237,7 @@ class Regulation:
         self, tracker: Tracker, track: Track, x0: Array, c: Array, forces: Array | None, start: int, steps: int
     ) -> FeedbackLaw:
         """Return the control law along the reference. Source: docs/equations.md (70), (73)."""
-        at, where = _clamped(start, steps, len(tracker.K)), _clamped(start, steps, len(track.X))
+        at, where = rows(start - tracker.first, steps, len(tracker.K)), rows(start - track.first, steps, len(track.X))
         u_rest, error = track.U[where], x0 - track.X[where]
         if forces is not None:
             u_rest = u_rest + track.U_forces[where, :, : len(forces)] @ forces
@@ -219,7 +269,7 @@ class Regulation:
         if self.regulator is None:
             raise FeedbackError("expected a shared control law, got open-loop prediction")
         if self._tracker is not None:
-            return np.asarray(self._tracker.K[_clamped(instant, 1, len(self._tracker.K))][0])
+            return np.asarray(self._tracker.K[rows(instant - self._tracker.first, 1, len(self._tracker.K))][0])
         return self.regulator.K
 
     def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
@@ -230,7 +280,7 @@ class Regulation:
         if self.regulator is None or self._settings.terminal != "riccati" or self._track is not None:
             return None
         error = self._error(x0, x_ref)
-        slope = np.zeros_like(x0) if self._preview is None else self._preview.slope[self._within(instant, 1)][0]
+        slope = np.zeros_like(x0) if self._preview is None else self._preview.slope[_within(self._preview, instant, 1)][0]
         if forces is not None:
             forces = self._model.at_rest(forces)
             error = error - self._shift(forces)
@@ -241,7 +291,7 @@ class Regulation:
         """Return the response to the reference ahead from instant `start` on, (steps, m); zero without preview."""
         if self._preview is None:
             return np.zeros((steps, self._model.system.m))
-        return self._preview.feedforward[self._within(start, steps)]
+        return self._preview.feedforward[_within(self._preview, start, steps)]
 
     def _error(self, x0: Array, x_ref: Array) -> Array:
         """Return the deviation of a state from reference states, (..., n); actual inputs deviate from hover."""
@@ -267,30 +317,39 @@ class Regulation:
             ),
         )  # fmt: skip
         if self._track is not None:
-            track, own = self._track, self._uncontrolled
-            fail_safe = self._fail_safe
-            fixed = {
-                uav: (np.array([fail_safe.inputs(uav, x, k) for k, x in enumerate(track.X)]), own[uav]) for uav in own
-            }
-            before, self._recursion = self._tracker, None
-            making = self._shared(
-                "tracker",
-                lambda: Recursion(
-                    self._model, track, found, self.cost, self.user_costs, period_s, fixed,
-                    None if since is None else before, since or 0,
-                ),
-            )  # fmt: skip
+            track, before, self._recursion = self._track, None if since is None else self._tracker, None
+            begin = track.first if since is None else since
+            making = self._shared("tracker", lambda: self._recursion_along(track, found, before, begin))
             if since is None or since >= making.ready:
                 self._tracker = making.result()
             else:
                 self._tracker, self._recursion = making.meanwhile(off=self._off), making
+        self._foresee(found)
+
+    def _recursion_along(self, track: Track, found: Regulator, before: Tracker | None, since: int) -> Recursion:
+        """Return the control law along a reference in the making; the last two arguments are those of `Recursion`."""
+        own, fail_safe, period_s = self._uncontrolled, self._fail_safe, self._settings.sampling_period_s
+        fixed = {
+            uav: (np.array([fail_safe.inputs(uav, x, k) for k, x in enumerate(track.X, start=track.first)]), own[uav])
+            for uav in own
+        }
+        return Recursion(self._model, track, found, self.cost, self.user_costs, period_s, fixed, before, since)
+
+    def _value_on_reference(self) -> None:
+        """Evaluate the user's terms on the reference, (K, terms): no team changes them."""
+        known = () if self._X_ref is None else self._X_ref
+        self._on_reference = np.array([self.user_costs.at(x).value for x in known])
+
+    def _foresee(self, found: Regulator) -> None:
+        """Compute the response to the reference from its newest change on; that before stays as it was."""
         if self._X_ref is not None:
             # On the reference, the output error is zero; the user's terms are not.
-            states = len(found.T)
+            states, further = len(found.T), self.user_costs.about(self.hover.x)
             pull = (np.sqrt(self.user_costs.weights) * self._on_reference) @ padded(further, states)
             # The actual inputs of the reference are those of hover: their deviation from the last ones is zero.
-            X_ref = padded(self._X_ref, states)
-            self._preview = self._shared("preview", lambda: preview(found, X_ref, pull))
+            X_ref, first = padded(self._X_ref, states), self._ahead[0].first if self._ahead else 0
+            seen, before = self._shared("preview", lambda: preview(found, X_ref, pull, first)), self._preview_before
+            self._preview = seen if before is None else continued(before, seen, KEPT)
 
     def _shared(self, what: str, compute: Callable[[], T]) -> T:
         """Return a result for this team, computed by the first controller of the reference that needs it.
@@ -298,15 +357,14 @@ class Regulation:
         Not for others, such as a check of the scenario: the number of BLAS threads, which decides the order of sums,
         may differ.
         """
-        found, key = _FOUND.setdefault(self._whole, {}), (what, *map(id, self._follows_from), *self._team)
+        origin = self._follows_from if what == "regulator" else (*self._follows_from, *self._ahead)
+        found, key = _FOUND.setdefault(self._whole, {}), (what, *map(id, origin), *self._team)
         if key not in found:
-            found[key] = compute(), self._follows_from
+            found[key] = compute(), origin
         result: T = found[key][0]
+        while len(found) > _MOST_FOUND:
+            del found[next(iter(found))]
         return result
-
-    def _within(self, start: int, steps: int) -> slice | npt.NDArray[np.intp]:
-        """Return instants of the maneuver; later ones are replaced by its last."""
-        return _clamped(start, steps, 0 if self._preview is None else len(self._preview.slope))
 
     def _forced(self, regulator: Regulator) -> tuple[Array, Array]:
         """Return feedforward (m, 3 + 3 N) and slope of the cost-to-go (n, 3 + 3 N) per newton.
@@ -325,8 +383,6 @@ class Regulation:
         return self._by_forces
 
 
-def _clamped(start: int, steps: int, known: int) -> slice | npt.NDArray[np.intp]:
-    """Return instants from `start` on; those that are not known are replaced by the last."""
-    if start + steps <= known:
-        return slice(start, start + steps)
-    return np.minimum(np.arange(start, start + steps), known - 1)
+def _within(preview: Preview, start: int, steps: int) -> slice | npt.NDArray[np.intp]:
+    """Return the rows of instants of the maneuver; later ones are replaced by its last."""
+    return rows(start - preview.first, steps, len(preview.slope))

@@ -40,17 +40,19 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tracker:
-    """The regulator along a reference at instants 0..L-1; the last one, at rest, holds from then on.
+    """The regulator along a reference at instants 0..L-1 from `first` on; the last one, at rest, holds from then on.
 
     Attributes:
         K: Feedback gain, (L, m, n).
         feedforward: Response to the difference between the reference and the model's steps along it, (L, m).
         along: Expansion about the reference at these instants.
+        first: Number of the first instant, that of the reference.
     """
 
     K: Array
     feedforward: Array
     along: Expansion
+    first: int = 0
 
 
 class Recursion:
@@ -81,6 +83,7 @@ class Recursion:
         uncontrolled: Mapping[int, tuple[Array, Array]] | None = None, before: Tracker | None = None, since: int = 0,
     ) -> None:  # fmt: skip
         self._model, self._track, self._regulator, self._cost, self._terms = model, track, regulator, cost, terms
+        since -= track.first  # instants are rows from here on
         self._period_s, self._uncontrolled, self._since = period_s, uncontrolled or {}, since
         moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
         last, n, m = int(moving.max(initial=-1)) + 1, model.system.n, model.system.m
@@ -94,7 +97,9 @@ class Recursion:
             self._K[:], self._feedforward[:], self._M[:] = before.K, before.feedforward, along.M
             self._A_closed[:], self._B[:] = along.A_closed, along.B
         self._P, self._p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(n)
-        self.ready = since if before is None else since + -(-max(last + 1 - since, 0) // _INSTANTS)
+        self.ready = track.first + since
+        if before is not None:
+            self.ready += -(-max(last + 1 - since, 0) // _INSTANTS)
 
     def meanwhile(self, off: Collection[int]) -> Tracker:
         """Return the regulator until this one is ready: the gains before, without UAVs that are off, 0-based.
@@ -111,18 +116,18 @@ class Recursion:
             feedforward[now, at] = (on_reference - self._track.U[:, at])[self._since : len(K)]
         along = Expansion(M=self._M.copy(), A_closed=self._A_closed.copy(), B=self._B.copy())
         frozen(K, feedforward, along.M, along.A_closed, along.B)
-        return Tracker(K=K, feedforward=feedforward, along=along)
+        return Tracker(K=K, feedforward=feedforward, along=along, first=self._track.first)
 
     def advance(self, instant: int) -> None:
         """Compute so many gains that with as many at each instant the result is ready in time."""
-        self._until(self._last - _INSTANTS * (instant + 1 - self._since))
+        self._until(self._last - _INSTANTS * (instant - self._track.first + 1 - self._since))
 
     def result(self) -> Tracker:
         """Return the regulator; compute what is missing of it."""
         self._until(-1)
         along = Expansion(M=self._M, A_closed=self._A_closed, B=self._B)
         frozen(self._K, self._feedforward, along.M, along.A_closed, along.B)
-        return Tracker(K=self._K, feedforward=self._feedforward, along=along)
+        return Tracker(K=self._K, feedforward=self._feedforward, along=along, first=self._track.first)
 
     def _until(self, instant: int) -> None:
         while self._next > instant and self._next >= self._since:

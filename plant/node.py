@@ -26,6 +26,7 @@ from protocol.admission.plausibility import check_tick
 from protocol.scenario.faults import degradations, uav_faults
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
+from protocol.scenario.targets import check_target, headed
 from protocol.wire.message import Message
 from protocol.wire.messages import (
     ActualInputs,
@@ -37,6 +38,7 @@ from protocol.wire.messages import (
     PlantState,
     Presence,
     Roster,
+    Target,
     Tick,
 )
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
@@ -114,6 +116,8 @@ class PlantNode:
                     self._handle(plan, now_ns)
             case LinkChange():
                 self._link_changes.apply(message)
+            case Target():
+                self._head(message)
             case Tick():
                 self._pending.append(message)
             case Plan(negotiation=0) if self._membership.admits(message):
@@ -130,6 +134,9 @@ class PlantNode:
             case LinkChange():  # repeated for agents that join, so of any past tick
                 check_tick(message, 0, now + 1 + window)
                 self._link_changes.check(message)
+            case Target():
+                check_tick(message, 0, now + 1 + window)
+                check_target(self._setup, message)
             case Control() | Roster():
                 check_tick(message, now - window, now + 1 + window)
             case Tick():
@@ -139,6 +146,14 @@ class PlantNode:
             case Plan():
                 self._membership.check(message)
                 check_tick(message, 0, now)
+
+    def _head(self, target: Target) -> None:
+        """Take in a target: the path and the fail-safe before its tick stay as they were, bit for bit."""
+        if target.number == len(self._setup.maneuver.targets) + 1:
+            self._setup = headed(self._setup, target)
+            instants = np.arange(target.tick, len(self._path), dtype=np.float64)
+            self._path[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
+            self._schedule.fail_safe = self._setup.fail_safe
 
     def _work(self, now_ns: int) -> list[Message]:
         """Measure and integrate in turn as far as the messages received allow."""

@@ -19,11 +19,14 @@ class ActuatorSchedule:
         u_hover: Inputs before any plan, (4 N,).
         fail_safe: Control law after the end of a plan.
         settings: Bounds of the inputs, and sampling period.
+
+    Attributes:
+        fail_safe: That control law.
     """
 
     def __init__(self, u_hover: Array, fail_safe: FailSafe, settings: ControllerSettings) -> None:
         self._u_hover = u_hover
-        self._fail_safe = fail_safe
+        self.fail_safe = fail_safe
         self._lower, self._upper = settings.lower(1), settings.upper(1)
         self._step = settings.step(1)
         self._plans: list[list[Plan]] = [[] for _ in range(len(u_hover) // state.INPUTS)]
@@ -59,7 +62,7 @@ class ActuatorSchedule:
                 sources.append(newest.tick)
             else:
                 u[state.input_slice(i)] = self._limited(
-                    self._fail_safe.inputs(i, x, tick), u_before[state.input_slice(i)]
+                    self.fail_safe.inputs(i, x, tick), u_before[state.input_slice(i)]
                 )
                 sources.append(FAIL_SAFE)
         return u, tuple(sources)

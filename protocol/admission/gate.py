@@ -12,7 +12,7 @@ from protocol.admission.plausibility import check_plausible
 from protocol.wire.codec import MAX_BYTES, Header, decode, header_of
 from protocol.wire.keys import Keys, matches
 from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import BUNDLES, KINDS, Bundle, LinkChange, Plan, Rejected
+from protocol.wire.messages import BUNDLES, KINDS, Bundle, LinkChange, Plan, Rejected, Target
 from protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, agent_name
 from protocol.wire.rejections import Rejections
 from protocol.wire.run_shape import RunShape
@@ -151,7 +151,7 @@ class Gate:
             self.refuse(sender, error)
             return None
         self._newest[stream] = message.place, message.sequence
-        if not isinstance(message, LinkChange):  # a repeated change is of the past
+        if not isinstance(message, LinkChange | Target):  # a repeated one is of the past
             self.tick = max(self.tick, message.tick)
         return message
 

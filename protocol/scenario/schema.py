@@ -19,7 +19,7 @@ from mpc.settings import ControllerSettings, Key, NotNegative, Positive, Positiv
 from protocol.scenario.link_sections import LinksSection
 from protocol.scenario.own_class import is_class_name
 from protocol.scenario.plant_sections import PlantSection
-from protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS
+from protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS, MAX_POINTS
 from protocol.wire.names import MAX_UAVS
 
 
@@ -173,6 +173,26 @@ def _curve(phase: PhaseSection, duration_s: float) -> Curve:
     )
 
 
+class TargetSection(Section):
+    """A target of the payload, given during the flight."""
+
+    points_m: Annotated[
+        list[Vector], Field(min_length=1, max_length=MAX_POINTS), Key(type=f"1 to {MAX_POINTS} lists of 3 numbers")
+    ]
+    """the target, inertial frame (z down), or way points of a spline that is run through from the first one on"""
+    speed_mps: Annotated[Positive | None, Key(label="largest speed")] = None
+    """largest speed on the way; if omitted, that which the team can fly, at most 1 m/s"""
+    times_s: Annotated[list[NotNegative] | None, Key(type="list of rising numbers", unit="s")] = None
+    """times of the points instead of a speed; they count from that of the first one"""
+
+
+class ScriptedTargetSection(TargetSection):
+    """A target that the coordinator announces at an instant, as it does for `transport target`."""
+
+    at_s: NotNegative
+    """time from which on the controllers know it"""
+
+
 class ManeuverSection(Section):
     """Path of the payload."""
 
@@ -190,6 +210,7 @@ class ManeuverSection(Section):
     """distance of the controllers' reference below the path of the payload while it stands on the ground
     ([equations.md](equations.md#on-the-ground)): the larger, the less of its weight the team holds"""
     phase: Annotated[list[PhaseSection], Field(min_length=1), Key(short="phases")]
+    target: list[ScriptedTargetSection] = []
 
 
 class ObstacleSection(Section):

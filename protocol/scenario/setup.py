@@ -1,26 +1,27 @@
 """Objects of a run, built from its scenario by every process, identically."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import combinations
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import numpy as np
 
-from model.arrays import Array
+from model.arrays import Array, continued, frozen
 from model.failure import failed_hover, with_released
 from model.flat import FlatReference, Track
 from model.hover import Hover, hover
 from model.linearisation import Model
-from model.maneuver import Maneuver, Phase, Reference
+from model.maneuver import Maneuver, Phase, Reference, Target
 from model.obstacles import Obstacle, Solid, bodies, clearances
 from model.parameters import Payload, System, Uav, resting_height
 from model.state import INPUTS, PAYLOAD, REPORTED, REPORTS, SENSED
 from mpc.cost import UserCosts
 from mpc.fail_safe import FailSafe
-from mpc.regulation import Regulation
+from mpc.regulation import KEPT, Ahead, Regulation
 from mpc.rows import compile_constraints
 from mpc.settings import ControllerSettings
 from protocol.scenario.budget import ticks_of
@@ -30,6 +31,7 @@ from protocol.scenario.feasible import exceeded, least_slowing
 from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
 from protocol.scenario.schema import FURTHEST_M, ObstacleSection, Scenario, UavSection
+from protocol.scenario.targets import TargetError, check_scripted
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.messages import Measurement, Plan
 from protocol.wire.names import PLANT
@@ -70,6 +72,10 @@ class Setup:
     settings: ControllerSettings  # the same for every agent
     owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
     samples_s: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # measured delays of the links, by file
+    # The same run with a further target, by what that is: shared by the nodes of a process.
+    _headed: WeakValueDictionary[Hashable, "Setup"] = field(
+        default_factory=WeakValueDictionary, init=False, repr=False, compare=False
+    )
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
@@ -105,6 +111,10 @@ class Setup:
         setup._check_hover_is_possible(source)
         setup._check_flight(source)
         setup._check_obstacles(source)
+        try:
+            check_scripted(setup)
+        except TargetError as error:
+            raise ScenarioError(source, "maneuver.target", str(error)) from error
         return setup
 
     @cached_property
@@ -141,12 +151,45 @@ class Setup:
         """Reference states at the same instants, (K, n)."""
         return self.reference.followed(self._instants_s())[1]
 
+    @cached_property
+    def ahead(self) -> Ahead | None:
+        """The part of the reference that the newest target changes; None without a target."""
+        return None
+
+    def headed(self, target: Target, key: Hashable) -> "Setup":
+        """Return this run with a target; the reference before it is the same bit for bit.
+
+        `key` distinguishes the target from others.
+        """
+        known = self._headed.get(key)
+        if known is None:
+            known = self._headed[key] = replace(self, maneuver=self.maneuver.headed(target))
+            known.__dict__["model"] = self.model  # compiled once; what controllers share is found by it
+            if "X_ref" in self.__dict__:
+                known._lead(self, target)
+        return known
+
+    def _lead(self, before: "Setup", target: Target) -> None:
+        """Compute the reference from that before a target: only from there on until it is at rest."""
+        period_s, instants_s = self.settings.sampling_period_s, self._instants_s()
+        first = round(target.since_s / period_s)
+        until = min(math.ceil(target.ends_s / period_s) + 2, len(instants_s))
+        new, Y, X = self.reference.followed(instants_s[first:until]), before.Y_ref.copy(), before.X_ref.copy()
+        for whole, part in zip((Y, X), new, strict=True):
+            whole[first:until], whole[until:] = part, part[-1]
+            frozen(whole)
+        track = None
+        if isinstance(self.reference, FlatReference):
+            track = self.reference.track(until - first, period_s, first)
+        joined = track if track is None or before.track is None else continued(before.track, track, KEPT)
+        ahead = Ahead(first=first, X_ref=new[1], track=track)
+        self.__dict__.update(Y_ref=Y, X_ref=X, track=joined, ahead=ahead)
+
     @property
     def fail_safe(self) -> FailSafe:
         """Control law of the UAVs whose plans have run out."""
         follows = self.settings.fail_safe == "follow"
-        U_ref = None if self.track is None else self.track.U
-        return FailSafe(self.system, self.hover.u, self.X_ref if follows else None, U_ref)
+        return FailSafe(self.system, self.hover.u, self.X_ref if follows else None, self.track)
 
     def _instants_s(self) -> Array:
         instants = np.arange(self.ticks + self.settings.horizon + 2, dtype=np.float64)
@@ -296,7 +339,13 @@ class Setup:
 
     def _check_obstacles(self, source: str) -> None:
         """Check that the reference keeps the margins of all obstacles at the sampling instants."""
-        times_s = self._instants_s()
+        if blocked := self.blocked(self._instants_s()):
+            number, wrong = blocked
+            remedy = "move the path or the obstacle, or lean the rods (maneuver.phase.formation)"
+            raise ScenarioError(source, f"obstacle.{number}", f"{wrong}; slowing does not help: {remedy}")
+
+    def blocked(self, times_s: Array) -> tuple[int, str] | None:
+        """Return the first obstacle whose margins the reference does not keep, from 1, and got and expected."""
         for number, obstacle in enumerate(self.obstacles, start=1):
             clear_m = clearances(self.system, obstacle, self.reference.states(times_s))
             margins_m = obstacle.margins(self.system.N)
@@ -304,9 +353,8 @@ class Setup:
             if clear_m[row, body] < margins_m[body]:
                 name = bodies(self.system.N)[body]
                 wrong = f"expected {margins_m[body]:g} m between {name} and the {obstacle.name} along the reference"
-                wrong += f", got {max(float(clear_m[row, body]), 0.0):.3g} m at {times_s[row]:g} s"
-                remedy = "move the path or the obstacle, or lean the rods (maneuver.phase.formation)"
-                raise ScenarioError(source, f"obstacle.{number}", f"{wrong}; slowing does not help: {remedy}")
+                return number, f"{wrong}, got {max(float(clear_m[row, body]), 0.0):.3g} m at {times_s[row]:g} s"
+        return None
 
     def _check_hover_is_possible(self, source: str) -> None:
         """Check that hover is within the limits on thrust and on the distance of UAVs."""

@@ -24,6 +24,7 @@ MAX_TEXT = 1_000
 MAX_KEY = 80
 MAX_NAMES, MAX_NAME = 64, 80  # numbers of a note, characters of their names
 MAX_PARTS = 1_024
+MAX_POINTS = 256  # of a target
 
 # Why a message is refused: docs/protocol.md says what each means.
 Reason = Literal[

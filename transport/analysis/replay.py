@@ -28,6 +28,7 @@ from protocol.wire.messages import (
     Plan,
     Roster,
     StepReport,
+    Target,
     agent_name,
 )
 from protocol.wire.rejections import Rejections
@@ -179,7 +180,7 @@ class Replay:
             match message:
                 case Roster(version=version):
                     return admitted.version <= version and (replaced is None or version < replaced.version)
-                case LinkChange(sequence=sequence, tick=tick):
+                case LinkChange(sequence=sequence, tick=tick) | Target(sequence=sequence, tick=tick):
                     # Earlier changes are sent again ahead of the roster that admits the process.
                     return replaced is None or sequence <= admitted.sequence or tick <= replaced.tick
                 case Plan(agent=agent, tick=tick, shared=shared):
@@ -223,9 +224,9 @@ def _in_order_of_need(received: Sequence[Message], measurements: Sequence[Measur
     """Return all messages sorted by the tick that needs them; within a tick the order of the log, measurement last."""
     last = measurements[-1].tick if measurements else -1
     order: list[tuple[int, int, int, Message]] = []
-    pending: list[int] = []  # changes of links, which belong to the next roster
+    pending: list[int] = []  # changes of links and targets, which belong to the next roster
     for i, message in enumerate(received):
-        if isinstance(message, LinkChange):
+        if isinstance(message, LinkChange | Target):
             pending.append(i)
             continue
         tick = message.tick + 1

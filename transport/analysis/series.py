@@ -13,7 +13,8 @@ from model.rotations import rotation
 from protocol.scenario.faults import UavFault, uav_faults
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
-from protocol.wire.messages import PlantState
+from protocol.scenario.targets import with_targets
+from protocol.wire.messages import PlantState, Target
 from transport.log.run_log import RunLog
 
 
@@ -78,6 +79,7 @@ class Series:
 
 def series_of(setup: Setup, log: RunLog) -> Series:
     """Return the series of a run from its recorded plant states; those of another number of UAVs are left out."""
+    setup = with_targets(setup, log.of(Target))
     plant_states = {entry.tick: entry for entry in log.of(PlantState) if entry.x.shape == setup.hover.x.shape}
     ticks = np.array(sorted(plant_states), dtype=np.int64)
     times_s: Array = ticks.astype(np.float64) * setup.settings.sampling_period_s

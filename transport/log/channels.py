@@ -4,7 +4,7 @@ from mcap.records import Channel
 
 from protocol.wire.codec import VERSION
 from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.messages import LinkChange, Message, Plan
+from protocol.wire.messages import LinkChange, Message, Plan, Target
 
 # Name of the metadata record that describes the run.
 METADATA = "run"
@@ -29,7 +29,7 @@ def channel_of(message: Message) -> str:
 def topic_of(message: Message) -> str:
     """Return the channel of a message in descriptions and exports; each kind has its own, in bundles or not."""
     match message:
-        case LinkChange():  # shares the key of the rosters
+        case LinkChange() | Target():  # share the key of the rosters
             return f"/{message.kind}"
         case Plan(agent=agent):  # has two keys
             return f"/{message.kind}/{agent}"

@@ -1,0 +1,239 @@
+"""Targets given during a run: what is asked for becomes a message of the coordinator, and that a new reference.
+
+The coordinator decides the timing once, so that every process makes the same reference from the numbers of the message.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from model.arrays import Array
+from model.curves import ORDERS, Curve
+from model.maneuver import Target
+from model.parameters import resting_height
+from protocol.scenario.errors import first_problem
+from protocol.scenario.feasible import exceeded, least_slowing
+from protocol.scenario.keys import out_of_range
+from protocol.scenario.relations import FURTHEST_M
+from protocol.scenario.schema import TargetSection
+from protocol.wire import messages
+from protocol.wire.message import MessageError
+from protocol.wire.names import COORDINATOR
+from protocol.wire.node import Outbox
+
+if TYPE_CHECKING:
+    from protocol.scenario.setup import Setup
+
+# Largest speed where none is given, m/s; time of speeding up that is tried first, s; its factors, largest one.
+SPEED_MPS, _RAMP_S, _LONGER, _LONGEST = 1.0, 2.0, 1.25, 64.0
+# Targets of one run: a process that joins receives all of them.
+MOST = 1000
+_ON_GROUND_M = 1e-3
+_SLACK = 1e-9
+
+
+class TargetError(MessageError):
+    """A target that cannot be flown; the text says what was expected and what came."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__("out_of_range", text)
+
+
+def asked(given: Mapping[str, Any]) -> TargetSection:
+    """Return what a request asks for.
+
+    Raises: TargetError: it is not valid, whatever the run.
+    """
+    try:
+        section = TargetSection.model_validate(dict(given))
+    except ValidationError as error:
+        raise TargetError(str(first_problem(error, "", TargetSection))) from error
+    for field, problem in out_of_range(section):
+        raise TargetError(f"{field}: {problem}")
+    times_s = section.times_s
+    if times_s is not None and (
+        len(times_s) != len(section.points_m) or any(b <= a for a, b in pairwise(times_s)) or section.speed_mps
+    ):
+        raise TargetError(f"times_s: expected {len(section.points_m)} rising times and no speed_mps, got {times_s}")
+    if any(a == b for a, b in pairwise(section.points_m)):
+        raise TargetError("points_m: expected each way point away from the one before, got the same twice")
+    return section
+
+
+def target_of(message: messages.Target, period_s: float) -> Target:
+    """Return the target in a message. Raises: MessageError: its numbers make no curve."""
+    first, further = message.points[0], message.points[1:] - message.points[0]
+    approach = Curve(
+        kind=None, duration_s=message.approach_s, ramp_s=message.approach_ramp_s, size_I=(1.0, 0.0, 0.0)
+    )
+    way = None
+    if len(further):
+        times_s = message.times.tolist() if len(message.times) else None
+        way = _spline(further, message.way_s, message.way_ramp_s, times_s)
+    return Target(since_s=message.tick * period_s, point_I=first, approach=approach, way=way)
+
+
+def headed(setup: "Setup", message: messages.Target) -> "Setup":
+    """Return a run with the target in a message."""
+    key = (message.number, message.tick, message.points.tobytes(), message.approach_s, message.way_s)
+    return setup.headed(target_of(message, setup.settings.sampling_period_s), key)
+
+
+def with_targets(setup: "Setup", found: Iterable[messages.Target]) -> "Setup":
+    """Return a run with the targets of its log, each once, in the order of their numbers."""
+    for message in found:
+        if message.number == len(setup.maneuver.targets) + 1:
+            setup = headed(setup, message)
+    return setup
+
+
+def check_target(setup: "Setup", message: messages.Target) -> None:
+    """Check that a target is the next one of a run, or one that is repeated, and ends before the run.
+
+    Raises: MessageError: it does not.
+    """
+    known = len(setup.maneuver.targets)
+    if message.number > known + 1:
+        raise MessageError("future", f"target {message.number} after {known}")
+    ends_s = message.tick * setup.settings.sampling_period_s + message.approach_s + message.way_s
+    if ends_s > _last_s(setup) + _SLACK or np.abs(message.points).max() > FURTHEST_M:
+        raise MessageError("out_of_range", f"target {message.number}: expected one that is reached within the run")
+
+
+def words_of(message: messages.Target) -> str:
+    """Return a target in words."""
+    x, y, z = message.points[0].tolist()
+    further = f" and {len(message.points) - 1} way points" if len(message.points) > 1 else ""
+    return f"target ({x:g}, {y:g}, {z:g}) m{further}"
+
+
+def scripted(setup: "Setup") -> list[tuple[int, TargetSection]]:
+    """Return the targets of a scenario with their ticks, in the order of time."""
+    period_s, sections = setup.settings.sampling_period_s, setup.scenario.maneuver.target
+    found = [(math.ceil(section.at_s / period_s - _SLACK), section) for section in sections]
+    return sorted(found, key=itemgetter(0))
+
+
+def check_scripted(setup: "Setup") -> None:
+    """Check that the targets of a scenario can be flown one after the other.
+
+    Raises: TargetError: one cannot.
+    """
+    out = Outbox(COORDINATOR, 0)
+    for number, (tick, section) in enumerate(scripted(setup), start=1):
+        asked(section.model_dump(include=set(TargetSection.model_fields), mode="json"))
+        setup = headed(setup, out.stamp(messages.Target, number=number, **planned(setup, section, tick)))
+
+
+def planned(setup: "Setup", section: TargetSection, tick: int) -> dict[str, Any]:
+    """Return the numbers of the message for a target from a tick on.
+
+    Raises: TargetError: it cannot be flown.
+    """
+    points, period_s = np.array(section.points_m), setup.settings.sampling_period_s
+    since_s = tick * period_s
+    _check_places(setup, points, since_s)
+    speed_mps = section.speed_mps or SPEED_MPS
+    approach = _approach(setup, points[0], since_s, speed_mps)
+    found: dict[str, Any] = {
+        "tick": tick,
+        "points": points,
+        "times": np.zeros(0),
+        "approach_s": approach.duration_s,
+        "approach_ramp_s": approach.ramp_s,
+        "way_s": 0.0,
+        "way_ramp_s": 0.0,
+    }
+    if len(points) > 1:
+        way = _way(setup, points[1:] - points[0], section)
+        found |= {"way_s": way.duration_s, "way_ramp_s": way.ramp_s, "times": np.array(way.times_s or ())}
+        _check_places(setup, points[0] + way.path(_instants(way.duration_s, period_s), 1)[0], since_s)
+    ends_s = since_s + found["approach_s"] + found["way_s"]
+    if ends_s > _last_s(setup):
+        raise TargetError(f"expected a target before the end of the run at t = {_last_s(setup):.2f} s, got {ends_s:.2f} s")
+    return found
+
+
+def _check_places(setup: "Setup", points: Array, since_s: float) -> None:
+    """Check that points are in reach and above the ground, and that the payload flies."""
+    if np.abs(points).max() > FURTHEST_M:
+        raise TargetError(f"points_m: expected at most {FURTHEST_M:g} m, got {np.abs(points).max():g}")
+    ground_m = setup.scenario.plant.ground_m
+    if ground_m is None:
+        return
+    resting_m = resting_height(setup.system, ground_m)
+    if points[:, 2].max() > resting_m + _SLACK:
+        expected = f"expected z of at most {resting_m:g} m, where the payload stands on the ground"
+        raise TargetError(f"points_m: {expected}, got {points[:, 2].max():g}")
+    phase, place_I = setup.maneuver.phase_at(since_s), setup.maneuver.path(np.array([since_s]))[0][0]
+    if phase.kind in ("take_off", "land") or place_I[2] > resting_m - _ON_GROUND_M:
+        raise TargetError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")
+
+
+def _approach(setup: "Setup", point_I: Array, since_s: float, speed_mps: float) -> Curve:
+    """Return the approach of a target: the fastest of those tried that keeps the limits."""
+    maneuver, flat = setup.maneuver, setup.scenario.maneuver.reference == "flat"
+    here_I, end_I = maneuver.path(np.array([since_s, maneuver.duration_s]))[0]
+    distance_m = max(np.linalg.norm(point_I - place) for place in (here_I, end_I))
+    ramp_s, wrong = _RAMP_S, None
+    while ramp_s <= _RAMP_S * _LONGEST:
+        duration_s = max(float(distance_m) / speed_mps + ramp_s, 2.0 * ramp_s)
+        straight = Curve(kind=None, duration_s=duration_s, ramp_s=ramp_s, size_I=(1.0, 0.0, 0.0))
+        times_s = _instants(duration_s, setup.settings.sampling_period_s)
+        if flat:
+            target = Target(since_s=since_s, point_I=point_I, approach=straight)
+            path = maneuver.headed(target).jets(since_s + times_s)
+        else:  # the reference of the controllers has no accelerations; those from rest are the target's own
+            path = straight.covered(times_s, ORDERS)[..., None] * (point_I - here_I)
+        wrong = exceeded(path, setup.system, setup.hover, setup.settings)
+        if wrong is None:
+            return straight
+        ramp_s *= _LONGER
+    raise TargetError(f"points_m: {wrong}")
+
+
+def _way(setup: "Setup", further: Array, section: TargetSection) -> Curve:
+    """Return the curve through way points relative to the target."""
+    if section.times_s is not None:
+        times_s = [time_s - section.times_s[0] for time_s in section.times_s[1:]]
+        way = _spline(further, times_s[-1], min(_RAMP_S, times_s[-1] / 2.0), times_s)
+    else:
+        way = _at_speed(further, section.speed_mps or SPEED_MPS)
+    period_s = setup.settings.sampling_period_s
+    path = way.path(_instants(way.duration_s, period_s))
+    wrong = exceeded(path, setup.system, setup.hover, setup.settings)
+    if wrong is None:
+        return way
+    factor = least_slowing(path, setup.system, setup.hover, setup.settings)
+    if factor is None:
+        raise TargetError(f"points_m: {wrong}")
+    if section.times_s is not None:
+        raise TargetError(f"times_s: {wrong}; feasible in {factor:.3f} times the time")
+    way = replace(way, duration_s=factor * way.duration_s, ramp_s=factor * way.ramp_s)
+    if section.speed_mps is not None:
+        raise TargetError(f"speed_mps: {wrong}; feasible with {section.speed_mps / factor:.3f} m/s")
+    return way
+
+
+def _at_speed(further: Array, speed_mps: float) -> Curve:
+    length_m = _spline(further, 2.0 * _RAMP_S, _RAMP_S, None).fastest()
+    return _spline(further, max(length_m / speed_mps + _RAMP_S, 2.0 * _RAMP_S), _RAMP_S, None)
+
+
+def _spline(further: Array, duration_s: float, ramp_s: float, times_s: list[float] | None) -> Curve:
+    return Curve(kind="spline", duration_s=duration_s, ramp_s=ramp_s, points_I=further.tolist(), times_s=times_s)
+
+
+def _instants(duration_s: float, period_s: float) -> Array:
+    return np.linspace(0.0, duration_s, max(2, math.ceil(duration_s / period_s)) + 1)
+
+
+def _last_s(setup: "Setup") -> float:
+    """Return the time of the last sampling instant."""
+    return (setup.ticks - 1) * setup.settings.sampling_period_s
