@@ -79,8 +79,6 @@ class Planner:
         """Follow the reference of the run with a further target, from that target's tick on."""
         self._setup = setup
         self._team.head(setup)
-        if setup.ahead is not None:
-            self._controller.head(setup.X_ref, setup.ahead)
 
     def _reset_sharing(self) -> None:
         settings, uavs = self._setup.settings, len(self._owned)

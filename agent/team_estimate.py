@@ -85,6 +85,8 @@ class TeamEstimate:
     def head(self, setup: Setup) -> None:
         """Take the reference from a run with a further target."""
         self._setup, self.announced.fail_safe = setup, setup.fail_safe
+        if setup.ahead is not None and self._controller.head(setup.X_ref, setup.ahead):
+            self.announced.law_since = setup.ahead.first
 
     @property
     def forces(self) -> Array | None:

@@ -15,8 +15,7 @@ from coordinator.targets import Targets
 from protocol.admission.plausibility import check_tick
 from protocol.scenario.links import LinkError, words_of
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import TargetError
-from protocol.scenario.targets import words_of as target_in_words
+from protocol.scenario.targets import TargetError, target_in_words
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from protocol.wire.message import Message, MessageError
 from protocol.wire.messages import Control, Event, Outcome, Plan, PlantState, Presence, Request, Target, Tick

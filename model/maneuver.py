@@ -148,7 +148,7 @@ class Target:
         share = self.approach.covered(t_s - self.since_s, orders)[..., None]
         mean = found + jets.product(share, goal - found)
         on_the_way, there = t_s >= self.since_s, t_s >= self.reached_s
-        return np.where(there[:, None], goal, np.where(on_the_way[:, None], mean, found))
+        return np.asarray(np.where(there[:, None], goal, np.where(on_the_way[:, None], mean, found)))
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -195,6 +195,18 @@ class Maneuver:
     def duration_s(self) -> float:
         """Sum over the phases, s."""
         return sum(phase.duration_s for phase in self.phases)
+
+    def stages(self) -> list[tuple[str, float, float]]:
+        """Return name, begin and end, s, of the phases as far as they are flown, and of the ways to the targets."""
+        ends_s = np.cumsum([0.0, *(phase.duration_s for phase in self.phases)]).tolist()
+        found = [(phase.name, *between) for phase, between in zip(self.phases, pairwise(ends_s), strict=True)]
+        for target in self.targets:
+            since_s = target.since_s
+            found = [(name, begin, min(end, since_s)) for name, begin, end in found if begin < since_s]
+            found.append(("target", since_s, target.ends_s))
+            if target.ends_s < ends_s[-1]:
+                found.append(("at target", target.ends_s, ends_s[-1]))
+        return found
 
     def phase_at(self, t_s: float) -> Phase:
         """Return the phase that a time belongs to: the first phase before the start, the last one after the end."""

@@ -36,9 +36,7 @@ class FailSafe:
         track: A flat reference, whose inputs take the place of hover.
     """
 
-    def __init__(
-        self, system: System, u_hover: Array, X_ref: Array | None = None, track: Track | None = None
-    ) -> None:
+    def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None, track: Track | None = None) -> None:
         self._u_hover, self._uavs, self._X_ref, self._track = u_hover, system.uavs, X_ref, track
         self._gains = []
         level = np.diag([1.0, 1.0, 0.0])  # the heading is free
@@ -92,7 +90,10 @@ class FailSafe:
         at_rest: Array = self._u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])
         if self._X_ref is not None and self._track is not None:
             at = rows(tick - self._track.first, 1, len(self._track.U))
-            at_rest, own = self._track.U[at][0, state.input_slice(uav)], own - self._track.X[at][0, state.uav_slice(uav)]
+            at_rest, own = (
+                self._track.U[at][0, state.input_slice(uav)],
+                own - self._track.X[at][0, state.uav_slice(uav)],
+            )
         return at_rest + self._gains[uav] @ own
 
     def _motion(self, uav: int, x: Array) -> tuple[Array, Array]:

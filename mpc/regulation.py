@@ -280,7 +280,9 @@ class Regulation:
         if self.regulator is None or self._settings.terminal != "riccati" or self._track is not None:
             return None
         error = self._error(x0, x_ref)
-        slope = np.zeros_like(x0) if self._preview is None else self._preview.slope[_within(self._preview, instant, 1)][0]
+        slope = (
+            np.zeros_like(x0) if self._preview is None else self._preview.slope[_within(self._preview, instant, 1)][0]
+        )
         if forces is not None:
             forces = self._model.at_rest(forces)
             error = error - self._shift(forces)

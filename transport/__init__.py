@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from transport.experiments.errors import ExperimentError as ExperimentError
     from transport.flight.harness import HarnessError as HarnessError
     from transport.flight.run_files import RunError as RunError
+    from transport.interface.active import ActiveRun as ActiveRun
+    from transport.interface.active import active as active
     from transport.interface.fly import fly as fly
     from transport.interface.fly import load as load
     from transport.interface.margins import Margins as Margins
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 _MODULES = {
     "fly": "transport.interface.fly",
     "load": "transport.interface.fly",
+    "active": "transport.interface.active",
+    "ActiveRun": "transport.interface.active",
     "sweep": "transport.interface.sweep",
     "margins": "transport.interface.margins",
     "Margins": "transport.interface.margins",

@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from protocol.wire.message import MAX_POINTS
+
 # A path of 100,000 rows has some 5 MB.
 MOST_BYTES = 64_000_000
 COLUMNS = "t_s,x_m,y_m,z_m"
@@ -110,6 +112,28 @@ def way_of(path: Path) -> list[list[float]]:
     return [[value - first for value, first in zip(row, rows[0], strict=True)] for row in rows]
 
 
+def points_of(path: Path) -> tuple[list[list[float]], list[float] | None]:
+    """Return the way points in a CSV file, m, and their times, s, if it has any.
+
+    Its heading is x,y,z or t,x,y,z, each perhaps with its unit, as in `COLUMNS`.
+
+    Raises: TableError: it cannot be read, or is invalid.
+    """
+    try:
+        heading, *rest = read_text(path).splitlines() or [""]
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise TableError(f"{path}: expected UTF-8 text, got other bytes") from error
+    names = heading.replace(" ", "").replace("_s", "").replace("_m", "")
+    if names not in ("x,y,z", "t,x,y,z"):
+        raise TableError(f"{path}: expected the heading x,y,z or t,x,y,z, got {heading[:60]!r}")
+    rows = [_row(path, number, line, names) for number, line in enumerate(filter(str.strip, rest), start=1)]
+    if not 1 <= len(rows) <= MAX_POINTS:
+        raise TableError(f"{path}: expected 1 to {MAX_POINTS} way points, got {len(rows)}")
+    return [row[-3:] for row in rows], [row[0] for row in rows] if names.startswith("t") else None
+
+
 def with_paths(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return a scenario's tree, as read from TOML, with tables in place of the files that its phases name.
 
@@ -143,13 +167,14 @@ def _with_path(number: int, phase: Any, folder: Path) -> Any:
     return phase
 
 
-def _row(path: Path, number: int, line: str) -> list[float]:
+def _row(path: Path, number: int, line: str, columns: str = COLUMNS) -> list[float]:
     try:
         values = [float(word) for word in line.split(",")]
     except ValueError:
         values = []
-    if len(values) != len(COLUMNS.split(",")) or not all(map(math.isfinite, values)):
-        raise TableError(f"{path}: row {number}: expected 4 finite numbers {COLUMNS}, got {line[:60]!r}")
+    count = len(columns.split(","))
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise TableError(f"{path}: row {number}: expected {count} finite numbers {columns}, got {line[:60]!r}")
     return values
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import combinations
 from pathlib import Path
+from typing import Any, Self
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -73,7 +74,7 @@ class Setup:
     owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
     samples_s: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # measured delays of the links, by file
     # The same run with a further target, by what that is: shared by the nodes of a process.
-    _headed: WeakValueDictionary[Hashable, "Setup"] = field(
+    _headed: WeakValueDictionary[Hashable, Any] = field(
         default_factory=WeakValueDictionary, init=False, repr=False, compare=False
     )
 
@@ -156,16 +157,17 @@ class Setup:
         """The part of the reference that the newest target changes; None without a target."""
         return None
 
-    def headed(self, target: Target, key: Hashable) -> "Setup":
+    def headed(self, target: Target, key: Hashable) -> Self:
         """Return this run with a target; the reference before it is the same bit for bit.
 
         `key` distinguishes the target from others.
         """
-        known = self._headed.get(key)
+        leads = "X_ref" in self.__dict__  # where controllers are
+        known: Self | None = self._headed.get((key, leads))
         if known is None:
-            known = self._headed[key] = replace(self, maneuver=self.maneuver.headed(target))
+            known = self._headed[key, leads] = replace(self, maneuver=self.maneuver.headed(target))
             known.__dict__["model"] = self.model  # compiled once; what controllers share is found by it
-            if "X_ref" in self.__dict__:
+            if leads:
                 known._lead(self, target)
         return known
 

@@ -4,31 +4,30 @@ The coordinator decides the timing once, so that every process makes the same re
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
 
 from model.arrays import Array
 from model.curves import ORDERS, Curve
-from model.maneuver import Target
-from model.parameters import resting_height
+from model.hover import Hover
+from model.maneuver import Maneuver, Target
+from model.parameters import System, resting_height
+from mpc.settings import ControllerSettings
 from protocol.scenario.errors import first_problem
 from protocol.scenario.feasible import exceeded, least_slowing
 from protocol.scenario.keys import out_of_range
-from protocol.scenario.relations import FURTHEST_M
-from protocol.scenario.schema import TargetSection
+from protocol.scenario.schema import FURTHEST_M, Scenario, TargetSection
 from protocol.wire import messages
 from protocol.wire.message import MessageError
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox
-
-if TYPE_CHECKING:
-    from protocol.scenario.setup import Setup
 
 # Largest speed where none is given, m/s; time of speeding up that is tried first, s; its factors, largest one.
 SPEED_MPS, _RAMP_S, _LONGER, _LONGEST = 1.0, 2.0, 1.25, 64.0
@@ -36,6 +35,28 @@ SPEED_MPS, _RAMP_S, _LONGER, _LONGEST = 1.0, 2.0, 1.25, 64.0
 MOST = 1000
 _ON_GROUND_M = 1e-3
 _SLACK = 1e-9
+
+
+class Run(Protocol):
+    """A run as targets need it (`Setup`, which checks its own)."""
+
+    @property
+    def scenario(self) -> Scenario: ...  # noqa: D102
+    @property
+    def system(self) -> System: ...  # noqa: D102
+    @property
+    def hover(self) -> Hover: ...  # noqa: D102
+    @property
+    def settings(self) -> ControllerSettings: ...  # noqa: D102
+    @property
+    def maneuver(self) -> Maneuver: ...  # noqa: D102
+    @property
+    def ticks(self) -> int: ...  # noqa: D102
+    def blocked(self, times_s: Array) -> tuple[int, str] | None: ...  # noqa: D102
+    def headed(self, target: Target, key: Hashable) -> Self: ...  # noqa: D102
+
+
+R = TypeVar("R", bound=Run)
 
 
 class TargetError(MessageError):
@@ -69,58 +90,64 @@ def asked(given: Mapping[str, Any]) -> TargetSection:
 def target_of(message: messages.Target, period_s: float) -> Target:
     """Return the target in a message. Raises: MessageError: its numbers make no curve."""
     first, further = message.points[0], message.points[1:] - message.points[0]
-    approach = Curve(
-        kind=None, duration_s=message.approach_s, ramp_s=message.approach_ramp_s, size_I=(1.0, 0.0, 0.0)
-    )
+    approach = Curve(kind=None, duration_s=message.approach_s, ramp_s=message.approach_ramp_s, size_I=(1.0, 0.0, 0.0))
     way = None
     if len(further):
-        times_s = message.times.tolist() if len(message.times) else None
+        times_s = message.times[1:].tolist() if message.times.any() else None
         way = _spline(further, message.way_s, message.way_ramp_s, times_s)
     return Target(since_s=message.tick * period_s, point_I=first, approach=approach, way=way)
 
 
-def headed(setup: "Setup", message: messages.Target) -> "Setup":
+def headed(setup: R, message: messages.Target) -> R:
     """Return a run with the target in a message."""
     key = (message.number, message.tick, message.points.tobytes(), message.approach_s, message.way_s)
     return setup.headed(target_of(message, setup.settings.sampling_period_s), key)
 
 
-def with_targets(setup: "Setup", found: Iterable[messages.Target]) -> "Setup":
+def with_targets(setup: R, found: Iterable[messages.Target]) -> R:
     """Return a run with the targets of its log, each once, in the order of their numbers."""
     for message in found:
         if message.number == len(setup.maneuver.targets) + 1:
-            setup = headed(setup, message)
+            with suppress(MessageError):  # forged, and in a log all the same
+                check_target(setup, message)
+                setup = headed(setup, message)
     return setup
 
 
-def check_target(setup: "Setup", message: messages.Target) -> None:
-    """Check that a target is the next one of a run, or one that is repeated, and ends before the run.
+def check_target(setup: Run, message: messages.Target) -> None:
+    """Check that a target is the next one of a run, or one that is repeated, and that its numbers make a path.
 
-    Raises: MessageError: it does not.
+    Raises: MessageError: with the reason.
     """
-    known = len(setup.maneuver.targets)
+    known, further = len(setup.maneuver.targets), len(message.points) > 1
     if message.number > known + 1:
         raise MessageError("future", f"target {message.number} after {known}")
-    ends_s = message.tick * setup.settings.sampling_period_s + message.approach_s + message.way_s
+    ramps = [(message.approach_ramp_s, message.approach_s), *([(message.way_ramp_s, message.way_s)] * further)]
+    times = message.times.tolist()
+    if not all(0.0 < ramp_s <= duration_s / 2.0 for ramp_s, duration_s in ramps):
+        raise MessageError("out_of_range", f"ramps: expected at most half of their curves, got {ramps}")
+    if any(times) and ([times[0], times[-1]] != [0.0, message.way_s] or any(b <= a for a, b in pairwise(times))):
+        raise MessageError("out_of_range", f"times: expected rising times from 0 to {message.way_s:g} s")
+    ends_s = message.tick * setup.settings.sampling_period_s + message.approach_s + message.way_s * further
     if ends_s > _last_s(setup) + _SLACK or np.abs(message.points).max() > FURTHEST_M:
         raise MessageError("out_of_range", f"target {message.number}: expected one that is reached within the run")
 
 
-def words_of(message: messages.Target) -> str:
+def target_in_words(message: messages.Target) -> str:
     """Return a target in words."""
     x, y, z = message.points[0].tolist()
     further = f" and {len(message.points) - 1} way points" if len(message.points) > 1 else ""
     return f"target ({x:g}, {y:g}, {z:g}) m{further}"
 
 
-def scripted(setup: "Setup") -> list[tuple[int, TargetSection]]:
+def scripted(setup: Run) -> list[tuple[int, TargetSection]]:
     """Return the targets of a scenario with their ticks, in the order of time."""
     period_s, sections = setup.settings.sampling_period_s, setup.scenario.maneuver.target
     found = [(math.ceil(section.at_s / period_s - _SLACK), section) for section in sections]
     return sorted(found, key=itemgetter(0))
 
 
-def check_scripted(setup: "Setup") -> None:
+def check_scripted(setup: Run) -> None:
     """Check that the targets of a scenario can be flown one after the other.
 
     Raises: TargetError: one cannot.
@@ -131,7 +158,7 @@ def check_scripted(setup: "Setup") -> None:
         setup = headed(setup, out.stamp(messages.Target, number=number, **planned(setup, section, tick)))
 
 
-def planned(setup: "Setup", section: TargetSection, tick: int) -> dict[str, Any]:
+def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
     """Return the numbers of the message for a target from a tick on.
 
     Raises: TargetError: it cannot be flown.
@@ -144,23 +171,32 @@ def planned(setup: "Setup", section: TargetSection, tick: int) -> dict[str, Any]
     found: dict[str, Any] = {
         "tick": tick,
         "points": points,
-        "times": np.zeros(0),
+        "times": np.zeros(len(points)),
         "approach_s": approach.duration_s,
         "approach_ramp_s": approach.ramp_s,
         "way_s": 0.0,
         "way_ramp_s": 0.0,
     }
+    way = None
     if len(points) > 1:
         way = _way(setup, points[1:] - points[0], section)
-        found |= {"way_s": way.duration_s, "way_ramp_s": way.ramp_s, "times": np.array(way.times_s or ())}
+        found |= {"way_s": way.duration_s, "way_ramp_s": way.ramp_s}
+        if way.times_s is not None:
+            found["times"][1:] = way.times_s
         _check_places(setup, points[0] + way.path(_instants(way.duration_s, period_s), 1)[0], since_s)
     ends_s = since_s + found["approach_s"] + found["way_s"]
     if ends_s > _last_s(setup):
-        raise TargetError(f"expected a target before the end of the run at t = {_last_s(setup):.2f} s, got {ends_s:.2f} s")
+        raise TargetError(
+            f"expected a target before the end of the run at t = {_last_s(setup):.2f} s, got {ends_s:.2f} s"
+        )
+    if setup.scenario.obstacle:
+        led = setup.headed(Target(since_s=since_s, point_I=points[0], approach=approach, way=way), object())
+        if blocked := led.blocked(np.arange(since_s, ends_s + period_s, period_s)):
+            raise TargetError(f"points_m: {blocked[1]}")
     return found
 
 
-def _check_places(setup: "Setup", points: Array, since_s: float) -> None:
+def _check_places(setup: Run, points: Array, since_s: float) -> None:
     """Check that points are in reach and above the ground, and that the payload flies."""
     if np.abs(points).max() > FURTHEST_M:
         raise TargetError(f"points_m: expected at most {FURTHEST_M:g} m, got {np.abs(points).max():g}")
@@ -176,7 +212,7 @@ def _check_places(setup: "Setup", points: Array, since_s: float) -> None:
         raise TargetError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")
 
 
-def _approach(setup: "Setup", point_I: Array, since_s: float, speed_mps: float) -> Curve:
+def _approach(setup: Run, point_I: Array, since_s: float, speed_mps: float) -> Curve:
     """Return the approach of a target: the fastest of those tried that keeps the limits."""
     maneuver, flat = setup.maneuver, setup.scenario.maneuver.reference == "flat"
     here_I, end_I = maneuver.path(np.array([since_s, maneuver.duration_s]))[0]
@@ -198,7 +234,7 @@ def _approach(setup: "Setup", point_I: Array, since_s: float, speed_mps: float) 
     raise TargetError(f"points_m: {wrong}")
 
 
-def _way(setup: "Setup", further: Array, section: TargetSection) -> Curve:
+def _way(setup: Run, further: Array, section: TargetSection) -> Curve:
     """Return the curve through way points relative to the target."""
     if section.times_s is not None:
         times_s = [time_s - section.times_s[0] for time_s in section.times_s[1:]]
@@ -234,6 +270,6 @@ def _instants(duration_s: float, period_s: float) -> Array:
     return np.linspace(0.0, duration_s, max(2, math.ceil(duration_s / period_s)) + 1)
 
 
-def _last_s(setup: "Setup") -> float:
+def _last_s(setup: Run) -> float:
     """Return the time of the last sampling instant."""
     return (setup.ticks - 1) * setup.settings.sampling_period_s

@@ -114,5 +114,5 @@ def test_there_is_no_change_without_a_next_tick() -> None:
 def test_an_unknown_request() -> None:
     """An unknown request is answered by the known ones."""
     reply, sent = answer_to(started(coordinator()), "land")
-    assert reply == {"error": "what: expected status or link, got 'land'"}
+    assert reply == {"error": "what: expected status, link or target, got 'land'"}
     assert sent == []

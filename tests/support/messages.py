@@ -25,6 +25,7 @@ from protocol.wire.messages import (
     Rejected,
     Roster,
     StepReport,
+    Target,
     Tick,
 )
 from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER, agent_name
@@ -39,6 +40,7 @@ OWN: dict[type[Message], dict[str, Any]] = {
     Tick: {"roster": 1},
     Roster: {"agents": (1, 3), "off": (2, 3), "released": (3,)},
     LinkChange: {"number": 2, "source": "agent1", "target": "", "settings": '{"delay_s": 0.1}'},
+    Target: {"approach_s": 4.0, "approach_ramp_s": 2.0, "way_s": 2.0, "way_ramp_s": 1.0},
     PlantState: {"diverged": ""},
     FaultNote: {"target": "agent3", "what": "killed"},
     Rejected: {"offender": "agent3", "reason": "not_finite", "example": "inputs: expected finite numbers, got nan"},

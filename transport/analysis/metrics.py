@@ -2,13 +2,16 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterable
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 
 from model.arrays import Array
+from model.state import R0
 from protocol.scenario.faults import degradations, uav_name
 from protocol.scenario.setup import Setup
+from protocol.scenario.targets import with_targets
 from protocol.wire.messages import (
     STAGES,
     ActualInputs,
@@ -20,6 +23,7 @@ from protocol.wire.messages import (
     Rejected,
     Roster,
     StepReport,
+    Target,
     Tick,
 )
 from protocol.wire.names import agent_name
@@ -27,11 +31,14 @@ from transport.analysis.series import Series, series_of
 from transport.analysis.swing import swing_of
 from transport.log.run_log import RunLog
 
+# Time after which a target counts as reached or missed, s; tolerance of times.
+SETTLED_S, _ROUNDING_S = 2.0, 1e-9
 _ORIGIN = {"script": " by script", "person": " by hand", "unknown": ""}
 
 
 def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
     """Return the summary of a run as JSON data (summary.schema.json); None for anything the log does not tell."""
+    setup = with_targets(setup, log.of(Target))
     series = series_of(setup, log)
     control = next(log.of(Control), None)
     reports = list(log.of(StepReport))
@@ -58,6 +65,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
             "failures": sum(report.status != "solved" for report in reports),
         },
         "faults": events(setup, log, control),
+        "targets": _targets(setup, series),
         # From "python 3.12.1, numpy 2.0.0" to names and versions.
         "versions": dict(v.rsplit(" ", 1) for v in log.header.get("versions", "").split(", ") if " " in v),
         "engine": log.header.get("engine", setup.scenario.plant.engine),
@@ -172,7 +180,7 @@ def _durations(setup: Setup, log: RunLog, series: Series) -> dict[str, Any]:
 
 def _flight(setup: Setup, series: Series) -> dict[str, Any]:
     # The first phase lets the formation settle about its hover, as in the paper's section V.
-    settled = series.times_s >= setup.maneuver.phases[0].duration_s
+    settled = series.times_s >= setup.maneuver.stages()[0][2]
     swing = swing_of(setup, series)
     return {
         "cost": {
@@ -216,6 +224,19 @@ def _cables(setup: Setup, log: RunLog) -> dict[str, Any] | None:
         "slack_longest_s": float(ticks.max(initial=0)) * setup.settings.sampling_period_s,
         "slack_at_end": int((tensions_N[-1] <= 0.0).sum()),
     }
+
+
+def _targets(setup: Setup, series: Series) -> list[dict[str, Any]]:
+    """Return the targets and how close the payload was `SETTLED_S` after its reference had reached the last point."""
+    targets = setup.maneuver.targets
+    found = []
+    for target, after in zip_longest(targets, targets[1:]):
+        settled = np.flatnonzero(series.times_s >= target.ends_s + SETTLED_S - _ROUNDING_S)
+        row = settled[0] if len(settled) and (after is None or after.since_s >= target.ends_s + SETTLED_S) else None
+        error_m = None if row is None else float(np.linalg.norm(series.x[row, R0] - target.end_I))
+        place_m = target.end_I.tolist()
+        found.append({"t_s": target.since_s, "position_m": place_m, "arrives_s": target.ends_s, "error_m": error_m})
+    return found
 
 
 def _tracking(errors_I: Array) -> dict[str, float | None]:

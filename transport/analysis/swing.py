@@ -72,6 +72,8 @@ def _periods(setup: Setup, duration_s: float) -> int:
 
 def _hold_begin_s(maneuver: Maneuver) -> float:
     """Return the time from which on the reference is at rest until the end of the maneuver, s."""
+    if maneuver.targets:
+        return maneuver.targets[-1].ends_s
     begin_s = maneuver.duration_s
     for phase in reversed(maneuver.phases):
         if not _is_hold(phase):

@@ -130,7 +130,8 @@ class LazyGroup(TyperGroup):
         """Import the command of a name in the table."""
         module, _, function = self.table[name][0].partition(":")
         single = typer.Typer(**_PLAIN)
-        single.command(name, cls=Command)(getattr(load(module), function))
+        found = getattr(load(module), function)
+        single.command(name, cls=Command, context_settings=getattr(found, "context_settings", None))(found)
         return typer.main.get_command(single)
 
     def list_commands(self, ctx: Any) -> list[str]:

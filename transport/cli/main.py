@@ -20,6 +20,7 @@ app = lazy_group(
         "top": ("transport.cli.top:top", "Watch the agents of an active run."),
         "status": ("transport.cli.operate:status", "Show the progress of a run, or the health of one process."),
         "fault": ("transport.cli.operate:fault", "Kill, stop, continue or restart a process of an active run."),
+        "target": ("transport.cli.target:target", "Send the payload of an active run to a target."),
         "doctor": ("transport.cli.doctor:doctor", "Check that this machine can run a scenario."),
         "agent": ("transport.cli.processes:agent", "Run one agent: the controller of the UAVs it owns."),
         "plant": ("transport.cli.processes:plant", "Run the plant: dynamics and actuators."),
@@ -32,7 +33,7 @@ app = lazy_group(
     {
         "Simulate": ["run", "experiment", "scenario", "validate", "margins", "doctor"],
         "Look at runs": ["view", "plot", "compare", "log", "replay"],
-        "Act on an active run": ["top", "status", "link", "fault"],
+        "Act on an active run": ["top", "status", "target", "link", "fault"],
         "Start processes by hand": ["coordinator", "plant", "agent", "record"],
         "Connect hosts": ["deploy", "router", "metrics", "ros2"],
     },

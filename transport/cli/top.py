@@ -25,6 +25,7 @@ from protocol.network.security import SecurityError
 from protocol.network.session import BusError
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
+from protocol.scenario.targets import with_targets
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.keys import RECORDER, WATCHER, Keys
 from protocol.wire.messages import (
@@ -35,6 +36,7 @@ from protocol.wire.messages import (
     Rejected,
     Roster,
     StepReport,
+    Target,
     Tick,
     agent_name,
 )
@@ -115,6 +117,8 @@ class Watch:
                 self._report(message, at_ns)
             case PlantState():
                 self.plant_state = message
+            case Target():
+                self.setup = with_targets(self.setup, [message])
             case Roster():
                 self._join(frozenset(message.agents), message.reason)
             case Rejected():

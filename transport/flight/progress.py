@@ -66,7 +66,11 @@ class ConsoleProgress:
 
 
 class RunProgress(ConsoleProgress):
-    """Progress of a run."""
+    """Progress of a run.
+
+    Attributes:
+        setup: The run, with its targets so far.
+    """
 
     def __init__(self, setup: Setup, console: Console, waiting: str = "waiting for the processes") -> None:
         names = [phase.name for phase in setup.scenario.maneuver.phase]
@@ -77,7 +81,7 @@ class RunProgress(ConsoleProgress):
             TextColumn("{task.fields[status]}"),
         )
         super().__init__(console, *columns, TimeRemainingColumn())
-        self._setup = setup
+        self.setup = setup
         self._cost = StageCost(setup)
         self._duration_s = setup.ticks * setup.settings.sampling_period_s
         if self._bar is not None:
@@ -87,20 +91,20 @@ class RunProgress(ConsoleProgress):
         """Draw the newest state, None before the first, given the steady-clock time of the first, s."""
         if plant_state is None or started_s is None:
             return
-        t_s = plant_state.tick * self._setup.settings.sampling_period_s
+        t_s = plant_state.tick * self.setup.settings.sampling_period_s
         wall_s = time.monotonic() - started_s
         if self._bar is not None:
             beside = self._description + _BAR + _REMAINING
             status = _fitting(self._status(plant_state, t_s, wall_s), self._console.width - beside)
-            phase = self._setup.maneuver.phase_at(t_s).name
+            phase = self.setup.maneuver.phase_at(t_s).name
             self._bar.update(self._task, completed=t_s, description=phase, status=status)
         elif self._is_line_due():
             self.say(_GAP.join(self._status(plant_state, t_s, wall_s)))
 
     def _status(self, plant_state: PlantState, t_s: float, wall_s: float) -> list[str]:
         """Return the parts of a line, the most important first."""
-        y_ref = self._setup.reference.outputs(np.array([t_s]))[0]
-        cost = self._cost.at(plant_state.tick, self._setup.model.outputs(plant_state.x), y_ref, plant_state.u)
+        y_ref = self.setup.reference.outputs(np.array([t_s]))[0]
+        cost = self._cost.at(plant_state.tick, self.setup.model.outputs(plant_state.x), y_ref, plant_state.u)
         attitude_deg = float(np.degrees(np.abs(StateView(plant_state.x).Theta0)).max())
         factor = t_s / wall_s if wall_s > 0.0 else 0.0
         return [

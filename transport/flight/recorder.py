@@ -18,6 +18,7 @@ from protocol.network.endpoints import Endpoints
 from protocol.network.session import BusError
 from protocol.scenario.links import told_change
 from protocol.scenario.setup import Setup
+from protocol.scenario.targets import check_target, with_targets
 from protocol.wire.codec import decode
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import (
@@ -36,6 +37,7 @@ from protocol.wire.messages import (
     Relay,
     Request,
     Roster,
+    Target,
     Tick,
 )
 from protocol.wire.names import COORDINATOR
@@ -48,7 +50,7 @@ from transport.log.writer import LogWriter
 _AHEAD = 16
 
 # Kinds of messages that the recorder reads; of the others it reads the header.
-_READ = frozenset(kind.kind for kind in (Roster, LinkChange, Control, Rejected, FaultNote))
+_READ = frozenset(kind.kind for kind in (Roster, LinkChange, Target, Control, Rejected, FaultNote))
 _UNREAD = {*KINDS, *BUNDLES} - _READ
 # Kinds among these that tell of the newest tick, and of the plant's state.
 _OF_TICKS, _OF_PLANT = (Tick.kind, Relay.kind), (PlantState.kind, Record.kind)
@@ -77,6 +79,7 @@ class Recorder:
         error: Why recording ended early, or None.
         received: Number of messages in the log.
         tick: The newest open tick, -1 before the first.
+        setup: The run, with its targets so far.
         requests: Requests to the parent of the run's processes.
         gate: Checks of the messages that the recorder reads; readers of the log reject others.
 
@@ -105,7 +108,7 @@ class Recorder:
         self.received = 0
         self.tick = -1
         self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self._samples_s, self._ticks = setup.samples_s, setup.ticks
+        self.setup, self._samples_s, self._ticks = setup, setup.samples_s, setup.ticks
         self._writer = writer
         self._writing = threading.Lock()  # notes come from another thread
         self._keys = Keys(run)
@@ -271,7 +274,7 @@ class Recorder:
                 self.started_s = time.monotonic()
 
     def _check_moment(self, message: Message) -> None:
-        """Refuse an end of the run at an impossible tick, and an invalid change of links.
+        """Refuse an end of the run at an impossible tick, and an invalid change of links or target.
 
         Raises: MessageError: with the reason.
         """
@@ -279,6 +282,8 @@ class Recorder:
             check_tick(message, self.tick - _AHEAD, self.tick + _AHEAD)
         if isinstance(message, LinkChange):
             told_change(message, self._samples_s)
+        if isinstance(message, Target):
+            check_target(self.setup, message)
 
     def _take(self, message: Message, at_ns: int | None = None) -> None:
         with self._writing:
@@ -287,6 +292,8 @@ class Recorder:
         match message:
             case Control():
                 self.control = message
+            case Target():
+                self.setup = with_targets(self.setup, [message])
             case Roster(version=version, reason=reason) if version > 1:
                 self._notices.append(f"roster: {reason}")
             case FaultNote():

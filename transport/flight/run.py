@@ -209,6 +209,7 @@ def _watch(
     with collected_signals() as signals:
         while recorder.running:
             recorder.join(_POLL_S)
+            progress.setup = recorder.setup
             progress.show(recorder.plant_state, recorder.started_s)
             if faults is not None:
                 faults.work()

@@ -10,7 +10,8 @@ from typing import Any
 from rich.console import Console
 
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, PlantState
+from protocol.scenario.targets import with_targets
+from protocol.wire.messages import Message, PlantState, Target
 from transport.flight.progress import RunProgress
 
 # Shortest time between two updates, wall time, s.
@@ -33,7 +34,14 @@ def run_progress(setup: Setup, *, shown: bool) -> Iterator[Callable[[Message], N
         yield from _in_cell(setup)
     else:
         with RunProgress(setup, console(shown=True), waiting="in memory") as bar:
-            yield _throttled(bar.show)
+            show = _throttled(bar.show)
+
+            def take(message: Message) -> None:
+                if isinstance(message, Target):
+                    bar.setup = with_targets(bar.setup, [message])
+                show(message)
+
+            yield take
 
 
 def _in_cell(setup: Setup) -> Iterator[Callable[[Message], None]]:

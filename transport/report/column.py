@@ -15,7 +15,8 @@ from matplotlib.transforms import ScaledTranslation
 
 from protocol.scenario.links import change_in_words, words_of
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import FaultNote, LinkChange, Roster
+from protocol.scenario.targets import target_in_words
+from protocol.wire.messages import FaultNote, LinkChange, Roster, Target
 from transport.log.run_log import RunLog
 from transport.report.style import COLUMN_IN, SMALL, TEXT, shade_phases
 
@@ -249,13 +250,16 @@ def _marks(setup: Setup, log: RunLog) -> Iterator[Mark]:
         if partition.end_s < end_s:
             yield Mark(partition.end_s, f"{names} connected again", True)
     off: tuple[int, ...] = ()
-    numbers: set[int] = set()
+    numbers, targets = set[int](), set[int]()
     for message in (entry.message for entry in log.messages):
         if isinstance(message, FaultNote):
             yield Mark(message.tick * period_s, f"{message.target} {message.what}", False)
         elif isinstance(message, LinkChange) and message.number not in numbers:
             numbers.add(message.number)  # repeated for an agent that joins late
             yield Mark(message.tick * period_s, words_of(message), True)
+        elif isinstance(message, Target) and message.number not in targets:
+            targets.add(message.number)
+            yield Mark(message.tick * period_s, target_in_words(message), True)
         elif isinstance(message, Roster) and message.off != off:
             off = message.off
             yield Mark(message.tick * period_s, message.reason.partition(" at t =")[0], False)

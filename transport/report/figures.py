@@ -14,7 +14,8 @@ from matplotlib.lines import Line2D
 from model.arrays import Array
 from model.state import INPUTS
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import STAGES, StepReport
+from protocol.scenario.targets import with_targets
+from protocol.wire.messages import STAGES, StepReport, Target
 from transport.analysis.metrics import rest_of_tick_ms
 from transport.analysis.replay import Comparison
 from transport.analysis.series import Series, series_of
@@ -87,6 +88,7 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
 
     Figure and drawing take the style from `matplotlib.rcParams`: call it within `rc_context(RC)`.
     """
+    setup = with_targets(setup, log.of(Target))
     match name:
         case "performance":
             _draw_performance(figure, setup, log, series)

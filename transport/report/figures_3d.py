@@ -88,7 +88,7 @@ def _square(figure: Figure, side_in: float, corner_in: Array) -> tuple[float, fl
 def _rows_to_draw(setup: Setup, series: Series) -> list[int]:
     """Return the rows at the ends of the phases, at new positions of the reference, and at an early end."""
     period_s, last = setup.settings.sampling_period_s, len(series.ticks) - 1
-    ends = np.cumsum([0.0, *(phase.duration_s for phase in setup.maneuver.phases)])
+    ends = np.array([0.0, *(end for _, _, end in setup.maneuver.stages())])
     reached = ends[ends <= series.times_s[last] + 1.5 * period_s]
     reference_I = series.payload_reference_I
     chosen: list[int] = []

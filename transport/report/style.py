@@ -87,11 +87,10 @@ def shade_phases(
         named: Whether to name them.
         above_pt: Distance of the names from the panel, points.
     """
-    begin = 0.0
     up = ScaledTranslation(0.0, above_pt / 72.0, panels[0].figure.dpi_scale_trans)
     points_per_s = 72.0 * panels[0].get_window_extent().width / panels[0].figure.dpi / until_s
-    for number, phase in enumerate(setup.maneuver.phases):
-        end = min(begin + phase.duration_s, until_s)
+    for number, (phase, begin, end) in enumerate(setup.maneuver.stages()):
+        end = min(end, until_s)
         if end <= begin:
             break
         if number % 2:
@@ -99,8 +98,8 @@ def shade_phases(
                 axes.axvspan(begin, end, color=_BAND, linewidth=0, zorder=0)
         # Neighbouring names must not touch: a long one is cut, one without room left out.
         room = int(points_per_s * (end - begin) / (_LETTER * SMALL))
-        name = phase.name if len(phase.name) <= room else f"{phase.name[: room - 1].rstrip()}…"
-        if named and room >= min(_SHORTEST, len(phase.name)):
+        name = phase if len(phase) <= room else f"{phase[: room - 1].rstrip()}…"
+        if named and room >= min(_SHORTEST, len(phase)):
             panels[0].text(
                 (begin + end) / 2.0,
                 1.0,
@@ -111,7 +110,6 @@ def shade_phases(
                 color="#555555",
                 fontsize=SMALL,
             )
-        begin += phase.duration_s
     for axes in panels:
         axes.set_xlim(0.0, until_s)
 

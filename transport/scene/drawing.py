@@ -48,6 +48,8 @@ _ENDLESS_M, _BEYOND_M = 1e4, 1.0
 # Points of a flown and of a reference path, and tolerance of the former in parts of the maneuver's size: wide lines are
 # a third of the work of a browser without a graphics processor.
 _POINTS, _POINTS_REFERENCE, _TOLERANCE = 240, 120, 5e-4
+# Points of the reference to a target, and targets drawn with so many: the newest ones.
+_POINTS_TARGET, _DRAWN_TARGETS = 30, 20
 # Dashes of half a link; the gap in each is the share of lost plans. A trace is left at 100 % loss.
 _DASHES, _TRACE = 8, 0.15
 
@@ -109,18 +111,37 @@ class Drawing:
     def __init__(self, builder: SceneBuilder) -> None:
         self._builder, self._setup = builder, builder.setup
         self._N = self._setup.system.N
-        times_s = np.linspace(0.0, self._setup.ticks * self._setup.settings.sampling_period_s, _POINTS_REFERENCE)
-        self._payload_I = self._setup.maneuver.path(times_s)[0]
-        self.start_I = self._payload_I[0]
-        self._uavs_I = self._setup.reference.outputs(times_s)[:, : 3 * self._N].reshape(-1, self._N, 3)
-        above = self._uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * ARROW_M])
-        everything = np.vstack([self._payload_I, above])
+        payload_I, uavs_I = self._reference()
+        self.start_I = payload_I[0]
+        above = uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * ARROW_M])
+        everything = np.vstack([payload_I, above])
         self.low, self.high = everything.min(axis=0), everything.max(axis=0)
         self.size = float(np.linalg.norm(self.high - self.low))
         self._ground_m = self._setup.scenario.plant.ground_m
         self.floor = float(self.high[2]) + 0.5 if self._ground_m is None else self._ground_m
         self.span = min([uav_span(builder.start_I), *(2.0 * obstacle.margin_m for obstacle in self._setup.obstacles)])
+        self._targets = len(self._setup.maneuver.targets)  # that are drawn
         self.fixed: tuple[Part, ...] = tuple(self._fixed())
+
+    def _reference(self) -> tuple[Array, Array]:
+        """Return the reference paths of payload, (k, 3), and UAVs, (k, N, 3), inertial frame, m."""
+        setup = self._builder.setup
+        times_s = np.linspace(0.0, setup.ticks * setup.settings.sampling_period_s, _POINTS_REFERENCE)
+        legs = [np.linspace(target.since_s, target.ends_s, _POINTS_TARGET) for target in setup.maneuver.targets]
+        times_s = np.unique(np.concatenate([times_s, *legs[-_DRAWN_TARGETS:]])) if legs else times_s
+        uavs_I = setup.reference.outputs(times_s)[:, : 3 * self._N].reshape(-1, self._N, 3)
+        return setup.maneuver.path(times_s)[0], uavs_I
+
+    def _reference_lines(self) -> Iterator[Lines]:
+        payload_I, uavs_I = self._reference()
+        for name, path, width in (
+            ("payload", payload_I, 1.5),
+            *((f"uav{i + 1}", uavs_I[:, i], 1.0) for i in range(self._N)),
+        ):
+            dashes = segments(path)[::2]
+            colours = _colours([_REFERENCE] * len(dashes))
+            layer, name_ = "reference", f"reference of {name}"
+            yield Lines(name=name_, frame=INERTIAL, layer=layer, segments=dashes, colours=colours, width=width)
 
     def poses(self, scene: Scene) -> dict[str, Pose]:
         """Return the pose of every frame in a scene; parts in other frames are not to be seen in it."""
@@ -141,7 +162,14 @@ class Drawing:
         return poses
 
     def moving(self, scene: Scene, *, flown: bool = True) -> Iterator[Lines]:
-        """Yield the lines of a scene, the same names for each; with `flown` the actual paths too."""
+        """Yield the lines of a scene, the same names for each; with `flown` the actual paths too.
+
+        A new target also changes the lines of the reference among the fixed parts, once.
+        """
+        targets = len(self._builder.setup.maneuver.targets)
+        if targets != self._targets:
+            self._targets, self.fixed = targets, tuple(self._fixed())
+            yield from self._reference_lines()
         yield self._thrust(scene)
         team_I, owned = scene.uavs_I.mean(axis=0), self._setup.owned
         positions = np.array([scene.uavs_I[list(uavs)].mean(axis=0) for uavs in owned]) - team_I
@@ -180,14 +208,7 @@ class Drawing:
 
     def _fixed(self) -> Iterator[Part]:
         system = self._setup.system
-        for name, path, width in (
-            ("payload", self._payload_I, 1.5),
-            *((f"uav{i + 1}", self._uavs_I[:, i], 1.0) for i in range(self._N)),
-        ):
-            dashes = segments(path)[::2]
-            colours = _colours([_REFERENCE] * len(dashes))
-            layer, name_ = "reference", f"reference of {name}"
-            yield Lines(name=name_, frame=INERTIAL, layer=layer, segments=dashes, colours=colours, width=width)
+        yield from self._reference_lines()
         yield _solid("reference position", GOAL, _ball(_GOAL_M), _REFERENCE, layer="reference")
         yield _solid("body", PAYLOAD, payload_points(system, grounded=self._ground_m is not None), _PAYLOAD)
         offsets = name_offsets(self._builder.start_I)

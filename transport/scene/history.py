@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from protocol.scenario.links import LinkChanges, words_of
 from protocol.scenario.setup import Setup
+from protocol.scenario.targets import target_in_words, with_targets
 from protocol.wire.messages import (
     Control,
     FaultNote,
@@ -16,11 +17,12 @@ from protocol.wire.messages import (
     PlantState,
     Roster,
     StepReport,
+    Target,
     agent_name,
 )
 
 # Kinds of messages that a history keeps.
-KINDS = frozenset(kind.kind for kind in (PlantState, Plan, StepReport, LinkChange, Roster, FaultNote, Control))
+KINDS = frozenset(kind.kind for kind in (PlantState, Plan, StepReport, LinkChange, Target, Roster, FaultNote, Control))
 # Time before the shown tick over which losses are counted, s.
 LOSS_WINDOW_S = 1.0
 
@@ -33,12 +35,15 @@ class RunHistory:
         first: First tick that can be shown, 0 if there is none.
         last: Last tick that can be shown, -1 if there is none.
         changes: Link changes in the order of their numbers, without duplicates.
+        targets: Targets in the order of their numbers, without duplicates.
+        begun, setup: The run without them, and with them.
         control: The coordinator's message about the end of the run, once it has ended.
         events: Sentences about faults, links and roster, each with its tick.
     """
 
     def __init__(self, setup: Setup) -> None:
-        self._setup = setup
+        self.begun = self.setup = self._shown = setup
+        self.targets: list[Target] = []
         self.plant_states: dict[int, PlantState] = {}
         self.first, self.last = 0, -1
         self.changes: list[LinkChange] = []
@@ -52,7 +57,7 @@ class RunHistory:
         """Add messages; skip those that do not fit the run."""
         for message in messages:
             match message:
-                case PlantState() if message.x.shape == self._setup.hover.x.shape:
+                case PlantState() if message.x.shape == self.setup.hover.x.shape:
                     self.first = min(self.first, message.tick) if self.plant_states else message.tick
                     self.last = max(self.last, message.tick)
                     self.plant_states[message.tick] = message
@@ -63,14 +68,26 @@ class RunHistory:
                 case LinkChange() if message.number == len(self.changes) + 1:
                     self.changes.append(message)
                     self.events.append((message.tick, words_of(message)))
+                case Target() if message.number == len(self.targets) + 1:
+                    self.targets.append(message)
+                    self.setup = with_targets(self.setup, [message])
+                    self.events.append((message.tick, target_in_words(message)))
                 case Roster():
                     self._rosters.append((message.tick, message))
-                    if message.version > 1 and not message.reason.startswith("links "):
+                    if message.version > 1 and not message.reason.startswith(("links ", "target (")):
                         self.events.append((message.tick, message.reason))
                 case FaultNote():
                     self.events.append((message.tick, f"{message.target} {message.what}"))
                 case Control():
                     self.control = message
+
+    def setup_at(self, tick: int) -> Setup:
+        """Return the run with the targets that are known at a tick."""
+        known = [target for target in self.targets if target.tick <= tick]
+        if len(known) < len(self._shown.maneuver.targets):
+            self._shown = self.begun
+        self._shown = with_targets(self._shown, known)
+        return self._shown
 
     def plan(self, agent: int, tick: int) -> Plan | None:
         """Return the plan an agent made at a tick, if there is one."""
@@ -90,7 +107,7 @@ class RunHistory:
     def members(self, tick: int) -> frozenset[int]:
         """Return the agents on the roster at a tick; all agents while no roster is known."""
         roster = self._roster(tick)
-        return frozenset(self._setup.agents if roster is None else roster.agents)
+        return frozenset(self.setup.agents if roster is None else roster.agents)
 
     def released(self, tick: int) -> tuple[int, ...]:
         """Return the UAVs, 1-based, that have left their rods by a tick."""
@@ -100,7 +117,7 @@ class RunHistory:
     def is_whole(self, tick: int) -> bool:
         """Return whether every agent is on the roster and every UAV has its motors at a tick."""
         roster = self._roster(tick)
-        return roster is None or (set(roster.agents) == set(self._setup.agents) and not roster.off)
+        return roster is None or (set(roster.agents) == set(self.setup.agents) and not roster.off)
 
     def _roster(self, tick: int) -> Roster | None:
         known = [roster for since, roster in self._rosters if since <= tick]

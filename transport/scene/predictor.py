@@ -1,6 +1,7 @@
 """Predicted states of the team as an agent saw them: the model integrated with the plans the agent had."""
 
 import math
+from copy import copy
 
 import casadi as ca
 import numpy as np
@@ -11,7 +12,7 @@ from model.arrays import Array
 from model.compiled import Compiled, functions
 from model.factors import rate_places
 from mpc.feedback import FeedbackError
-from mpc.regulation import Regulation
+from mpc.regulation import Ahead, Regulation
 from mpc.tracking import rollout
 from protocol.scenario.setup import Setup
 from transport.scene.history import RunHistory
@@ -33,6 +34,7 @@ class Predictor:
         self._setup = setup
         self._steps = setup.settings.horizon
         self._regulation = _regulation(setup)
+        self._newest: tuple[Ahead, Regulation] | None = None
         self._rollout = Compiled(_rollout(setup, self._regulation))
 
     def states(self, history: RunHistory, agent: int, tick: int) -> Array | None:
@@ -45,7 +47,8 @@ class Predictor:
         own, plant_state = history.plan(agent, tick), history.plant_states.get(tick)
         if own is None or plant_state is None or not history.is_whole(tick):
             return None
-        setup, report = self._setup, history.report(agent, tick)
+        setup, report = history.setup_at(tick), history.report(agent, tick)
+        regulation = self._following(setup)
         announced = AnnouncedInputs(
             setup.owned, setup.hover.u, alignment=setup.scenario.controller.received_plans, own=agent
         )
@@ -58,17 +61,17 @@ class Predictor:
         first = min(max(own.start_tick - tick, 0), self._steps)
         U = np.tile(plant_state.u, (self._steps, 1))
         x_ref = np.zeros((self._steps, len(plant_state.x)))
-        if self._regulation is None:
+        if regulation is None:
             U[first:] = announced.sequence(own.start_tick, self._steps - first, tick + 1)
         else:
             c = announced.corrections(tick, self._steps, tick + 1)
-            U[:] = setup.hover.u + self._regulation.feedforward(tick, self._steps) + c
+            U[:] = setup.hover.u + regulation.feedforward(tick, self._steps) + c
             x_ref = setup.X_ref[tick : tick + self._steps]
         forces = np.zeros(3 + 3 * setup.system.N)
         if report is not None:
             forces[:3] = report.force
-        if self._regulation is not None and setup.track is not None:
-            law = self._regulation.law(plant_state.x, x_ref, c, forces, tick)
+        if regulation is not None and setup.track is not None:
+            law = regulation.law(plant_state.x, x_ref, c, forces, tick)
             if law is not None:
                 return rollout(setup.model, setup.settings, plant_state.x, law, forces)[0]
         start = plant_state.x
@@ -76,6 +79,16 @@ class Predictor:
             start = np.concatenate([start, self._actual(history, tick)])
         ahead = self._rollout(start, U.reshape(-1), x_ref.reshape(-1), forces)[0]
         return np.vstack([plant_state.x, ahead.T[:, : len(plant_state.x)]])
+
+    def _following(self, setup: Setup) -> Regulation | None:
+        """Return the shared control law with the targets of a run."""
+        if self._regulation is None or setup.ahead is None:
+            return self._regulation
+        if self._newest is None or self._newest[0] is not setup.ahead:
+            found = copy(self._regulation)
+            found.head(setup.X_ref, setup.ahead)
+            self._newest = setup.ahead, found
+        return self._newest[1]
 
     def _actual(self, history: RunHistory, tick: int) -> Array:
         """Return the actual inputs at a tick as its agents estimate them: by the lag from the commands before, (m,)."""

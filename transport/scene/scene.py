@@ -103,7 +103,7 @@ class SceneBuilder:
     """
 
     def __init__(self, setup: Setup, history: RunHistory) -> None:
-        self.setup, self.history = setup, history
+        self.history = history
         self.link_history = LinkHistory(setup)
         self.start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N].reshape(-1, 3)
         self.hover_N = float(np.mean(setup.hover.u[::INPUTS]))
@@ -111,6 +111,11 @@ class SceneBuilder:
         self._predictor: Predictor | None = None
         self._applied_changes = 0
         self._positions: dict[int, Array] = {}
+
+    @property
+    def setup(self) -> Setup:
+        """The run, with its targets so far."""
+        return self.history.setup
 
     @classmethod
     def of(cls, setup: Setup, log: RunLog) -> "SceneBuilder":
@@ -199,7 +204,7 @@ class SceneBuilder:
 
     def _predictions(self, tick: int) -> tuple[PredictedPaths, ...]:
         if self._predictor is None:
-            self._predictor = Predictor(self.setup)
+            self._predictor = Predictor(self.history.begun)
         predictions = []
         for agent, owned in zip(self.setup.agents, self.setup.owned, strict=True):
             states = self._predictor.states(self.history, agent, tick)

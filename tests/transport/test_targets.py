@@ -1,0 +1,149 @@
+"""Targets given during a run: every process makes the same new reference, and the payload arrives."""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from model.state import R0
+from mpc.controller import Controller
+from protocol.scenario.errors import ScenarioError
+from protocol.scenario.targets import TargetError, asked, headed, planned, with_targets
+from protocol.wire.messages import Measurement, Message, Request, Roster, Target
+from protocol.wire.node import Outbox
+from tests.coordinator.test_requests import answer_to
+from tests.support import logs, runs
+from tests.support.coordinator_clock import CONTINUE, answers, gone, ready, started, tell
+from tests.support.nodes import CoordinatorNode
+from tests.transport.test_replay import Comparison, Replay
+from transport.analysis.metrics import summarise
+from transport.log.run_log import RunLog
+
+REACHED_M = 0.05
+HOVER = "maneuver.phase=[{name='hover',duration_s=%g,displacement_m=[0,0,0]}]"
+FLAT = ("maneuver.reference=flat", "controller.limits.moments_Nm=[1.0,1.0,0.5]")
+TWO = "maneuver.target=[{at_s=0.5,points_m=[[0.4,0,-10]]},{at_s=2,points_m=[[0,0.4,-10.2]]}]"
+POOR = (
+    *("links.delay_s=0.2", "links.loss=0.3", "clock.on_agent_loss='continue'"),
+    "faults.event=[{at_s=1.0,do='kill',target='agent3'},{at_s=3.0,do='restart',target='agent3'}]",
+)
+
+
+@lru_cache
+def flown(name: str, *settings: str) -> RunLog:
+    """Return the log of a flight in memory."""
+    return logs.log_of(runs.recorded(runs.ready(name, *settings)))
+
+
+def message(run: Any, tick: int, number: int = 1, **given: Any) -> Target:
+    """Return the coordinator's message for a target."""
+    return Outbox("coordinator", 0).stamp(Target, number=number, **planned(run, asked(given), tick))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("extra", [(), POOR, ("controller.prediction=open_loop", "controller.terminal=multiple")[:0]])
+def test_the_payload_arrives_and_the_run_replays(extra: tuple[str, ...]) -> None:
+    """The second target replaces the first on its way; the payload arrives, and replays are equal bit for bit."""
+    settings = (HOVER % 9.0, TWO, *extra)
+    run, log = runs.ready("precise", *settings), flown("precise", *settings)
+    first, second = summarise(run, log)["targets"]
+    assert first["error_m"] is None
+    assert second["error_m"] < REACHED_M
+    for agent in (1, 3):
+        again, comparison = Replay(run, log, agent), Comparison()
+        for step in again.steps():
+            comparison.add(step)
+        assert comparison.plans > 100
+        assert comparison.identical == comparison.plans
+        assert again.refused == again.notes == []
+
+
+@pytest.mark.slow
+def test_along_a_flat_reference_to_way_points() -> None:
+    """Fast flight leaves its curve for a target and way points, on a late network, and stays within millimetres."""
+    settings = (
+        "maneuver.phase.2.laps=1.0",
+        "maneuver.phase.2.speed_mps=3.0",
+        "maneuver.target=[{at_s=4,points_m=[[2,1,-11],[3,2,-11],[2,3,-10]],speed_mps=1.5}]",
+    )
+    log = flown("eight", *settings)
+    (found,) = summarise(runs.ready("eight", *settings), log)["targets"]
+    assert found["position_m"] == [2.0, 3.0, -10.0]
+    assert found["error_m"] < 0.005
+
+
+@pytest.mark.parametrize("name", ["resilient", "eight"])
+def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
+    """Control law and reference are bit for bit the old ones before a target, those of the whole path after it."""
+    run = runs.ready(name, HOVER % 9.0, "maneuver.profile=smooth")
+    owned = list(range(run.system.N))
+    controller = Controller(run.model, run.hover, run.settings, owned, run.X_ref, run.track)
+    x, c = run.X_ref[40] + 1e-3, np.zeros((10, run.system.m))
+    law = controller.law(x, run.X_ref[30:40], c, None, 30)
+    led = headed(run, message(run, 40, points_m=[[0.5, 0.0, -10.0]]))
+    assert led.ahead is not None
+    controller.head(led.X_ref, led.ahead)
+    again = controller.law(x, led.X_ref[30:40], c, None, 30)
+    assert (led.X_ref[:40] == run.X_ref[:40]).all()
+    assert law is not None
+    assert again is not None
+    assert (again.uncorrected == law.uncorrected).all()
+    # A controller that knows the path from its start has the same law after the target.
+    whole = with_targets(runs.Setup.of(run.scenario, name), [message(run, 40, points_m=[[0.5, 0.0, -10.0]])])
+    other = Controller(whole.model, whole.hover, whole.settings, owned, whole.X_ref, whole.track)
+    for start in (40, 60, 100, 150):
+        laws = [of.law(x, led.X_ref[start : start + 10], c, None, start) for of in (controller, other)]
+        assert all(law is not None for law in laws)
+        assert np.allclose(laws[0].uncorrected, laws[1].uncorrected, rtol=0.0, atol=1e-9)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ({}, "points_m"),
+        ({"points_m": [[0.0, 0.0]]}, "points_m.1: expected 3 numbers"),
+        ({"points_m": [[0.0, float("nan"), 0.0]]}, "points_m"),
+        ({"points_m": [[0.0, 0.0, 2e5]]}, "expected at most 100000 m"),
+        ({"points_m": [[0.0, 0.0, -9.0]], "speed_mps": -1.0}, "speed_mps"),
+        ({"points_m": [[200.0, 0.0, -9.0]]}, "expected a target before the end of the run"),
+        ({"points_m": [[0, 0, -9.0], [0, 0, -9.0]]}, "expected each way point away from the one before"),
+        ({"points_m": [[0, 0, -9.0], [1, 0, -9.0]], "times_s": [0.0, 0.5]}, "feasible in"),
+        ({"points_m": [[0, 0, -9.0], [1, 0, -9.0], [1, 1, -9]], "speed_mps": 20.0}, "feasible with"),
+        ({"points_m": [[0, 0, -9.0]], "times_s": [0.0, 0.5]}, "times_s: expected 1 rising times"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused(given: dict[str, Any], problem: str) -> None:
+    """A target that is not valid, not in reach or too fast is refused in words, and changes nothing."""
+    node = CoordinatorNode(runs.ready("resilient"), observers=())
+    replies: list[Any] = []
+    for name in ("plant", "agent1", "agent2", "agent3", "agent4"):
+        node.receive(ready(name), 0)
+    assert list(node.receive(Request("target", given, replies.append), 0)) == []
+    assert problem in replies[0]["error"]
+
+
+def test_a_target_on_the_ground_or_below_it_is_refused() -> None:
+    """No target while the payload takes off, and none below the ground; a scenario with one is refused as a whole."""
+    run = runs.ready("delivery")
+    for tick, point, problem in ((2, [0.0, 0.0, -3.0], "in flight"), (160, [0.0, 0.0, 5.0], "z of at most")):
+        with pytest.raises(TargetError, match=problem):
+            planned(run, asked({"points_m": [point]}), tick)
+    with pytest.raises(ScenarioError, match=r"maneuver\.target.*before the end of the run"):
+        runs.ready("resilient", "maneuver.target=[{at_s=24.0,points_m=[[0,0,-9]]}]")
+
+
+def test_a_request_is_announced_and_repeated() -> None:
+    """A target holds from the next tick on, comes with a roster, and is repeated for an agent that joins."""
+    node = started(CoordinatorNode(runs.ready("resilient", CONTINUE)))
+    reply, (target, roster) = answer_to(node, "target", points_m=[[1.0, 0.0, -10.0]], speed_mps=0.5)
+    assert (reply["tick"], reply["t_s"]) == (1, 0.05)
+    assert reply["ends_s"] == reply["reached_s"] > 2.0
+    assert isinstance(target, Target)
+    assert isinstance(roster, Roster)
+    assert roster.reason == "target (1, 0, -10) m, from t = 0.05 s on"
+    tell(node, [gone("agent2"), ready("agent2", 2)])
+    again: list[Message] = tell(node, answers(0, (1, 3, 4)))
+    assert [m.number for m in again if isinstance(m, Target)] == [1]
+    assert not [m for m in again if isinstance(m, Measurement)]
+    assert R0.stop == 3
