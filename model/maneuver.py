@@ -131,7 +131,7 @@ class Target:
     @property
     def end_I(self) -> Array:
         """Position of the reference from then on, (3,), m."""
-        return self.goal(np.array([self.ends_s]), 1)[0, 0]
+        return np.asarray(self.goal(np.array([self.ends_s]), 1)[0, 0])
 
     def goal(self, t_s: Array, orders: int) -> Array:
         """Return the jets of the target, and of the curve after it, at times t_s, (k,): (orders, k, 3), SI."""

@@ -173,7 +173,7 @@ class Regulation:
         self._fail_safe = self._fail_safe.following(X_ref, self._whole_track)
         self._set_track()
         found = self.regulator
-        if found is not None and self._track is not None and self._tracker is not None:
+        if found is not None and ahead.track is not None and self._tracker is not None:
             track = self._of_team(ahead.track)
             new = self._shared("ahead", lambda: self._recursion_along(track, found, None, ahead.first).result())
             self._tracker = continued(self._tracker, new, KEPT)

@@ -49,6 +49,7 @@ def test_the_load_stays_in_the_air(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     begin, commands = command_lines()
     assert begin == ["run", "playground"]
     assert [" ".join(words[:2]) for words in commands] == [
+        "target 2",
         *["link set"] * 2,
         "link clear",
         *["fault kill", "fault restart", "fault stop", "fault continue"],

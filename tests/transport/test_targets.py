@@ -9,6 +9,7 @@ import pytest
 from model.state import R0
 from mpc.controller import Controller
 from protocol.scenario.errors import ScenarioError
+from protocol.scenario.setup import Setup
 from protocol.scenario.targets import TargetError, asked, headed, planned, with_targets
 from protocol.wire.messages import Measurement, Message, Request, Roster, Target
 from protocol.wire.node import Outbox
@@ -16,8 +17,8 @@ from tests.coordinator.test_requests import answer_to
 from tests.support import logs, runs
 from tests.support.coordinator_clock import CONTINUE, answers, gone, ready, started, tell
 from tests.support.nodes import CoordinatorNode
-from tests.transport.test_replay import Comparison, Replay
 from transport.analysis.metrics import summarise
+from transport.analysis.replay import Comparison, Replay
 from transport.log.run_log import RunLog
 
 REACHED_M = 0.05
@@ -42,7 +43,7 @@ def message(run: Any, tick: int, number: int = 1, **given: Any) -> Target:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("extra", [(), POOR, ("controller.prediction=open_loop", "controller.terminal=multiple")[:0]])
+@pytest.mark.parametrize("extra", [(), POOR])
 def test_the_payload_arrives_and_the_run_replays(extra: tuple[str, ...]) -> None:
     """The second target replaces the first on its way; the payload arrives, and replays are equal bit for bit."""
     settings = (HOVER % 9.0, TWO, *extra)
@@ -90,7 +91,7 @@ def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
     assert again is not None
     assert (again.uncorrected == law.uncorrected).all()
     # A controller that knows the path from its start has the same law after the target.
-    whole = with_targets(runs.Setup.of(run.scenario, name), [message(run, 40, points_m=[[0.5, 0.0, -10.0]])])
+    whole = with_targets(Setup.of(run.scenario, name), [message(run, 40, points_m=[[0.5, 0.0, -10.0]])])
     other = Controller(whole.model, whole.hover, whole.settings, owned, whole.X_ref, whole.track)
     for start in (40, 60, 100, 150):
         laws = [of.law(x, led.X_ref[start : start + 10], c, None, start) for of in (controller, other)]

@@ -18,9 +18,9 @@ from transport.cli.output import Format, exit_on, fail, show_json
 @with_options(ActiveRun)
 def target(
     run: ActiveRun,
-    point: Annotated[
-        list[float] | None, Argument(metavar="X Y Z", help="Position in the inertial frame, m; z points down.")
-    ] = None,
+    x: Annotated[float | None, Argument(metavar="X", help="Position in the inertial frame, m: forwards.")] = None,
+    y: Annotated[float | None, Argument(metavar="Y", help="To the right.")] = None,
+    z: Annotated[float | None, Argument(metavar="Z", help="Downwards.")] = None,
     speed: Annotated[
         float | None, Option("--speed", metavar="MPS", min=1e-3, help="Largest speed; else up to 1 m/s, if feasible.")
     ] = None,
@@ -30,17 +30,18 @@ def target(
     ] = None,
     output: FormatOption = Format.text,
 ) -> None:
-    """Send the payload of an active run to a target, from the next tick on.
+    """Send the payload of an active run to a target.
 
-    The reference leaves its path smoothly, also that to an earlier target, and comes to rest there. A target that
+    From the next tick on the reference leaves its path smoothly, also that to an earlier target, and comes to rest there. A target that
     cannot be flown is refused with the reason. Way points are run through on a smooth curve after the first one.
 
     Exit codes: 0 accepted; 2 refused; 4 no answer.
 
     Example: transport target 3 0 -12 --speed 1.5
     """
-    if bool(point) == (file is not None) or len(point or (0, 0, 0)) != 3:
-        fail(f"expected a point X Y Z, or --file, got {point or 'neither' if file is None else 'both'}", EXIT_USAGE)
+    point = [value for value in (x, y, z) if value is not None]
+    if len(point) != (3 if file is None else 0):
+        fail(f"expected X Y Z, or --file, got {len(point)} numbers{' and --file' if file else ''}", EXIT_USAGE)
     given: dict[str, Any] = {"points_m": [point]}
     if file is not None:
         with exit_on(TableError, code=EXIT_USAGE, option="--file"):
