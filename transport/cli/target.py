@@ -32,8 +32,9 @@ def target(
 ) -> None:
     """Send the payload of an active run to a target.
 
-    From the next tick on the reference leaves its path smoothly, also that to an earlier target, and comes to rest there. A target that
-    cannot be flown is refused with the reason. Way points are run through on a smooth curve after the first one.
+    From the next tick on the reference leaves its path smoothly, also that to an earlier target, and comes to rest
+    there. A target that cannot be flown is refused with the reason. Way points are run through on a smooth curve after
+    the first one.
 
     Exit codes: 0 accepted; 2 refused; 4 no answer.
 
