@@ -32,10 +32,14 @@ _UAV = (0.06, 0.1, 0.1, 0.2)
 _ACCELERATION = 0.01
 # Smallest standard deviations assumed of sensors, in the order of the sensors: errors of the model show in them.
 _FLOOR = (1e-3, 5e-3, 1e-3, 2e-3, 0.1)
-# Horizontal forces on the payload over its weight, its mass error over its mass, and horizontal and equal forces on the
-# UAVs over the weight: standard deviations at first, and of the change over a second. Gusts of 1 m/s are slow.
-_FORCE = (0.03, 0.03, 0.2, 0.03, 0.03)
-_FORCE_CHANGE = (0.045, 0.045, 0.015, 0.036, 0.036)
+# Horizontal forces on the payload over its weight, its mass error over its mass, horizontal and equal forces on the
+# UAVs over the weight, and drag of payload and UAVs over mass and speed, 1/s: standard deviations at first, and of the
+# change over a second. Gusts of 1 m/s are slow.
+_FORCE = (0.03, 0.03, 0.2, 0.03, 0.03, 0.3, 0.3)
+_FORCE_CHANGE = (0.045, 0.045, 0.015, 0.036, 0.036, 0.015, 0.015)
+_DRAG = [5, 6]
+# Lag of motors that agents do not know, s: what it does after a change of the inputs must not count as a force.
+UNKNOWN_LAG_S = 0.03
 # Correlation of the changes on payload and UAVs: the same air moves all of them.
 _SAME_AIR = 0.8
 
@@ -46,7 +50,8 @@ class Belief:
 
     Attributes:
         x: State, (n,); with motor lag [x, a], (n + m,).
-        forces: Horizontal forces on the payload (2), its mass error, horizontal force on each UAV (2), N, kg; or none.
+        forces: Horizontal forces on the payload (2), N, its mass error, kg, horizontal force on each UAV (2), N, and
+            drag of payload and each UAV (2), kg/s; or none.
         P: Covariance, (r, r), of the coordinates of the state, the actual inputs with motor lag, and the forces.
         T, L: Basis of these coordinates, without the forces; that about the state before its correction.
         u: Inputs until the tick, (m,).
@@ -90,14 +95,15 @@ class KalmanFilter:
         self._R = np.repeat(variance, 3)
         self._inputs = system.m if self._lag_s > 0.0 else 0
         masses = [system.payload.mass, min(uav.mass for uav in system.uavs)]
-        forces = 5 if section.disturbance.estimate else 0
-        weights = (system.gravity * np.repeat(masses, (3, 2)))[:forces]
+        forces = len(_FORCE) if section.disturbance.estimate else 0
+        weights = np.append(system.gravity * np.repeat(masses, (3, 2)), masses)[:forces]
         weights[2:3] /= system.gravity
         # External forces and mass from those that are estimated.
         self._spread = np.zeros((4 + 3 * N, forces))
         if forces:
             self._spread[[0, 1, -1], [0, 1, 2]] = 1.0
-            self._spread[3:-1] = np.tile(np.eye(3, 5, k=3), (N, 1))
+            self._spread[3:-1] = np.tile(np.eye(3, forces, k=3) * (np.arange(forces) < _DRAG[0]), (N, 1))
+        self._model = setup.model
         self._lightest = -0.9 * system.payload.mass
         deviations = [*np.repeat(_PAYLOAD, 3), *np.tile(np.repeat(_UAV, (2, 2, 3, 3)), N), *[0.0] * self._inputs]
         self._P0 = np.diag(np.concatenate([deviations, weights * _FORCE[:forces]]) ** 2)
@@ -127,11 +133,19 @@ class KalmanFilter:
         if not len(belief.forces):
             return None
         found: Array = self._spread @ belief.forces
+        found[:-1] += self._resistance(belief.x) @ belief.forces[_DRAG]
         found[-1] = max(found[-1], self._lightest)
         return found
 
+    def _resistance(self, x: Array) -> Array:
+        """Return the external forces per drag of payload and UAVs, (3 + 3 N, 2), at a state."""
+        found = np.zeros((len(self._spread) - 1, 2))
+        velocities = self._model.velocities(x[: self._model.system.n]).reshape(-1)
+        found[:3, 0], found[3:, 1] = -velocities[:3], -velocities[3:]
+        return found
+
     def _effects(self, model: Model, x: Array, u: Array, forces: Array) -> Array:
-        """Return the external forces per estimated one, (3 + 3 N, 5).
+        """Return the external forces per estimated one, (3 + 3 N, 7).
 
         Gravity minus acceleration acts on a mass. Its inertia, which turns the payload, is left out.
         """
@@ -141,6 +155,7 @@ class KalmanFilter:
         lacking[2] += model.system.gravity
         effects = self._spread[:-1].copy()
         effects[:3, 2] = lacking
+        effects[:, _DRAG] = self._resistance(x)
         return effects
 
     def basis(self, x: Array) -> tuple[Array, Array]:
@@ -198,6 +213,9 @@ class KalmanFilter:
         moved, s = discrete.A @ T, T.shape[1]
         pushed = np.zeros((len(T), 0)) if forces is None else self._pushed(model, x, actual, forces, discrete.A)
         P, Q = belief.P, self.Q.copy()
+        if forces is not None:
+            lagging = L.T @ discrete.B * (UNKNOWN_LAG_S / self._period_s * (u - belief.u))
+            Q[:s, :s] += lagging @ lagging.T
         if by_fail_safe.any() or by_law.any():
             K, B = self._feedback(tick), discrete.B
             closed = by_law | by_fail_safe
@@ -214,7 +232,7 @@ class KalmanFilter:
         still = np.append(np.zeros(len(forces) - 1), forces[-1])
         f = model.derivative(x, u, forces=still)
         effect = np.zeros((len(A), self._spread.shape[1]))
-        units = np.vstack([self._effects(model, x, u, forces), np.zeros((1, 5))])
+        units = np.vstack([self._effects(model, x, u, forces), np.zeros((1, len(_FORCE)))])
         effect[: len(x)] = np.column_stack([model.derivative(x, u, forces=still + unit) - f for unit in units.T])
         found: Array = self._period_s / 2.0 * (effect + A @ effect)
         return found

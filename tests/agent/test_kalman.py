@@ -9,7 +9,7 @@ from msgspec import structs
 
 from agent.announced import AnnouncedInputs
 from agent.estimator import STEPS, StateEstimator
-from agent.kalman import Belief, KalmanFilter
+from agent.kalman import UNKNOWN_LAG_S, Belief, KalmanFilter
 from model import state
 from model.arrays import Array
 from protocol.scenario.setup import Setup
@@ -110,7 +110,7 @@ def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
     every = [(uav, range(5)) for uav in range(4)]
 
     def unknown(z: Array) -> Array | None:
-        return kalman.forces(replace(belief, forces=z[n:]))
+        return kalman.forces(replace(belief, x=z[:n], forces=z[n:]))
 
     def moved(z: Array, xi: Array) -> Array:
         T, _ = kalman.basis(z[:n])
@@ -124,8 +124,9 @@ def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
         def sensed(z: Array, k: int = k) -> Array:
             return model.sense(z[:n], U[k], forces=unknown(z))[0]
 
-        def step(z: Array, k: int = k) -> Array:
-            return model.integrate(z[:n], U[k + 1], PERIOD_S, STEPS, forces=unknown(z))[0]
+        def step(z: Array, k: int = k, delayed: Array | None = None) -> Array:
+            u = U[k + 1] if delayed is None else U[k + 1] + delayed
+            return model.integrate(z[:n], u, PERIOD_S, STEPS, forces=unknown(z))[0]
 
         H = jacobian(sensed, z)
         G = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
@@ -133,7 +134,13 @@ def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
         belief = kalman.correct(belief, model, [(uav, sensors, Z[k][uav]) for uav, sensors in every])
         A = np.eye(len(P))
         A[:r] = kalman.basis(step(z))[1].T @ jacobian(step, z)
-        z, P = np.concatenate([step(z), z[n:]]), A @ P @ A.T + kalman.Q
+        Q = kalman.Q.copy()
+        if forces == "true":
+            # Each input may act as late as the unknown lag.
+            late = np.diag(UNKNOWN_LAG_S / PERIOD_S * (U[k + 1] - U[k]))
+            effects = kalman.basis(step(z))[1].T @ np.array([step(z, delayed=u) - step(z) for u in late]).T
+            Q[:r, :r] += effects @ effects.T
+        z, P = np.concatenate([step(z), z[n:]]), A @ P @ A.T + Q
         none, ahead = np.zeros(16, dtype=bool), step(np.concatenate([belief.x, belief.forces]))
         belief = kalman.predict(belief, model, k, ahead, U[k + 1], none, none)
     deviation = np.sqrt(np.diag(P))
