@@ -119,6 +119,14 @@ def dip(at_s: float, duration_s: float, share: float) -> dict[str, Any]:
     return {"faults.event": [{"at_s": t, "do": "degrade", "target": "uav2", "efficiency": e} for t, e in events]}
 
 
+def fall(depth_m: float) -> dict[str, Any]:
+    """Return a maneuver that descends almost as fast as bodies fall, in a second."""
+    ways = (("hover", 1.0, 0.0), ("descend", 1.0, depth_m), ("hover", 3.0, 0.0))
+    phases = [{"name": name, "duration_s": s, "displacement_m": [0.0, 0.0, down]} for name, s, down in ways]
+    return {"maneuver.phase": phases}
+
+
+TAUT = {"controller.tension.minimum_N": 2.0}
 CABLES: Mapping[str, Mapping[str, Any]] = {
     "`resilient`": {},
     "`eight` at 5 m/s, 200 ms delay, 30 % packet loss": {},
@@ -132,6 +140,10 @@ CABLES: Mapping[str, Mapping[str, Any]] = {
         "maneuver.phase.2.speed_mps": 3.0,
         **dip(10.0, 0.3, 0.3),
     },
+    "`resilient`, 6 m down in 1 s": fall(6.0),
+    "`resilient`, the same, with `controller.tension.minimum_N=2`": {**fall(6.0), **TAUT},
+    "`precise`, 7 m down in 1 s": fall(7.0),
+    "`precise`, the same, with `controller.tension.minimum_N=2`": {**fall(7.0), **TAUT},
 }
 
 

@@ -1,4 +1,4 @@
-"""All constraint rows of the QP, row_lower <= A z <= row_upper: rates, separation, tilt, the user's constraints.
+"""All constraint rows of the QP, row_lower <= A z <= row_upper: rates, separation, tilt, the user's, rod tensions.
 
 z is the scaled decision, then the slacks. A slack relaxes a lower bound with coefficient 1, an upper bound with -1.
 """
@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from model import state
 from model.arrays import Array
-from model.dynamics import Symbols
+from model.dynamics import Symbols, motion
 from model.parameters import System
 from mpc.decision import Decision
 from mpc.expressions import Expressions, read
@@ -33,6 +34,7 @@ class Rows:
         minimum_m: Smallest distance.
         angles: Positions in x of the limited roll and pitch angles.
         limit: Largest angle, rad.
+        on_tensions: Smallest allowed less the actual rod tension of the owned UAVs; none if it is not limited.
     """
 
     def __init__(self, decision: Decision) -> None:
@@ -46,7 +48,7 @@ class Rows:
         own_slacks = [separation.penalty] * min(1, len(self.pairs)) if separation else []
         own_slacks += [tilt.penalty] if tilt else []
         self.penalties = np.concatenate([np.array(own_slacks), self._user.penalties])
-        self._decision = decision
+        self._decision, self.on_tensions = decision, self._user.on_tensions
         half, columns = steps * len(self.angles), size + len(own_slacks)
         ends = np.cumsum(
             [decision.size - len(decision.own), steps * len(self.pairs), half, half, len(self._user.slacks)]
@@ -155,10 +157,23 @@ def compile_constraints(constraints: Sequence[Constraint], system: System) -> tu
     return found[0], found[1]
 
 
-class UserRows:
-    """Constraints on states, each soft one with a slack of its own, then those on inputs.
+def tension_margins(decision: Decision) -> Expressions:
+    """Return tension.minimum_N less the rod tensions of the owned UAVs, of states and inputs, (n + m,); none unlimited.
 
-    Constraints without owned inputs are left to their owners. Source: docs/equations.md (30); paper (20)-(21).
+    Source: docs/equations.md (9), (30b).
+    """
+    symbols, section = Symbols.of(decision.system.N, decision.system.commands_rates), decision.settings.tension
+    margins: list[ca.SX] = []
+    if section is not None:
+        tensions = ca.substitute(motion(symbols).tensions, symbols.F, ca.SX.zeros(symbols.F.numel()))
+        margins = [section.minimum_N - tensions[uav] for uav in decision.uavs]
+    return Expressions(margins, ca.vertcat(symbols.x, symbols.u), symbols.p, decision.system.vector())
+
+
+class UserRows:
+    """Constraints on states, each soft one with a slack of its own, then those on inputs; rod tensions with one slack.
+
+    Constraints without owned inputs are left to their owners. Source: docs/equations.md (30), (30b); paper (20)-(21).
 
     Attributes:
         penalties: Weights of the slacks, (slacks,).
@@ -168,18 +183,25 @@ class UserRows:
     def __init__(self, decision: Decision) -> None:
         self._decision, steps = decision, decision.settings.horizon
         self._on_state, self._on_input = compile_constraints(decision.settings.constraint, decision.system)
+        self.on_tensions = tension_margins(decision)
         self._kept = self._on_input.expressions.depends[:, decision.own].any(axis=1)
         soft = np.flatnonzero(~np.isnan(self._on_state.penalty))
         self.penalties = self._on_state.penalty[soft]
         each = len(self._on_state.expressions)
         self._state_rows = steps * each
-        self.slacks = np.zeros((self._state_rows + steps * int(self._kept.sum()), len(soft)))
+        self._tension_rows = self._state_rows + steps * int(self._kept.sum())
+        count, section = len(self.on_tensions), decision.settings.tension
+        if section is not None:
+            self.penalties = np.append(self.penalties, section.penalty)
+        self.slacks = np.zeros((self._tension_rows + steps * count, len(self.penalties)))
         for slack, constraint in enumerate(soft):
             self.slacks[constraint : self._state_rows : each, slack] = -1.0
+        self.slacks[self._tension_rows :, -1:] = -1.0
 
     def fill(self, linear: Linear, prediction: Prediction, A: Array, lower: Array, upper: Array) -> None:
         """Write the expressions' dependence on the decision, and their values where it is zero."""
         end, size, u0, scale = self._state_rows, self._decision.size, linear.u0, self._decision.scale
+        last = self._tension_rows
         if end:
             on = self._on_state.expressions.at(linear.x0)
             n = on.slope.shape[1]  # motors, which may be further states, are not in the expressions
@@ -190,9 +212,22 @@ class UserRows:
         if self._kept.any():
             on, own = self._on_input.expressions.at(u0), self._decision.own
             slope = on.slope[self._kept]
-            A[end:, :size] = np.kron(np.eye(self._decision.settings.horizon), slope[:, own] * scale)
+            A[end:last, :size] = np.kron(np.eye(self._decision.settings.horizon), slope[:, own] * scale)
             values = on.value[self._kept] + (prediction.U_all - u0) @ slope.T
-            lower[end:], upper[end:] = _bounds(self._on_input.equality[self._kept], values)
+            lower[end:last], upper[end:last] = _bounds(self._on_input.equality[self._kept], values)
+        if len(self.on_tensions):
+            n, own = len(linear.x0), self._decision.own
+            on = self.on_tensions.at(np.concatenate([linear.x0, u0]))
+            by_state, by_input = on.slope[:, :n], on.slope[:, n:].copy()
+            at_once = by_input[:, own]
+            by_input[:, own] = 0.0  # inputs of the others, which respond to the state
+            later = np.tensordot(by_state, prediction.effect, 1)
+            if len(prediction.feedback):
+                later += np.tensordot(by_input, prediction.feedback, 1)
+            effect = np.concatenate([at_once[:, None], later[:, :-1]], axis=1)
+            A[last:, :size] = stacked(effect * scale)
+            values = on.value + prediction.dX_free[:-1] @ by_state.T + (prediction.U_all - u0) @ on.slope[:, n:].T
+            upper[last:] = -values.reshape(-1)
 
 
 def _bounds(equality: npt.NDArray[np.bool_], values: Array) -> tuple[Array, Array]:

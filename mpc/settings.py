@@ -213,6 +213,18 @@ class Tilt(Section):
     """penalty on the largest violation over the horizon"""
 
 
+class Tension(Section):
+    """The smallest rod tension that an agent plans for its UAVs, softened so that no state makes the QP infeasible.
+
+    A cable that stays taut behaves as a rod, which the controllers predict with.
+    """
+
+    minimum_N: Positive
+    """smallest tension of the rods of its own UAVs that an agent plans; less than at hover"""
+    penalty: Annotated[Positive, Key(unit="1/N", within=_WEIGHTS)] = 10.0
+    """penalty on the largest violation over the horizon"""
+
+
 class Constraint(Section):
     """A constraint of the user as text over the model's variables (see `mpc.expressions`).
 
@@ -286,6 +298,7 @@ class ControllerSettings(Section):
     limits: Limits = Limits()
     separation: Separation | None = None
     tilt: Tilt | None = None
+    tension: Tension | None = None
     constraint: Annotated[tuple[Constraint, ...], BeforeValidator(_as_tuple)] = ()
     cost: Annotated[tuple[CostTerm, ...], BeforeValidator(_as_tuple)] = ()
 

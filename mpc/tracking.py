@@ -255,6 +255,7 @@ class Along:
         changes = np.diff(np.vstack([linear.u0[own], U[:, own]]), axis=0)
         over = [low - U[:, own], U[:, own] - high, np.abs(changes) - rate]
         within = all((part <= _ROUNDING * (high - low)).all() for part in over) and self._apart(model, Z)
+        within = within and self._taut(Z, U)
         return Course(law=law, along=along, Z=Z, U=U, u0=linear.u0, forces=linear.forces, within=within)
 
     def program(self, model: Model, course: Course) -> QP:
@@ -276,9 +277,15 @@ class Along:
             return QP(H=H, g=g, lower=lower, upper=upper, A=np.zeros((0, size)), row_lower=none, row_upper=none)
         # Effect of the decision on the states at a step, and on the inputs of all steps.
         effect, inputs, states = np.zeros((len(course.Z[0]), size)), np.zeros((steps, m, size)), []
+        slack_N, loosened = np.zeros((steps, len(rows.on_tensions))), []
         for k in range(steps):
-            inputs[k] = law.K[k][own] @ effect
-            inputs[k, :, m * k : m * (k + 1)] += np.diag(scale)
+            all_inputs = law.K[k] @ effect
+            all_inputs[own, m * k : m * (k + 1)] += np.diag(scale)
+            inputs[k] = all_inputs[own]
+            if len(rows.on_tensions):
+                on = rows.on_tensions.at(np.concatenate([course.Z[k], course.U[k]]))
+                slack_N[k] = on.value
+                loosened.append(on.slope @ np.vstack([effect, all_inputs]))
             effect = along.A_closed[k] @ effect
             effect[:, m * k : m * (k + 1)] += along.B[k][:, own] * scale
             states.append(effect)
@@ -291,26 +298,29 @@ class Along:
         tilted = np.array(states)[:, rows.angles].reshape(-1, size)
         changes = np.diff(inputs, axis=0).reshape(-1, size)
         clear, clear_m = self._clear_rows(model, course, states)
-        parts = [inputs.reshape(-1, size), changes, apart, tilted, tilted, *clear]
+        tensions = np.array(loosened).reshape(-1, size)
+        parts = [inputs.reshape(-1, size), changes, apart, tilted, tilted, tensions, *clear]
         A = np.zeros((sum(map(len, parts)), size + slacks))
         A[:, :size] = np.concatenate(parts)
-        ends, tilt = np.cumsum(list(map(len, parts))), size + len(rows.penalties)
+        ends, clearances = np.cumsum(list(map(len, parts))), size + len(rows.penalties)
         A[ends[1] : ends[2], size : size + 1] = 1.0
-        A[ends[2] : ends[3], tilt - 1 : tilt], A[ends[3] : ends[4], tilt - 1 : tilt] = -1.0, 1.0
-        for slack, (begin, end) in enumerate(pairwise(ends[4:]), start=tilt):
+        tilt = clearances - 1 - int(len(tensions) > 0)
+        A[ends[2] : ends[3], tilt : tilt + 1], A[ends[3] : ends[4], tilt : tilt + 1] = -1.0, 1.0
+        A[ends[4] : ends[5], clearances - 1 : clearances] = -1.0
+        for slack, (begin, end) in enumerate(pairwise(ends[5:]), start=clearances):
             A[begin:end, slack] = 1.0
         nominal = course.U[:, own]
         low, high = decision.bounds(nominal, course.u0)
         changed, rate = np.diff(nominal, axis=0).reshape(-1), np.tile(decision.rate, steps - 1)
         angles, none = course.Z[1:, rows.angles].reshape(-1), np.full(len(tilted), np.inf)
         far, each = np.concatenate(distances), np.tile(scale, steps)
-        any_far = np.full(len(far), np.inf)
+        any_far, any_tension = np.full(len(far), np.inf), np.full(slack_N.size, -np.inf)
         return QP(
             H=H, g=g, lower=lower, upper=upper, A=A,
             row_lower=np.concatenate([low * each, -rate - changed, rows.minimum_m - far, -none, -rows.limit - angles,
-                                      -clear_m]),
+                                      any_tension, -clear_m]),
             row_upper=np.concatenate([high * each, rate - changed, any_far, rows.limit - angles, none,
-                                      np.full(len(clear_m), np.inf)]),
+                                      -slack_N.reshape(-1), np.full(len(clear_m), np.inf)]),
         )  # fmt: skip
 
     def _clear_rows(self, model: Model, course: Course, states: list[Array]) -> tuple[Array, Array]:
@@ -355,6 +365,11 @@ class Along:
             return False
         apart = np.linalg.norm(places[:, rows.pairs[:, 0]] - places[:, rows.pairs[:, 1]], axis=2)
         return bool((apart >= rows.minimum_m - _ROUNDING).all())
+
+    def _taut(self, Z: Array, U: Array) -> bool:
+        """Return whether rod tensions along a trajectory keep their limit."""
+        on = self._rows.on_tensions
+        return all((on.at(np.concatenate(point)).value <= _ROUNDING).all() for point in zip(Z, U, strict=False))
 
     @staticmethod
     def _places(model: Model, Z: Array) -> Array:

@@ -164,5 +164,7 @@ def _program(scenario: Scenario, own: int) -> tuple[int, int]:
         slacks, rows = slacks + 1, rows + pairs * horizon
     if controller.tilt is not None:
         slacks, rows = slacks + 1, rows + 4 * own * horizon
+    if controller.tension is not None:
+        slacks, rows = slacks + 1, rows + own * horizon
     # Constraints of the user: at most a slack each, and a row per step.
     return decisions + slacks + len(controller.constraint), rows + horizon * len(controller.constraint)

@@ -44,6 +44,8 @@ def exceeded(
         ("a thrust of at least", " N", limits.thrust_N[0], inputs[..., 0].min()),
         ("a share of the rod tension at hover of at least", "", LEAST_TENSION, pulled.min()),
     ]
+    if settings.tension is not None:
+        lowest.append(("a rod tension of at least", " N", settings.tension.minimum_N, flown.tensions.min()))
     if settings.separation is not None and apart:
         lowest.append(("a distance of UAVs of at least", " m", settings.separation.minimum_m, min(apart)))
     highest: list[tuple[str, str, float, float]] = [

@@ -145,6 +145,8 @@ def _controller(scenario: Scenario) -> Problems:
                 yield f"controller.{key}", f"{needed!r} with controller.estimator 'kalman', {why}", repr(got)
     # A lag is none, or long enough for the exponential of the discretisation.
     shortest_s = _SHORTEST_LAG * section.sampling_period_s
+    if section.tension is not None and section.motor_lag_s > 0.0:
+        yield "controller.tension", "controller.motor_lag_s = 0 with it", section.motor_lag_s
     motors = scenario.plant.motors
     for key, lag_s in (
         ("controller.motor_lag_s", section.motor_lag_s),

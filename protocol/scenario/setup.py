@@ -370,6 +370,10 @@ class Setup:
                     quarter = f"a quarter of the hover thrust of UAV{uav}, {thrust:.2f} N"
                     expected = f"expected a range that contains {hover if share == 1.0 else quarter}"
                     raise ScenarioError(source, key, f"{expected}, got {[low, high]}")
+        tension, least_N = self.settings.tension, float(self.hover.tensions.min())
+        if tension is not None and least_N <= tension.minimum_N:
+            expected = f"expected less than the {least_N:.2f} N at hover"
+            raise ScenarioError(source, "controller.tension.minimum_N", f"{expected}, got {tension.minimum_N}")
         separation = self.settings.separation
         if separation is None or self.system.N < 2:
             return

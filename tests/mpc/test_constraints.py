@@ -9,9 +9,10 @@ import pytest
 
 from model.arrays import Array
 from model.state import THETA, V0, uav_slice
+from mpc.prediction import Prediction, convolve
 from mpc.qp import QP
 from mpc.rows import pairs_of, separation_rows
-from mpc.settings import Constraint, ControllerSettings, Separation, Tilt
+from mpc.settings import Constraint, ControllerSettings, Separation, Tension, Tilt
 from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
 
@@ -23,10 +24,14 @@ SAME_PLAN = 1e-5
 HORIZON = 5
 OWNED = [(0,), (1, 3), (0, 1, 2, 3)]
 MINIMUM_M, TILT_DEG, SPEED_LIMIT, CEILING_M, THRUST_PRODUCT, MOMENT_SUM = 0.45, 12.0, 1.0, -11.0, 500.0, 0.1
+TENSION_N = 5.0
+# Slopes of tensions of some newtons by central differences, N.
+BY_DIFFERENCES = 1e-6
 SETTINGS = ControllerSettings(
     horizon=HORIZON,
     separation=Separation(minimum_m=MINIMUM_M),
     tilt=Tilt(limit_deg=TILT_DEG),
+    tension=Tension(minimum_N=TENSION_N),
     constraint=(
         Constraint(expression=f"r0[2] >= {CEILING_M}", soft=False),
         Constraint(expression=f"thrust1 * thrust2 <= {THRUST_PRODUCT}"),
@@ -44,7 +49,7 @@ class Case:
     Attributes:
         dX: Predicted state deviations, (N_p + 1, n).
         inputs: Of all UAVs over the horizon, (N_p, m).
-        slacks: Of the separation, of the tilts and of the softened speed limit.
+        slacks: Of the separation, of the tilts, of the softened speed limit and of the tensions.
         below, above: Distances of every row to its bounds at that decision.
     """
 
@@ -53,7 +58,7 @@ class Case:
     dX: Array
     inputs: Array
     own: npt.NDArray[np.intp]
-    slacks: tuple[float, float, float]
+    slacks: tuple[float, ...]
     qp: QP
     below: Array
     above: Array
@@ -69,7 +74,7 @@ def case(request: pytest.FixtureRequest) -> Case:
     qp = one.condense(linear, one.predict(linear, one.discretise(linear), at.U, None), at.U, at.y_ref)
     half = (SETTINGS.limits.upper(len(owned)) - SETTINGS.limits.lower(len(owned))) / 2.0
     rng = np.random.default_rng(2)
-    v, slacks = 0.2 * rng.standard_normal((HORIZON, len(half))), (0.07, 0.02, 0.3)
+    v, slacks = 0.2 * rng.standard_normal((HORIZON, len(half))), (0.07, 0.02, 0.3, 0.5)
     inputs = at.U.copy()
     inputs[:, one.own] = at.u[one.own] + v * half
     hold = naive.exact_hold(setup.model.linearise(at.x, at.u), SETTINGS.sampling_period_s)
@@ -91,6 +96,7 @@ def block(case: Case, kind: str) -> slice:
         "tilt": 2 * HORIZON * 2 * uavs,
         "state": HORIZON * 3,
         "input": HORIZON * 2,
+        "tension": HORIZON * uavs,
     }
     start = 0
     for name, count in counts.items():
@@ -106,8 +112,8 @@ def close(rows: Array, brute: Array) -> bool:
 
 
 def test_every_row_is_accounted_for(case: Case) -> None:
-    """Rates, separation, tilts, states, inputs: nothing else constrains the decision, paper (26)-(27)."""
-    assert len(case.qp.A) == block(case, "input").stop
+    """Rates, separation, tilts, states, inputs, tensions: nothing else constrains the decision, paper (26)-(27)."""
+    assert len(case.qp.A) == block(case, "tension").stop
 
 
 def test_rate_rows(case: Case) -> None:
@@ -128,10 +134,10 @@ def test_first_rate_is_a_bound(case: Case) -> None:
     in_force = case.at.u[own]
     assert close(in_force + case.qp.lower[: len(own)] * half, np.maximum(low, in_force - rate))
     assert close(in_force + case.qp.upper[: len(own)] * half, np.minimum(high, in_force + rate))
-    later = case.qp.upper[len(own) : -3].reshape(HORIZON - 1, -1)
+    later = case.qp.upper[len(own) : -4].reshape(HORIZON - 1, -1)
     assert close(in_force + later * half, np.tile(high, (HORIZON - 1, 1)))
-    assert (case.qp.lower[-3:] == 0.0).all(), "a negative slack would tighten what it softens"
-    assert np.isinf(case.qp.upper[-3:]).all()
+    assert (case.qp.lower[-4:] == 0.0).all(), "a negative slack would tighten what it softens"
+    assert np.isinf(case.qp.upper[-4:]).all()
 
 
 def test_separation_rows(case: Case) -> None:
@@ -195,6 +201,46 @@ def test_input_rows(case: Case) -> None:
     assert close(above, -np.column_stack([product, moments]))
     assert np.isinf(below[:, 0]).all()
     assert close(below[:, 1], moments)
+
+
+def tensions(setup: Setup, at: Situation, dX: Array, dU: Array, uavs: list[int]) -> Array:
+    """Return tensions of some rods to first order in deviations at each step, by differences, (N_p, uavs), N."""
+    T, h = setup.model.tensions, 1e-5
+    slopes = [
+        (T(at.x + h * x, at.u + h * u) - T(at.x - h * x, at.u - h * u)) / (2.0 * h) for x, u in zip(dX, dU, strict=True)
+    ]
+    return (T(at.x, at.u) + np.array(slopes))[:, uavs]
+
+
+def test_tension_rows(case: Case) -> None:
+    """Tensions of the owned UAVs' rods before each step, with one slack, (30b); no other rods."""
+    uavs = sorted({int(i) // 4 for i in case.own})
+    found = tensions(case.setup, case.at, case.dX[:-1], case.inputs - case.at.u, uavs)
+    rows = block(case, "tension")
+    expected = (found - TENSION_N + case.slacks[3]).reshape(-1)
+    np.testing.assert_allclose(case.above[rows], expected, rtol=0.0, atol=BY_DIFFERENCES)
+    assert np.isinf(case.below[rows]).all()
+
+
+@pytest.mark.parametrize("owned", OWNED, ids=str)
+def test_tension_rows_with_others_that_respond(owned: tuple[int, ...]) -> None:
+    """With a shared control law the others' inputs respond to the decision, and the tensions to both."""
+    setup, settings = paper_setup(), SETTINGS.model_copy(update={"prediction": "closed_loop", "constraint": ()})
+    at, one = situation(setup, settings, seed=9), controller(setup, settings, owned)
+    law = one.law(at.x, np.tile(at.x, (HORIZON, 1)), 0.1 * at.U, None, 0)
+    linear = one.linearise(at.x, at.u)
+    prediction = one.predict(linear, one.discretise(linear), at.U, law)
+    assert isinstance(prediction, Prediction)
+    qp = one.condense(linear, prediction, at.U, at.y_ref, law)
+    v = 0.2 * np.random.default_rng(2).standard_normal((HORIZON, len(one.own)))
+    half = (settings.upper(len(owned)) - settings.lower(len(owned))) / 2.0
+    dX = prediction.dX_free[:-1] + convolve(prediction.effect, v * half)
+    U = prediction.U_all + convolve(prediction.feedback, v * half)
+    U[:, one.own] = prediction.U_free + v * half
+    rows = slice(len(qp.A) - HORIZON * len(owned), None)
+    values = qp.A[rows, : v.size] @ v.reshape(-1)
+    expected = (tensions(setup, at, dX, U - at.u, list(owned)) - TENSION_N).reshape(-1)
+    np.testing.assert_allclose(qp.row_upper[rows] - values, expected, rtol=0.0, atol=BY_DIFFERENCES)
 
 
 def test_linear_distance_is_a_lower_bound() -> None:

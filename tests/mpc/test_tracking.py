@@ -16,7 +16,7 @@ from model.maneuver import Maneuver, Phase
 from model.obstacles import Obstacle, Solid, clearances
 from model.state import R0, StateView, input_slice
 from mpc.controller import Controller, StepResult
-from mpc.settings import ControllerSettings, Limits, Separation, Tilt, Weights
+from mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
 from mpc.tracking import Course, rollout
 from tests.model.test_flat import unequal
 
@@ -139,8 +139,9 @@ def test_law_of_another_team_is_the_same_by_parts_and_at_once() -> None:
         ({"limits": Limits(thrust_N=(0.0, 14.0), thrust_rate_N_s=60.0, moments_Nm=(0.05, 0.05, 0.02))}, None),
         ({"separation": Separation(minimum_m=0.44, penalty=1000.0)}, "separation"),
         ({"tilt": Tilt(limit_deg=12.0, penalty=1000.0)}, "tilt"),
+        ({"tension": Tension(minimum_N=3.0, penalty=1000.0)}, "tension"),
     ],
-    ids=["inputs", "separation", "tilt"],
+    ids=["inputs", "separation", "tilt", "tension"],
 )
 def test_program_keeps_limits_that_the_law_violates(changed: dict[str, object], wanted: str | None) -> None:
     """Off the reference the law violates a limit; with the program's corrections the model keeps it."""
@@ -160,14 +161,16 @@ def test_program_keeps_limits_that_the_law_violates(changed: dict[str, object], 
     np.testing.assert_allclose(U, result.U, atol=1e-6)
     changes = np.abs(np.diff(np.vstack([track.U[start - 1], U]), axis=0))
     assert (changes <= settings.limits.step(4, PERIOD_S) + 1e-6).all()
-    before, after = (_violation(model, settings, states) for states in (course.Z, Z))
+    before, after = (_violation(model, settings, *of) for of in ((course.Z, course.U), (Z, U)))
     if wanted is not None:
         assert after < 0.25 * before
 
 
-def _violation(model: Model, settings: ControllerSettings, Z: Array) -> float:
-    """Return the largest violation of distance or tilt, m or rad."""
+def _violation(model: Model, settings: ControllerSettings, Z: Array, U: Array) -> float:
+    """Return the largest violation of distance, tilt or tension, m, rad or N."""
     worst = 0.0
+    if settings.tension is not None:
+        worst = max(settings.tension.minimum_N - model.tensions(x, u).min() for x, u in zip(Z, U, strict=False))
     for x in Z[1:]:
         if settings.separation is not None:
             r = model.outputs(x)[:12].reshape(4, 3)

@@ -2,6 +2,7 @@
 
 from functools import lru_cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -213,6 +214,25 @@ def test_fast_flight_on_cables() -> None:
     assert tensions_N[:120].min() > 1.0
     assert (tensions_N[200:].min() > 1.0, cables["slack"] > 0, cables["slack_at_end"]) == (True, True, 0)
     assert np.linalg.norm(run.series["payload_error_m"][-20:], axis=1).max() < 0.01
+
+
+@pytest.mark.slow
+def test_planned_tensions_keep_cables_taut() -> None:
+    """Cables become slack in a descent almost as fast as bodies fall; with a least planned tension they do not."""
+    ways = (("hover", 1.0, 0.0), ("descend", 1.0, 6.0), ("hover", 1.5, 0.0))
+    settings: dict[str, Any] = {
+        "plant.engine": "mujoco",
+        "plant.mujoco.suspension": "cables",
+        "maneuver.phase": [{"name": name, "duration_s": s, "displacement_m": [0.0, 0.0, z]} for name, s, z in ways],
+    }
+    loose, taut = (
+        transport.fly("resilient", settings | more, progress=False).summary
+        for more in ({}, {"controller.tension.minimum_N": 2.0})
+    )
+    assert loose["outcome"] == taut["outcome"] == "completed"
+    assert loose["cables"]["slack"] > 0
+    assert taut["cables"]["slack"] == 0
+    assert taut["cables"]["tension_min_N"] > 1.8
 
 
 @pytest.mark.slow
