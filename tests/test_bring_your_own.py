@@ -30,7 +30,7 @@ def test_the_path_of_the_document(tmp_path: Path) -> None:
     """An eight of 2 m, from rest to rest, where the phase before ended; the scenario around it is valid."""
     _, program, _ = blocks("python")
     subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True, timeout=60)
-    phases, _, _ = blocks("toml")
+    phases, *_ = blocks("toml")
     ready = (SCENARIOS / "resilient.toml").read_text(encoding="utf-8")
     begin, end = ready.index("[[maneuver.phase]]"), ready.index("[controller]")
     (tmp_path / "mine.toml").write_text(ready[:begin] + phases + ready[end:], encoding="utf-8")
@@ -46,7 +46,7 @@ def test_the_path_of_the_document(tmp_path: Path) -> None:
 
 def test_the_constraint_of_the_document(tmp_path: Path) -> None:
     """The penalty on height is valid in a scenario."""
-    _, _, constraint = blocks("toml")
+    (constraint,) = (block for block in blocks("toml") if "controller.constraint" in block)
     path = tmp_path / "mine.toml"
     path.write_text((SCENARIOS / "resilient.toml").read_text(encoding="utf-8") + "\n" + constraint, encoding="utf-8")
     run = Setup.of(read_scenario(path), str(path))

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from transport.interface.settings import ArgumentError as ArgumentError
     from transport.interface.sweep import Sweep as Sweep
     from transport.interface.sweep import sweep as sweep
+    from transport.interface.team import team as team
     from transport.log.run_log import LogError as LogError
     from transport.viewer.server import ViewerError as ViewerError
 
@@ -39,6 +40,7 @@ _MODULES = {
     "sweep": "transport.interface.sweep",
     "margins": "transport.interface.margins",
     "Margins": "transport.interface.margins",
+    "team": "transport.interface.team",
     "Scenario": "transport.interface.scenario",
     "Run": "transport.interface.run",
     "RunSeries": "transport.interface.series",

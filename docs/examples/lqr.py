@@ -28,13 +28,18 @@ class LQR:
         self.x = run.reference(0)
 
     def step(self, measurement, messages):
-        """Return one row of inputs from the newest states; those of the others are at least one period late."""
-        run, self.x[:12] = self.run, measurement.payload
+        """Return one row of inputs from the newest states."""
+        run = self.run
+        self.update(measurement, messages)
+        self.inputs = run.u_hover - self.K @ (self.x - run.reference(run.tick + run.delay))[self.free]
+        return self.inputs.reshape(-1, 4)[list(run.owned)].ravel()
+
+    def update(self, measurement, messages):
+        """Take in the newest states; those of the others are at least one period late."""
+        self.x[:12] = measurement.payload
         for known in (*messages, measurement):
             for uav, state in zip(known.uavs, known.uav_states, strict=True):
                 self.x[12 * uav : 12 * uav + 12] = state  # UAVs count from 1 in messages
-        u = run.u_hover - self.K @ (self.x - run.reference(run.tick + run.delay))[self.free]
-        return u.reshape(-1, 4)[list(run.owned)].ravel()
 
     def stop(self):
         """Nothing is open."""

@@ -62,7 +62,7 @@ def stepped(run: Setup, count: int) -> list[Message]:
 
 @pytest.mark.parametrize(
     ("name", "changes"),
-    [("pid:PID", ("clock.actuation=next_tick",)), ("lqr:LQR", ("links.delay_s=0.1", "links.loss=0.1"))],
+    [("pid:PID", ("clock.actuation=next_tick",)), ("predicting:Predicting", ("links.delay_s=0.4", "links.loss=0.3"))],
 )
 def test_the_examples_fly(name: str, changes: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     """Each completes the paper's maneuver, on an impaired network, without a failed step; twice with the same bits."""

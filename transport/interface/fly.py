@@ -1,6 +1,7 @@
 """Simulating a run, and loading a recorded one."""
 
 import time
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Unpack
@@ -20,6 +21,7 @@ from transport.interface.progress import console, run_progress
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario
 from transport.interface.settings import ArgumentError, Settings, ShortSettings, file_name, public
+from transport.interface.team import path_phase
 from transport.log.run_folder import open_run
 from transport.log.run_log import LogError, Recorded, RunLog
 from transport.report.report import write_report
@@ -35,6 +37,7 @@ def fly(
     processes: bool = False,
     folder: "str | PathLike[str] | None" = None,
     progress: bool = True,
+    path: Sequence[Sequence[float]] | None = None,
     **short: Unpack[ShortSettings],
 ) -> Run:
     """Simulate a run and return it, also if it diverges.
@@ -60,6 +63,9 @@ did you mean 'horizon'?
         processes: Start a process for each part of the run.
         folder: Run folder to create; by default none in memory, and runs/<time>-<scenario> with processes.
         progress: Show the progress on standard error, or in the notebook.
+        path: Path of the payload in place of the maneuver: rows of time and position, (t_s, x_m, y_m, z_m), as an array
+            or a list; both count from the first row. Between rows at constant speed; with a flat reference a spline
+            through them, so a few rows are enough.
         short: Changes by short name (`transport.interface.settings.KEY_OF`), such as `horizon=10`.
 
     Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is. RunError, HarnessError:
@@ -67,6 +73,8 @@ did you mean 'horizon'?
     """
     # A setup of its own: the compiled functions of a setup must not be used by two threads.
     flown = Scenario(scenario, settings, **short)
+    if path is not None:
+        flown.set(phases=[path_phase(path, flat=flown.maneuver.reference == "flat")])
     setup = Setup.of(flown.validated, str(flown.file))
     target = None if folder is None else Path(file_name(folder, "folder"))
     if target is not None and target.exists():
