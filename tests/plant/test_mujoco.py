@@ -199,7 +199,7 @@ def test_the_controllers_hold_in_mujoco(name: str, network: tuple[str, ...]) -> 
 
 @pytest.mark.slow
 def test_fast_flight_on_cables() -> None:
-    """At 3 m/s no cable is slack. A UAV with a third of its thrust for 0.15 s slackens some; then all are taut for good."""
+    """At 3 m/s no cable is slack. With a third of its thrust a UAV slackens some for a moment; then all are taut."""
     dip = [{"at_s": at_s, "do": "degrade", "target": "uav2", "efficiency": e} for at_s, e in ((6.0, 0.3), (6.15, 1.0))]
     settings = {
         "plant.engine": "mujoco",
