@@ -4,11 +4,13 @@ Building the Jacobians symbolically takes a second for large N, and every proces
 depend on N alone (physical parameters are arguments), so the next process loads them from the cache in milliseconds.
 """
 
+import ctypes
 import hashlib
 import itertools
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,6 +22,8 @@ from model.dynamics import Symbols
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
 _FLAGS = ("-Og", "-march=native", "-fno-math-errno", "-ffp-contract=off")
+# A tenth of the code, evaluated tens of times in a step of a controller: worth the time of its compilation.
+_OFTEN = '#pragma GCC push_options\n#pragma GCC optimize("O2")\n{}\n#pragma GCC pop_options'
 # Instructions; longer functions stay interpreted, as compilation time grows more than linearly.
 _MAX_LENGTH = 80_000
 
@@ -162,10 +166,19 @@ def compile_functions(N: int, rates: bool = False) -> bool:
         return False
     if compiler.intact(path):
         return True
-    sources = (
-        _source(function) for function in functions(N, rates).values() if function.n_instructions() <= _MAX_LENGTH
-    )
+    sources = [
+        _OFTEN.format(_source(function)) if name == "step" else _source(function)
+        for name, function in functions(N, rates).items()
+        if function.n_instructions() <= _MAX_LENGTH
+    ]
     return compiler.compile_library(path, "\n".join(sources).encode(), _FLAGS)
+
+
+def library(N: int, rates: bool = False) -> Any:
+    """Return the library of the compiled functions of a system of N UAVs for kernels that call them, or None."""
+    path = _compiled_file(N, rates)
+    found = ctypes.CDLL(str(path)) if compiler.enabled() and compiler.intact(path) else None
+    return found if hasattr(found, "step") else None
 
 
 def _source(function: ca.Function) -> str:

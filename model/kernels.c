@@ -320,6 +320,52 @@ void predict(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t count, const p
     }
 }
 
+#ifdef FP_FAST_FMA
+#define ADDED(a, b, sum) __builtin_fma(a, b, sum)
+#else
+#define ADDED(a, b, sum) ((a) * (b) + (sum))
+#endif
+
+/* A row times a vector in four chains: the order of BLAS on processors with AVX2, as the results were first made so. */
+INLINE double chained(ptrdiff_t n, const double *a, const double *b)
+{
+    double sum[4] = {0.0, 0.0, 0.0, 0.0};
+    ptrdiff_t j = 0;
+    for (; j + 4 <= n; j += 4)
+        for (int v = 0; v < 4; v++) sum[v] = ADDED(a[j + v], b[j + v], sum[v]);
+    double total = (sum[0] + sum[2]) + (sum[1] + sum[3]);
+    for (; j < n; j++) total += a[j] * b[j];
+    return total;
+}
+
+/* Response from zero to a drive, dX(k + 1) = A dX(k) + W(k), (steps + 1, n). */
+void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *W, double *dX)
+{
+    memset(dX, 0, (size_t)n * sizeof *dX);
+    for (ptrdiff_t k = 0; k < steps; k++)
+        for (ptrdiff_t i = 0; i < n; i++) dX[(k + 1) * n + i] = chained(n, A + i * n, dX + k * n) + W[k * n + i];
+}
+
+/* States Z, (steps + 1, n), and inputs U, (steps, m), under u = at_x0 + K (x - x0) within bounds; see mpc/tracking.py.
+
+   advance: a CasADi function (x, u, p, F, h) -> (x, error); arg, res, iw, w: room for it, arg[2] to arg[4] are set. */
+void rollout(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m,
+             int (*advance)(const double **, double **, long long *, double *, int), const double **arg, double **res,
+             long long *iw, double *w, const double *K, const double *at_x0, const double *lower, const double *upper,
+             double *Z, double *U)
+{
+    for (ptrdiff_t k = 0; k < steps; k++) {
+        double *x = Z + k * n, *ahead = x + n, *u = U + k * m;
+        for (ptrdiff_t i = 0; i < n; i++) ahead[i] = x[i] - Z[i];
+        for (ptrdiff_t i = 0; i < m; i++) {
+            const double wanted = at_x0[k * m + i] + chained(n, K + i * n, ahead);
+            u[i] = wanted < lower[i] ? lower[i] : wanted > upper[i] ? upper[i] : wanted;
+        }
+        arg[0] = x, arg[1] = u, res[0] = ahead, res[1] = 0;
+        advance(arg, res, iw, w, 0);
+    }
+}
+
 /* Answer of the owned inputs' feedback i to the decisions before step k: sum_{j < k} feedback(k - 1 - j) v(j). */
 INLINE double answer(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t i, ptrdiff_t k, const double *feedback, const double *v)
 {

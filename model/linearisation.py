@@ -9,8 +9,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from model import native
 from model.arrays import Array
-from model.compiled import Compiled, functions
+from model.compiled import Compiled, functions, library
 from model.factors import NAMES, Pattern, of_matrices
 from model.integration import Integrator
 from model.parameters import System
@@ -199,6 +200,22 @@ class Model:
         """Return the map from state and input to the state after one step of `integrate`; valid until the next one."""
         step = self._integrator.stepper(self._acting(forces), duration_s)
         return step if not len(self._off) else lambda x, u: step(x, self._effective(u))
+
+    def rollout(
+        self, x: Array, at_x: Array, K: Array, bounds: tuple[Array, Array], duration_s: float, forces: Array | None
+    ) -> tuple[Array, Array] | None:
+        """Return states, (N_p + 1, n), and inputs, (N_p, m), under u = at_x + K (x(k) - x) within bounds, in one call.
+
+        None without compiled kernels, or if the model is not compiled or motors are off. Steps as in `stepper`.
+        """
+        if self._native is None or len(self._off):
+            return None
+        return self._native.rollout(x, at_x, K, bounds, self._acting(forces), duration_s)
+
+    @cached_property
+    def _native(self) -> native.Step | None:
+        found = library(self.system.N, self.system.commands_rates) if native.AVAILABLE else None
+        return None if found is None else native.Step(found, self._p)
 
 
 def _pattern(linearise: ca.Function) -> Pattern:

@@ -27,6 +27,8 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "zero_order_hold": (_double, [_number] * 3 + [_address] * 4 + [_double] * 4 + [ctypes.c_int] + [_address] * 4),
     "predict_work": (_number, [_number] * 3),
     "respond": (None, [_address]),
+    "free_response": (None, [_number] * 2 + [_address] * 3),
+    "rollout": (None, [_number] * 3 + [_address] * 11),
     "condense_work": (_number, [_number] * 5),
     "fill": (None, [_address]),
     "conclude": (None, [_address] * 2 + [_double] + [_address] * 2),
@@ -92,6 +94,35 @@ def conclude(of: Problem, z: Array, w: float) -> tuple[Array, Array]:
     U, c = np.empty((of.steps, of.m)), np.empty((of.steps, of.m))
     _KERNELS.conclude(ctypes.addressof(of), at(z), w, at(U), at(c))
     return U, c
+
+
+def free_response(A: Array, W: Array) -> Array:
+    """Return the response from zero to a drive, (N_p + 1, n); see `mpc.prediction`."""
+    dX = np.empty((len(W) + 1, len(A)))
+    _KERNELS.free_response(len(W), len(A), at(A), at(W), at(dX))
+    return dX
+
+
+class Step:
+    """The compiled step of a model, with its parameters, as the kernels call it: an address, and room for arguments."""
+
+    def __init__(self, library: Any, p: Array) -> None:
+        sizes = (ctypes.c_longlong * 4)()
+        library.step_work(*(ctypes.byref(sizes, 8 * i) for i in range(4)))
+        self._p, self._duration_s = p, np.zeros(1)  # addresses do not keep arrays alive
+        self._rooms = [np.zeros(size + 8, dtype=np.intp) for size in sizes]
+        self._rooms[0][2], self._rooms[0][4] = at(p), at(self._duration_s)
+        self._addresses = [ctypes.cast(library.step, _address).value, *map(at, self._rooms)]
+
+    def rollout(
+        self, x0: Array, at_x0: Array, K: Array, bounds: tuple[Array, Array], forces: Array, duration_s: float
+    ) -> tuple[Array, Array]:
+        """Return states and inputs over steps of a duration under constant forces; see `mpc.tracking`."""
+        Z, U = np.empty((len(at_x0) + 1, len(x0))), np.empty(at_x0.shape)
+        Z[0], self._duration_s[0], self._rooms[0][3] = x0, duration_s, at(forces)
+        of = at(K), at(at_x0), at(bounds[0]), at(bounds[1])
+        _KERNELS.rollout(len(U), len(x0), U.shape[1], *self._addresses, *of, at(Z), at(U))
+        return Z, U
 
 
 def solve_within_bounds(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from model import native
 from model.arrays import Array
 from model.discretisation import Discrete
 from model.linearisation import Linearisation
@@ -105,7 +106,8 @@ def follow(
     """
     B_others = discrete.B.copy()
     B_others[:, own] = 0.0
-    caused = free_response(discrete.A + B_others @ law.K, V @ discrete.B[:, own].T)
+    response = native.free_response if native.AVAILABLE else free_response
+    caused = response(discrete.A + B_others @ law.K, V @ discrete.B[:, own].T)
     prediction.dX_free[:] = Z - Z[0] - caused
     prediction.dU_free[:] = prediction.dX_free[:-1] @ law.K.T
     prediction.U_all[:] = law.uncorrected + law.c + prediction.dU_free

@@ -190,9 +190,13 @@ def rollout(
     Inputs include the law's corrections and are within bounds. Those of a decision are free, or also within rates if
     the owned inputs before the first step are given, (m_own,). Source: docs/equations.md (35a), (73).
     """
-    lower, upper = settings.lower(model.system.N), settings.upper(model.system.N)
-    step = motors.stepper(model, settings.sampling_period_s, settings.motor_lag_s, forces)
-    at_x0, Z, U = law.uncorrected + law.c, [z0], []
+    lower, upper = bounds = settings.lower(model.system.N), settings.upper(model.system.N)
+    period_s, lag_s, at_x0 = settings.sampling_period_s, settings.motor_lag_s, law.uncorrected + law.c
+    if decision is None and law.K.ndim == 2 and lag_s == 0.0:
+        found = model.rollout(z0, at_x0, law.K, bounds, period_s, forces)
+        if found is not None:
+            return found
+    step, Z, U = motors.stepper(model, period_s, lag_s, forces), [z0], []
     for wanted, gain in zip(at_x0, law.K if law.K.ndim == 3 else [law.K] * len(at_x0), strict=True):
         wanted += gain @ (Z[-1] - z0)
         u = np.minimum(np.maximum(wanted, lower), upper)

@@ -14,8 +14,11 @@ from model import compiler, native
 from model.arrays import ShapeError
 from model.compiled import Compiled, compile_functions, functions
 from model.discretisation import _zero_order_hold, zero_order_hold
-from model.linearisation import Linearisation
+from model.hover import hover
+from model.linearisation import Linearisation, Model
+from mpc.prediction import free_response
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
+from tests.support.systems import ring
 
 needs_compiler = pytest.mark.skipif(compiler.find_compiler() is None, reason="no C compiler on this machine")
 needs_kernels = pytest.mark.skipif(not native.AVAILABLE, reason="no compiled kernels: no C compiler, or switched off")
@@ -106,6 +109,28 @@ def test_compiled_functions_give_the_same_bits(N: int, tmp_path: Path, monkeypat
     assert {function.class_name() for function in functions(N).values()} == {"SXFunction", "MXFunction"}
     assert compile_functions(N)
     assert library.read_bytes() == content
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_a_rollout_in_one_call_is_one_in_steps() -> None:
+    """States and inputs under a control law are those of the model's steps, with forces and at the bounds."""
+    assert compile_functions(2)
+    rng, model, hover_u = np.random.default_rng(7), Model(ring(2)), hover(ring(2)).u
+    x0, at_x0 = hover(ring(2)).x, hover_u + rng.normal(0.0, 0.5, (6, 8))
+    K, forces = rng.normal(0.0, 0.1, (8, 36)), rng.normal(0.0, 1.0, 9)
+    bounds = hover_u - 0.6, hover_u + 0.6
+    found = model.rollout(x0, at_x0, K, bounds, 0.05, forces)
+    assert found is not None
+    step, x = model.stepper(0.05, forces), x0
+    for k, wanted in enumerate(at_x0):
+        u = np.clip(wanted + K @ (x - x0), *bounds)
+        x = step(x, u)
+        np.testing.assert_allclose(found[1][k], u, rtol=1e-12)
+        np.testing.assert_allclose(found[0][k + 1], x, rtol=1e-12, atol=1e-12)
+    assert (found[1] == bounds[1]).any()
+    A, W = rng.normal(0.0, 0.1, (36, 36)), rng.normal(size=(6, 36))
+    np.testing.assert_allclose(native.free_response(A, W), free_response(A, W), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize(
