@@ -215,7 +215,7 @@ class Model:
     @cached_property
     def _native(self) -> native.Step | None:
         found = library(self.system.N, self.system.commands_rates) if native.AVAILABLE else None
-        return None if found is None else native.Step(found, self._p)
+        return None if found is None else native.Step(found)
 
 
 def _pattern(linearise: ca.Function) -> Pattern:

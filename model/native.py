@@ -104,22 +104,28 @@ def free_response(A: Array, W: Array) -> Array:
 
 
 class Step:
-    """The compiled step of a model, with its parameters, as the kernels call it: an address, and room for arguments."""
+    """The compiled step of a model as the kernels call it: an address, and room for arguments."""
 
-    def __init__(self, library: Any, p: Array) -> None:
+    def __init__(self, library: Any) -> None:
         sizes = (ctypes.c_longlong * 4)()
         library.step_work(*(ctypes.byref(sizes, 8 * i) for i in range(4)))
-        self._p, self._duration_s = p, np.zeros(1)  # addresses do not keep arrays alive
+        self._duration_s = np.zeros(1)
         self._rooms = [np.zeros(size + 8, dtype=np.intp) for size in sizes]
-        self._rooms[0][2], self._rooms[0][4] = at(p), at(self._duration_s)
+        self._rooms[0][4] = at(self._duration_s)
         self._addresses = [ctypes.cast(library.step, _address).value, *map(at, self._rooms)]
 
     def rollout(
-        self, x0: Array, at_x0: Array, K: Array, bounds: tuple[Array, Array], forces: Array, duration_s: float
+        self,
+        x0: Array,
+        at_x0: Array,
+        K: Array,
+        bounds: tuple[Array, Array],
+        held: tuple[Array, Array],
+        duration_s: float,
     ) -> tuple[Array, Array]:
-        """Return states and inputs over steps of a duration under constant forces; see `mpc.tracking`."""
+        """Return states and inputs over steps of a duration, with parameters and forces held; see `mpc.tracking`."""
         Z, U = np.empty((len(at_x0) + 1, len(x0))), np.empty(at_x0.shape)
-        Z[0], self._duration_s[0], self._rooms[0][3] = x0, duration_s, at(forces)
+        Z[0], self._duration_s[0], self._rooms[0][2:4] = x0, duration_s, [at(array) for array in held]
         of = at(K), at(at_x0), at(bounds[0]), at(bounds[1])
         _KERNELS.rollout(len(U), len(x0), U.shape[1], *self._addresses, *of, at(Z), at(U))
         return Z, U
