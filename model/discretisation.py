@@ -50,7 +50,7 @@ def zero_order_hold(linear: Linearisation, period_s: float, known: Discrete | No
     """
     if native.AVAILABLE:
         bounds, is_known = (_THETA_MAX, _THETA_POSSIBLE, _REMAINDER), known is not None
-        theta, A, B, f_d = native.zero_order_hold(linear, period_s, *bounds, is_known)
+        theta, A, B, f_d = native.zero_order_hold(linear.pattern, linear.values, linear.f, period_s, bounds, is_known)
         _check_growth(theta, period_s)
         return Discrete(A=A, B=B, f_d=f_d) if known is None else Discrete(A=known.A, B=known.B, f_d=f_d)
     return _zero_order_hold(linear, period_s)

@@ -6,16 +6,14 @@ Without a C compiler `AVAILABLE` is false and Python functions with the same res
 import ctypes
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from model import compiler
 from model.arrays import Array
-
-if TYPE_CHECKING:
-    from model.linearisation import Linearisation
+from model.factors import Pattern
 
 Places = npt.NDArray[np.intp]
 
@@ -39,17 +37,17 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
 
 
 def zero_order_hold(
-    linear: "Linearisation", period_s: float, theta_max: float, theta_possible: float, remainder: float, known: bool
+    pattern: Pattern, values: Array, f: Array, period_s: float, bounds: tuple[float, float, float], known: bool
 ) -> tuple[float, Array, Array, Array]:
     """Return the growth theta, A, B and f_d; the last three are meaningless if theta > theta_possible or nan.
 
-    Arguments as in `model.discretisation`; the period is halved above theta_max. With `known` only f_d is computed.
+    The bounds are theta_max, theta_possible and remainder of `model.discretisation`. With `known` only f_d is computed.
     """
-    (n, m), accelerations = linear.pattern.shapes[1], linear.pattern.shapes[2][1]
+    (n, m), accelerations = pattern.shapes[1], pattern.shapes[2][1]
     A, B, f_d = np.empty((n, n)), np.empty((n, m)), np.empty(n)
     theta = _KERNELS.zero_order_hold(
-        n, m, accelerations, *linear.pattern.addresses, at(linear.values), at(linear.f),
-        period_s, theta_max, theta_possible, remainder, known,
+        n, m, accelerations, *pattern.addresses, at(values), at(f),
+        period_s, *bounds, known,
         at(A), at(B), at(f_d), _work("hold", _KERNELS.zero_order_hold_work(n, m, accelerations)),
     )  # fmt: skip
     return theta, A, B, f_d
@@ -127,7 +125,7 @@ class Step:
         Z, U = np.empty((len(at_x0) + 1, len(x0))), np.empty(at_x0.shape)
         Z[0], self._duration_s[0], self._rooms[0][2:4] = x0, duration_s, [at(array) for array in held]
         of = at(K), at(at_x0), at(bounds[0]), at(bounds[1])
-        _KERNELS.rollout(len(U), len(x0), U.shape[1], *self._addresses, *of, at(Z), at(U))
+        _KERNELS.rollout(len(U), len(x0), len(K), *self._addresses, *of, at(Z), at(U))
         return Z, U
 
 
