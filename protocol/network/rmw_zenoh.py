@@ -1,4 +1,4 @@
-"""A node of ROS 2 that publishes, by the conventions of rmw_zenoh: keys, liveliness tokens, attachments.
+"""A node of ROS 2 that publishes and subscribes, by the conventions of rmw_zenoh: keys, liveliness tokens, attachments.
 
 Its session is a client of a router of ROS 2, which passes on nothing between peers. Source: design document of
 rmw_zenoh_cpp, https://github.com/ros2/rmw_zenoh.
@@ -6,8 +6,11 @@ rmw_zenoh_cpp, https://github.com/ros2/rmw_zenoh.
 
 import hashlib
 import struct
+import threading
 import time
+from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from protocol.network.endpoints import Endpoints
@@ -15,22 +18,34 @@ from protocol.network.session import open_session
 from protocol.wire.keys import Keys
 
 _NODE = "transport"
+# Size of an attachment: sequence number, time, length of the GID and GID; of the largest message that is read.
+_ATTACHMENT_BYTES, _MOST_BYTES = 33, 4096
 _QOS = "::,10:,:,:,,"  # all as by default: reliable, volatile, keep the last 10
 # How long a router that does not read delays this process, and how long one is looked for, s.
 _PATIENCE_S, _REACH_S = 1.0, 5.0
 
 
 class RosNode:
-    """Node with publishers, in one ROS domain.
+    """Node with publishers and subscribers, in one ROS domain.
 
     Args:
         router: Zenoh endpoint of the router.
         domain: ROS domain.
         topics: Type, such as "geometry_msgs/msg/PoseStamped", and its RIHS01 hash, by topic with its leading slash.
+        heard: The same of topics to subscribe to.
+
+    Attributes:
+        dropped: Number of received messages that nobody reads, by reason.
+
     Raises: BusError: no router accepts the connection.
     """
 
-    def __init__(self, router: str, domain: int, topics: Mapping[str, tuple[str, str]]) -> None:
+    def __init__(
+        self, router: str, domain: int, topics: Mapping[str, tuple[str, str]], heard: Mapping[str, tuple[str, str]]
+    ) -> None:
+        self.dropped = Counter[str]()
+        self._newest: dict[str, bytes] = {}  # by topic
+        self._receiving = threading.Lock()
         endpoints = Endpoints(listen=[], connect=[router], mode="client", security=None)
         self._session = open_session(endpoints, _PATIENCE_S, _NODE, Keys(_NODE), _REACH_S)
         tokens = self._session.liveliness()
@@ -38,12 +53,16 @@ class RosNode:
         self._counts = dict.fromkeys(topics, 0)
         self._gids: dict[str, bytes] = {}
         self._publishers: dict[str, Any] = {}
-        for number, (topic, (kind, digest)) in enumerate(topics.items(), start=1):
+        for number, (topic, (kind, digest)) in enumerate([*topics.items(), *heard.items()], start=1):
             package, name = kind.split("/msg/")
-            dds = f"{package}::msg::dds_::{name}_"
-            token = f"{self._token(domain, number, 'MP')}/{topic.replace('/', '%')}/{dds}/{digest}/{_QOS}"
-            self._gids[topic] = hashlib.sha256(token.encode()).digest()[:16]
-            self._publishers[topic] = self._session.declare_publisher(f"{domain}/{topic[1:]}/{dds}/{digest}")
+            dds, what = f"{package}::msg::dds_::{name}_", "MP" if topic in topics else "MS"
+            token = f"{self._token(domain, number, what)}/{topic.replace('/', '%')}/{dds}/{digest}/{_QOS}"
+            key = f"{domain}/{topic[1:]}/{dds}/{digest}"
+            if topic in topics:
+                self._gids[topic] = hashlib.sha256(token.encode()).digest()[:16]
+                self._publishers[topic] = self._session.declare_publisher(key)
+            else:
+                self._kept.append(self._session.declare_subscriber(key, partial(self._receive, topic)))
             self._kept.append(tokens.declare_token(token))
 
     def _token(self, domain: int, number: int, what: str) -> str:
@@ -56,6 +75,21 @@ class RosNode:
         gid = self._gids[topic]
         attachment = struct.pack("<qqB", self._counts[topic], time.time_ns(), len(gid)) + gid
         self._publishers[topic].put(data, attachment=attachment)
+
+    def take(self, topic: str) -> bytes | None:
+        """Return the newest message of a subscribed topic in CDR, once; None without one."""
+        with self._receiving:
+            return self._newest.pop(topic, None)
+
+    def _receive(self, topic: str, sample: Any) -> None:
+        """Keep the newest sample of a topic, of bounded size; on a thread of the session."""
+        data, attachment = bytes(sample.payload), sample.attachment
+        with self._receiving:
+            if attachment is None or len(bytes(attachment)) < _ATTACHMENT_BYTES or len(data) > _MOST_BYTES:
+                self.dropped["not of ROS 2, or too large"] += 1
+                return
+            self.dropped["replaced by a newer one"] += topic in self._newest
+            self._newest[topic] = data
 
     def close(self) -> None:
         """Leave the network; the tokens go with the session."""

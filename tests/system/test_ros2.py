@@ -1,5 +1,7 @@
 """An active run, seen through ROS 2's conventions by an implementation that shares no code with this one."""
 
+import re
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 import transport
-from protocol.wire.messages import PlantState
+from protocol.wire.messages import PlantState, Target
 from tests.support.commands import free_base, settings, start, wait_for
 from transport.log.run_log import read_log
 
@@ -40,12 +42,17 @@ def sdk(tmp_path: Path) -> Iterator[Any]:
         router.communicate(timeout=30)
 
 
-def subscribe(sdk: Any, topic: str, kind: str, definition: str, others: dict[str, str], heard: list[Any]) -> Any:
-    """Subscribe with the other implementation, which computes the hash of the type from the definitions."""
+def described(kind: str, definition: str, others: dict[str, str]) -> tuple[str, str]:
+    """Return definition and hash of a type by the other implementation."""
     from zenoh_ros2_sdk.utils import get_type_hash
 
     whole = definition + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others.items())
-    digest = get_type_hash(kind, msg_definition=definition, dependencies=others)
+    return whole, get_type_hash(kind, msg_definition=definition, dependencies=others)
+
+
+def subscribe(sdk: Any, topic: str, kind: str, definition: str, others: dict[str, str], heard: list[Any]) -> Any:
+    """Subscribe with the other implementation, which computes the hash of the type from the definitions."""
+    whole, digest = described(kind, definition, others)
     return sdk.ROS2Subscriber(
         topic, kind, heard.append, msg_definition=whole, type_hash=digest, domain_id=DOMAIN, router_port=sdk.port
     )
@@ -111,3 +118,57 @@ def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
     assert {(pose.header.frame_id, len(plan.poses)) for pose, plan in zip(poses, plans, strict=False)} == {
         ("inertial", 21)
     }
+
+
+@pytest.mark.slow
+def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
+    """Targets of the other implementation are announced; a flood with NaN is refused, counted and named."""
+    hover = "maneuver.phase=[{name='hover',duration_s=600.0,displacement_m=[0,0,0]}]"
+    run = start("run", "precise", *settings("clock.speed=1.0", hover), "--out", "run", "--no-figures", cwd=tmp_path)
+    log = tmp_path / "run" / "run.mcap"
+    whole, digest = described(POSE, POSE_DEFINITION, DEFINITIONS)
+    described_as = {"msg_definition": whole, "type_hash": digest, "domain_id": DOMAIN, "router_port": sdk.port}
+    publisher = sdk.ROS2Publisher("/target", POSE, **described_as)
+
+    def send(x: float, y: float, z: float, frame: str = "map") -> None:
+        kinds = {name: publisher.session_mgr.store.types[name] for name in DEFINITIONS}
+        stamp = kinds["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+        point = kinds["geometry_msgs/msg/Point"](x=x, y=y, z=z)
+        turn = kinds["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+        pose = kinds["geometry_msgs/msg/Pose"](position=point, orientation=turn)
+        publisher.publish(header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=frame), pose=pose)
+
+    def targets() -> list[list[float]]:
+        return [target.points[0].tolist() for target in read_log(log).of(Target)]
+
+    bridge = None
+    try:
+        assert wait_for(lambda: log.exists() and log.stat().st_size > 1000)
+        bridge = start(
+            "ros2", "--run", "run", "--domain", str(DOMAIN), "--connect", f"tcp/127.0.0.1:{sdk.port}", cwd=tmp_path
+        )
+        places = [(0.5, 0.0, 10.0), (0.5, -0.5, 10.5)]
+        for x, y, z in places:
+
+            def is_known(place: tuple[float, float, float] = (x, y, z)) -> bool:
+                send(*place)  # the bridge subscribes some time after its start
+                return wait_for(lambda: targets()[-1:] == [[place[0], -place[1], -place[2]]], 3.0)
+
+            assert wait_for(is_known)
+        for _ in range(200):
+            send(float("nan"), 0.0, 0.0)
+        send(1.0, 0.0, 10.0, frame="odom")
+        assert targets()[-1] == [0.5, 0.5, -10.5]
+        run.send_signal(signal.SIGINT)
+        run.communicate(timeout=60)
+        _, errors = bridge.communicate(timeout=60)
+        assert bridge.returncode == 0
+    finally:
+        publisher.close()
+        for process in filter(None, [run, bridge]):
+            process.kill()
+            process.communicate()
+    assert "/target: expected a finite position" in errors or "expected the frame" in errors
+    found = re.search(r"targets: (\d+) handed on, (\d+) replaced by a newer one", errors)
+    assert found is not None, errors
+    assert int(found[2]) > 150

@@ -8,15 +8,17 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
 from rich.console import Console
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
 from typer.testing import CliRunner
 
 from model.arrays import Array
@@ -24,7 +26,7 @@ from protocol.network.parent import PARENT_PIPE
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from protocol.wire.messages import FaultNote, LinkChange, Message, Plan, PlantState
+from protocol.wire.messages import FaultNote, LinkChange, Message, Plan, PlantState, Target
 from tests.support import runs
 from tests.support.browser import END, RIGHT, Browser, Drawing, browser, connected_pages, needs_browser
 from tests.support.commands import PATIENCE_S, command, processes_of, settings, start, wait_for
@@ -280,6 +282,38 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
     watched = [entry.message for entry in whole.messages if entry.message.tick < until]
     assert len(list(bits(unwatched))) == until * (1 + AGENTS)
     assert sorted(bits(watched)) == sorted(bits(unwatched))
+
+
+@pytest.mark.slow
+@needs_browser
+def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
+    """Buttons, keys and the number fields of a page send the payload to targets, each a step from the one before."""
+    folder = tmp_path / "sent"
+    hover = "maneuver.phase=[{name='hover',duration_s=900.0,displacement_m=[0,0,0]}]"
+    with live_run(folder, "clock.speed=1.0", hover) as address:
+        window.open(address)
+        log = Growing(folder / "run.mcap")
+
+        def shift(key: str) -> None:
+            keys: Any = ActionChains(window.driver).key_down(Keys.SHIFT)
+            keys.send_keys(key).key_up(Keys.SHIFT).perform()
+
+        expected = np.array([0.0, 0.0, -10.0])
+        steps: list[tuple[Callable[[], None], list[float]]] = [
+            (partial(window.click, "+x"), [0.5, 0.0, 0.0]),
+            (partial(shift, Keys.ARROW_UP), [0.0, -0.5, 0.0]),
+            (partial(shift, Keys.PAGE_UP), [0.0, 0.0, -0.5]),
+            (partial(window.click, "down"), [0.0, 0.0, 0.5]),
+        ]
+        for act, step in steps:
+            known, expected = len(log.of(Target)), expected + step
+            act()
+            assert wait_for(lambda known=known: len(log.of(Target)) > known, BROWSER_S)  # type: ignore[misc]
+            assert np.allclose(log.of(Target)[-1].points, [expected])
+        window.click("Go there")
+        assert wait_for(lambda: len(log.of(Target)) > known + 1, BROWSER_S)
+        assert np.allclose(log.of(Target)[-1].points, [expected])
+        assert window.console() == []
 
 
 class Growing(LogTail):

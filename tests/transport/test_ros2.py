@@ -19,7 +19,7 @@ pytest.importorskip("rosbags", reason="needs the extra ros2")
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from transport.report.ros2 import types, write_bag
+from transport.report.ros2 import TARGET, GoalError, cdr, goal_in, types, write_bag
 
 PHASES = [{"name": "move", "duration_s": 0.5, "displacement_m": [0.1, 0.05, -0.2]}]
 # Central differences over 50 ms of a motion with a jerk of 20 m/s^3 at most.
@@ -76,3 +76,38 @@ def test_what_cannot_be_published_is_refused(tmp_path: Path) -> None:
     done = command("ros2", "--run", "none", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.startswith("transport: no active run in none; name its folder with --run")
+
+
+def stamped(frame: str, place: tuple[float, float, float]) -> bytes:
+    """Return a pose at a place as bytes."""
+    kinds = types().types
+    header = kinds["std_msgs/msg/Header"](stamp=kinds["builtin_interfaces/msg/Time"](sec=7, nanosec=5), frame_id=frame)
+    point = kinds["geometry_msgs/msg/Point"](**dict(zip("xyz", place, strict=True)))
+    turn = kinds["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+    pose = kinds["geometry_msgs/msg/Pose"](position=point, orientation=turn)
+    return cdr(TARGET[1], kinds["geometry_msgs/msg/PoseStamped"](header=header, pose=pose))
+
+
+@pytest.mark.parametrize("frame", ["", "inertial", "map"])
+def test_a_target_is_read(frame: str) -> None:
+    """A pose of any length of its frame's name is read as rosbags writes it; in map, z points up and y to the left."""
+    expected = [1.0, -2.0, 11.0] if frame == "map" else [1.0, 2.0, -11.0]
+    assert goal_in(stamped(frame, (1.0, 2.0, -11.0))).tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("data", "problem"),
+    [
+        (b"", "little-endian"),
+        (b"\x00\x00" + stamped("", (0, 0, 0))[2:], "little-endian"),
+        (stamped("map", (0, 0, 0))[:-8], "bytes, got"),
+        (stamped("map", (0, 0, 0)) + b"\0" * 8, "bytes, got"),
+        (stamped("map", (0, 0, 0))[:12] + b"\xff" * 4, "bytes, got"),
+        (stamped("map", (0, float("nan"), 0)), "finite"),
+        (stamped("odom", (0, 0, 0)), "expected the frame inertial or map, got 'odom'"),
+    ],
+)
+def test_what_is_no_target_is_refused(data: bytes, problem: str) -> None:
+    """Another size, frame or byte order and what is not finite is refused in words."""
+    with pytest.raises(GoalError, match=problem):
+        goal_in(data)

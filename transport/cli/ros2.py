@@ -1,10 +1,12 @@
-"""The command `transport ros2`: publishes an active run for ROS 2.
+"""The command `transport ros2`: publishes an active run for ROS 2, and hands on its targets.
 
-It reads the log of the run as it grows, as the viewer does: no process of the run knows it.
+It reads the log of the run as it grows, as the viewer does: no process of the run knows it. A target becomes the
+request of `transport target`.
 """
 
 import os
 import time
+from collections import Counter
 from contextlib import closing
 from itertools import chain
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +19,7 @@ from protocol.network.session import BusError
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_USAGE
 from transport.cli.active_run import RunOption, find_active
 from transport.cli.output import exit_on, fail
+from transport.flight.commands import Commands
 from transport.log.run_folder import setup_of
 from transport.log.run_log import LogError
 from transport.log.tail import LogTail
@@ -29,6 +32,8 @@ if TYPE_CHECKING:
 _LOG = "run.mcap"
 # Intervals, s: between two looks into the log, and between two repetitions of the markers that do not change.
 _POLL_S, _AGAIN_S = 0.01, 1.0
+# Shortest time between two targets that are handed on, s; number of reasons that are named.
+_INTERVAL_S, _MOST_REASONS = 0.5, 10
 _NICE = 10  # the processes of the run have the processors first
 
 
@@ -44,35 +49,69 @@ def ros2(
     """Publish an active run for ROS 2 over rmw_zenoh.
 
     Poses, twists, plans, transforms and markers of payload and UAVs, at every tick, until the run ends. The command
-    reads the log of the run as it grows: no process of the run waits for it or knows it.
+    reads the log of the run as it grows: no process of the run waits for it or knows it. A geometry_msgs/PoseStamped
+    on /target, in the frame inertial or map, sends the payload to its position, as transport target does.
 
     Exit codes: 0 the run has ended; 2 no such run; 4 no router; 130 Ctrl-C.
 
     Example: transport ros2 --connect tcp/127.0.0.1:7447
     """
     try:
-        from transport.report.ros2 import Ros2Messages, types
+        from transport.report.ros2 import TARGET, Ros2Messages, types
     except ImportError:
         fail("transport ros2: needs rosbags; pip install 'payload-transport[ros2]'", EXIT_USAGE)
     os.nice(_NICE)
-    folder, _ = find_active(run, "name its folder with --run")
+    folder, there = find_active(run, "name its folder with --run")
     setup = setup_of(folder)
     history, tail = RunHistory(setup), LogTail(folder / _LOG, KINDS, setup)
     messages = Ros2Messages(SceneBuilder(setup, history))
     kinds = {topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics().items()}
+    heard = {TARGET[0]: (TARGET[1], types().hash_rihs01(TARGET[1]))}
+    targets = Targets(Commands(there, lambda text, _: typer.echo(text, err=True)))
     try:
         with (
             exit_on(BusError, code=EXIT_UNREACHABLE, option="--connect"),
             exit_on(LogError, code=EXIT_USAGE),
-            closing(RosNode(connect, domain, kinds)) as node,
+            closing(RosNode(connect, domain, kinds, heard)) as node,
         ):
             typer.echo(f"{folder}: {len(kinds)} topics in domain {domain} through {connect}", err=True)
-            _publish(messages, history, tail, node)
+            _publish(messages, history, tail, node, targets)
+            targets.conclude(node)
     except KeyboardInterrupt:
         raise typer.Exit(EXIT_INTERRUPTED) from None
 
 
-def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node: RosNode) -> None:
+class Targets:
+    """Targets from ROS 2: the newest of each interval is handed on; refused ones are counted and named once."""
+
+    def __init__(self, commands: Commands) -> None:
+        self._commands, self._refused, self._accepted = commands, Counter[str](), 0
+        self._next_s = 0.0
+
+    def work(self, node: RosNode) -> None:
+        """Hand on a target that has come."""
+        from transport.report.ros2 import TARGET, GoalError, goal_in
+
+        if time.monotonic() < self._next_s or (data := node.take(TARGET[0])) is None:
+            return
+        self._next_s = time.monotonic() + _INTERVAL_S
+        try:
+            self._commands.target(goal_in(data))
+            self._accepted += 1
+        except GoalError as error:
+            self._refused[str(error)] += 1
+            if self._refused[str(error)] == 1 and len(self._refused) <= _MOST_REASONS:
+                typer.echo(f"{TARGET[0]}: {error}", err=True)
+
+    def conclude(self, node: RosNode) -> None:
+        """Say what became of all targets."""
+        counts = {"handed on": self._accepted, **node.dropped, **dict(self._refused.most_common(_MOST_REASONS))}
+        text = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+        if text:
+            typer.echo(f"targets: {text}", err=True)
+
+
+def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node: RosNode, targets: Targets) -> None:
     """Publish the ticks of a run until it has ended: the states of all, plans and drawing of the newest."""
     from transport.report.ros2 import cdr
 
@@ -80,6 +119,7 @@ def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node:
     speed, done, again_s, began_ns = messages.speed, history.last - 1, 0.0, 0
     while True:
         history.add(tail.read())
+        targets.work(node)
         ticks = [tick for tick in range(max(done + 1, history.first), history.last + 1) if tick in history.plant_states]
         for tick in ticks:
             at_ns = time.time_ns()

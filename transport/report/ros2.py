@@ -4,6 +4,7 @@ Poses are in the frame "inertial", z down, whose parent "map" has z up. Plans ar
 markers are its drawing, as in the viewer.
 """
 
+import struct
 from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import chain
@@ -23,6 +24,9 @@ from transport.scene.drawing import Pose as FramePose
 from transport.scene.scene import Scene, SceneBuilder
 
 ROOT = "map"
+# Topic and type of targets; first bytes of CDR, and where the name of the frame begins in a stamped message.
+TARGET = "/target", "geometry_msgs/msg/PoseStamped"
+_LITTLE_ENDIAN, _FRAME_AT = b"\x00\x01", 16
 _UPSIDE_DOWN: FramePose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 _LINE_LIST, _TEXT, _TRIANGLES, _DELETE = 5, 9, 11, 2  # visualization_msgs/msg/Marker
 # Width of a drawn line per pixel of the viewer, and height of names, m.
@@ -67,6 +71,31 @@ def _rotation(R: Array) -> Any:
 def _pose(position: Array, R: Array | None = None) -> Any:
     turned = _rotation(np.eye(3) if R is None else R)
     return _new("geometry_msgs/Pose", position=_vector("Point", position), orientation=turned)
+
+
+class GoalError(ValueError):
+    """A pose that is no target; the text says what was expected and what came."""
+
+
+def goal_in(data: bytes) -> Array:
+    """Return the position of a geometry_msgs/PoseStamped in CDR in the inertial frame, (3,), m.
+
+    Raises: GoalError: it has another size, or another frame than "inertial", none, or "map", or is not finite.
+    """
+    if len(data) < _FRAME_AT or data[:2] != _LITTLE_ENDIAN:
+        raise GoalError("expected little-endian CDR")
+    (length,) = struct.unpack_from("<I", data, _FRAME_AT - 4)
+    begin = _FRAME_AT + length + (4 - _FRAME_AT - length) % 8  # aligned after the four bytes of CDR's own header
+    if len(data) != begin + 7 * 8:
+        raise GoalError(f"expected a PoseStamped of {begin + 56} bytes, got {len(data)}")
+    frame, place = data[_FRAME_AT : _FRAME_AT + length].rstrip(b"\0").decode(errors="replace"), np.zeros(3)
+    place[:] = struct.unpack_from("<3d", data, begin)
+    if not np.isfinite(place).all():
+        raise GoalError("expected a finite position, got nan or infinity")
+    if frame not in ("", INERTIAL, ROOT):
+        raise GoalError(f"expected the frame {INERTIAL} or {ROOT}, got {frame[:40]!r}")
+    turned: Array = _UPSIDE_DOWN[1] @ place
+    return turned if frame == ROOT else place
 
 
 class Ros2Messages:

@@ -1,21 +1,18 @@
 """Panel of the viewer: playback, numbers, layers, and for live runs links and processes."""
 
-import queue
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from protocol.scenario.links import PERFECT
 from protocol.wire.messages import agent_name
-from protocol.wire.names import COORDINATOR, PLANT, RECORDER
-from transport.flight.live import LiveRun, RefusedError, UnansweredError, request
+from transport.flight.commands import Commands
 from transport.scene.drawing import LAYERS
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
 from transport.viewer.plots import Plots
 from transport.viewer.server import report_malformed
+from transport.viewer.target import TargetControls
 
 if TYPE_CHECKING:
     import viser
@@ -78,44 +75,6 @@ class Playback:
             self._speed = speed
 
 
-class Commands:
-    """Queue of requests to one live run, sent one after the other by a thread.
-
-    It calls `on_result` with a sentence about each result and whether the request was refused.
-    """
-
-    def __init__(self, run: LiveRun, on_result: Callable[[str, bool], None]) -> None:
-        self._run, self._on_result = run, on_result
-        self._requests: queue.SimpleQueue[tuple[str, str, Mapping[str, Any]]] = queue.SimpleQueue()
-        threading.Thread(target=self._send_requests, name="commands", daemon=True).start()
-
-    def link(self, ends: tuple[int, int] | None, settings: Mapping[str, Any]) -> None:
-        """Change the link from one agent to another, or, for None, all links between agents."""
-        source, target = ("", "") if ends is None else (agent_name(ends[0]), agent_name(ends[1]))
-        self._requests.put((COORDINATOR, "link", {"from": source, "to": target, "settings": settings}))
-
-    def clear(self) -> None:
-        """Make all links perfect, those of the plant included."""
-        for ends in ({}, {"from": PLANT}, {"to": PLANT}):
-            self._requests.put((COORDINATOR, "link", {**ends, "settings": PERFECT}))
-
-    def fault(self, action: str, target: str) -> None:
-        """Kill or restart a process."""
-        self._requests.put((RECORDER, "fault", {"do": action, "target": target}))
-
-    def _send_requests(self) -> None:
-        keys = Path(self._run.keys) if self._run.keys else None
-        while True:
-            name, kind, content = self._requests.get()
-            try:
-                answer = request(self._run.run, [self._run.endpoints[name]], name, kind, content, keys)
-            except (RefusedError, UnansweredError) as error:
-                self._on_result(str(error), True)
-                continue
-            done = f"{content['do']} {content['target']}" if kind == "fault" else "links change"
-            self._on_result(f"{done}: at tick {answer['tick']}", False)
-
-
 class Panel:
     """Widgets of one viewer.
 
@@ -161,7 +120,9 @@ class Panel:
             self._plots = Plots(gui, builder, is_live=commands is not None)
         with gui.add_folder("Agents"):
             self._agents = gui.add_html("")
+        self._target = None
         if commands is not None:
+            self._target = TargetControls(server, builder, commands.target, _checked)
             self._add_controls(gui, commands)
         with gui.add_folder("Events"):
             self._events = gui.add_html("")
@@ -193,6 +154,8 @@ class Panel:
             self._time.max = min(2.0 * self._time.max, self._duration_s)
         _set(self._time, scene.time_s)
         self._plots.show(scene.tick)
+        if self._target is not None:
+            self._target.show()
         behind_s = 0.0 if self._is_over else self._builder.history.last * self._period_s - scene.time_s
         watched = not self._is_over and self._playback.follows
         self._flight.content = html.flight(scene, self._duration_s, behind_s, watched=watched)
@@ -202,6 +165,8 @@ class Panel:
     def close_controls(self) -> None:
         """Hide the controls of a live run, which has ended."""
         self._is_over = True
+        if self._target is not None:
+            self._target.close()
         if self._commands is not None:
             self._links.visible = self._processes.visible = self._follow.visible = False
 

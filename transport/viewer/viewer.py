@@ -14,6 +14,7 @@ from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, Self
 
+from transport.flight.commands import Commands
 from transport.flight.live import LiveRun
 from transport.flight.live import read as read_live_run
 from transport.log.run_folder import open_run, setup_of
@@ -22,7 +23,7 @@ from transport.scene.drawing import Drawing
 from transport.scene.history import KINDS, RunHistory
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
-from transport.viewer.panel import Commands, Panel, Playback
+from transport.viewer.panel import Panel, Playback
 from transport.viewer.server import Guard, start_server
 from transport.viewer.view3d import View3D
 

@@ -1,0 +1,109 @@
+"""Controls of the viewer that send the payload of a live run somewhere: a handle to drag, numbers, steps and keys."""
+
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from model.arrays import Array
+from transport.scene.scene import SceneBuilder
+
+if TYPE_CHECKING:
+    import viser
+
+# Steps in the inertial frame by the labels of their buttons, and the keys for them, with Shift: alone, arrows move
+# sliders.
+STEPS = {
+    "-x": ((-1.0, 0.0, 0.0), "arrowleft"),
+    "+x": ((1.0, 0.0, 0.0), "arrowright"),
+    "-y": ((0.0, -1.0, 0.0), "arrowup"),
+    "+y": ((0.0, 1.0, 0.0), "arrowdown"),
+    "up": ((0.0, 0.0, -1.0), "pageup"),
+    "down": ((0.0, 0.0, 1.0), "pagedown"),
+}
+_STEP_M = 0.5
+# Steps that follow each other this closely are one target, s.
+_REST_S = 0.3
+
+
+class TargetControls:
+    """Widgets of a target; `go` is called with its position, (3,), inertial frame, m."""
+
+    def __init__(
+        self,
+        server: "viser.ViserServer",
+        builder: SceneBuilder,
+        go: Callable[[Array], None],
+        checked: Callable[[Callable[[Any], None]], Callable[[Any], None]],
+    ) -> None:
+        self._builder, self._go, self._targets = builder, go, 0
+        self._timer: threading.Timer | None = None
+        self._dragged_from = np.zeros(3)
+        place = tuple(builder.setup.maneuver.path(np.zeros(1))[0][0].tolist())
+        gui = server.gui
+        self._folder = gui.add_folder("Target")
+        with self._folder:
+            self._place: Any = gui.add_vector3("x, y, z (m)", place, step=0.1, hint="inertial frame: z points down")
+            there = gui.add_button("Go there", hint="as transport target X Y Z; or drag the arrows in the scene")
+            self._step = gui.add_number("step (m)", _STEP_M, min=0.05, max=10.0, step=0.05)
+            steps = gui.add_button_group("step", tuple(STEPS), hint="Shift and arrows, Page Up, Page Down")
+        self._handle = server.scene.add_transform_controls(
+            "/target", scale=0.6, disable_rotations=True, disable_sliders=True, position=place
+        )
+        there.on_click(checked(lambda _: self._send()))
+        steps.on_click(checked(lambda event: self._move(STEPS[event.target.value][0])))
+        self._place.on_update(checked(lambda event: self._show_typed(event.client_id)))
+        self._handle.on_update(checked(self._dragged))
+        self._keys = []
+        for label, (direction, key) in STEPS.items():
+            command = gui.add_command(f"target: one step {label}", hotkey=key, modifier="shift")  # type: ignore[arg-type]
+            command.on_trigger(checked(partial(self._stepped, direction)))
+            self._keys.append(command)
+
+    def show(self) -> None:
+        """Show the newest target of the run, whoever has given it."""
+        targets = self._builder.setup.maneuver.targets
+        if len(targets) > self._targets:
+            self._targets = len(targets)
+            self._set(targets[-1].end_I)
+
+    def close(self) -> None:
+        """Hide the controls of a run that has ended."""
+        self._folder.visible = self._handle.visible = False
+        for command in self._keys:
+            command.remove()
+        self._keys.clear()
+
+    def _stepped(self, direction: tuple[float, float, float], _: Any) -> None:
+        self._move(direction)
+
+    def _move(self, direction: tuple[float, float, float]) -> None:
+        """Move the target by a step, and send it once the steps rest."""
+        self._set(np.array(self._place.value) + self._step.value * np.array(direction))
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = threading.Timer(_REST_S, self._send)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def _set(self, place: Array) -> None:
+        self._handle.position = place
+        self._place.value = tuple(place.tolist())
+
+    def _show_typed(self, client: int | None) -> None:
+        if client is not None:  # viser also reports the changes of this process
+            self._handle.position = np.array(self._place.value, dtype=np.float64)
+
+    def _dragged(self, event: Any) -> None:
+        """Show where the handle is; send the target once it is let go, unless it was only clicked."""
+        place = np.array(self._handle.position)
+        if event.phase == "start":
+            self._dragged_from = place
+        self._place.value = tuple(np.round(place, 2).tolist())
+        if event.phase == "end" and not np.array_equal(self._dragged_from, place):
+            self._send()
+
+    def _send(self) -> None:
+        self._go(np.array(self._place.value, dtype=np.float64))
