@@ -6,8 +6,9 @@ moments: all by derivatives of the path (differential flatness: Sreenath, Kumar 
 out or in by forces that pull the attachment points apart or together, without force or moment on the payload.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,7 @@ class Flight:
     tensions: Array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Track:
     """What controllers follow at instants 0..K-1 from `first` on, one sampling period apart; the last one is held.
 
@@ -49,19 +50,32 @@ class Track:
         X: States, (K, n).
         U: Inputs for the period after each instant: those of its middle, (K, m).
         X_middle: States there, (K, n).
-        X_forces: Change of X per external force and the payload's further mass, (K, n, 4 + 3 N), SI per N and per kg.
-        U_forces: Change of U, (K, m, 4 + 3 N).
         paths: Jets of the payload's path at the instants and in the middle after each, (K, 2, 7, 3).
         first: Number of the first instant.
+        flown: The motion of the team along such a path under forces, as `flight`.
     """
 
     X: Array
     U: Array
     X_middle: Array
-    X_forces: Array
-    U_forces: Array
     paths: Array
     first: int = 0
+    flown: Callable[[Array, Any], Flight]
+
+    @cached_property
+    def by_forces(self) -> tuple[Array, Array]:
+        """Return the change of X and U per external force and further mass of the payload, SI per N and per kg.
+
+        Returns: (K, n, 4 + 3 N) and (K, m, 4 + 3 N), computed at the first use.
+        """
+        path, middle = np.ascontiguousarray(np.moveaxis(self.paths, 0, 2))
+        forces = 4 + 3 * (self.U.shape[1] // state.INPUTS)
+        X_forces, U_forces = np.empty((*self.X.shape, forces)), np.empty((*self.U.shape, forces))
+        for i, unit in enumerate(np.eye(forces)):
+            X_forces[..., i] = self.flown(path, 1j * _STEP_N * unit).x.imag / _STEP_N
+            U_forces[..., i] = self.flown(middle, 1j * _STEP_N * unit).u.imag / _STEP_N
+        frozen(X_forces, U_forces)
+        return X_forces, U_forces
 
 
 class FlatReference:
@@ -102,16 +116,10 @@ class FlatReference:
 
 def track(system: System, hover: Hover, by_instant: Array, first: int = 0, released: Collection[int] = ()) -> Track:
     """Return what controllers follow along a path, given as in `Track`; the rest as in `flight`."""
-    path, middle = paths = np.ascontiguousarray(np.moveaxis(by_instant, 0, 2))
-    forces = 4 + 3 * system.N
-    at, between = (flight(system, hover, jets_of, released=released) for jets_of in paths)
-    X_forces, U_forces = np.empty((*at.x.shape, forces)), np.empty((*at.u.shape, forces))
-    for i, unit in enumerate(np.eye(forces)):
-        X_forces[..., i] = flight(system, hover, path, 1j * _STEP_N * unit, released).x.imag / _STEP_N
-        U_forces[..., i] = flight(system, hover, middle, 1j * _STEP_N * unit, released).u.imag / _STEP_N
-    frozen(X_forces, U_forces, by_instant)
-    motion = {"X": at.x, "U": between.u, "X_middle": between.x, "X_forces": X_forces, "U_forces": U_forces}
-    return Track(**motion, paths=by_instant, first=first)
+    flown = partial(flight, system, hover, released=released)
+    at, between = (flown(jets_of) for jets_of in np.ascontiguousarray(np.moveaxis(by_instant, 0, 2)))
+    frozen(by_instant)
+    return Track(X=at.x, U=between.u, X_middle=between.x, paths=by_instant, first=first, flown=flown)
 
 
 def flight(system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()) -> Flight:

@@ -240,8 +240,9 @@ class Regulation:
         at, where = rows(start - tracker.first, steps, len(tracker.K)), rows(start - track.first, steps, len(track.X))
         u_rest, error = track.U[where], x0 - track.X[where]
         if forces is not None:
-            u_rest = u_rest + track.U_forces[where, :, : len(forces)] @ forces
-            error = error - track.X_forces[where, :, : len(forces)] @ forces
+            X_forces, U_forces = track.by_forces
+            u_rest = u_rest + U_forces[where, :, : len(forces)] @ forces
+            error = error - X_forces[where, :, : len(forces)] @ forces
         return FeedbackLaw(
             K=tracker.K[at],
             u_rest=u_rest,
@@ -330,11 +331,12 @@ class Regulation:
 
     def _recursion_along(self, track: Track, found: Regulator, before: Tracker | None, since: int) -> Recursion:
         """Return the control law along a reference in the making; the last two arguments are those of `Recursion`."""
-        own, fail_safe, period_s = self._uncontrolled, self._fail_safe, self._settings.sampling_period_s
-        fixed = {
-            uav: (np.array([fail_safe.inputs(uav, x, k) for k, x in enumerate(track.X, start=track.first)]), own[uav])
-            for uav in own
-        }
+        period_s, fixed = self._settings.sampling_period_s, {}
+        for uav, feedback in self._uncontrolled.items():
+            on_reference = np.zeros((len(track.X), len(feedback)))
+            for row in range(since - track.first, len(track.X)):
+                on_reference[row] = self._fail_safe.inputs(uav, track.X[row], track.first + row)
+            fixed[uav] = on_reference, feedback
         return Recursion(self._model, track, found, self.cost, self.user_costs, period_s, fixed, before, since)
 
     def _value_on_reference(self) -> None:

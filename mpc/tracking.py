@@ -96,6 +96,7 @@ class Recursion:
             along = before.along
             self._K[:], self._feedforward[:], self._M[:] = before.K, before.feedforward, along.M
             self._A_closed[:], self._B[:] = along.A_closed, along.B
+        self._before = before
         self._P, self._p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(n)
         self.ready = track.first + since
         if before is not None:
@@ -114,8 +115,8 @@ class Recursion:
             at = state.input_slice(uav)
             K[now, at] = feedback
             feedforward[now, at] = (on_reference - self._track.U[:, at])[self._since : len(K)]
-        along = Expansion(M=self._M.copy(), A_closed=self._A_closed.copy(), B=self._B.copy())
-        frozen(K, feedforward, along.M, along.A_closed, along.B)
+        along = self.result().along if self._before is None else self._before.along
+        frozen(K, feedforward)
         return Tracker(K=K, feedforward=feedforward, along=along, first=self._track.first)
 
     def advance(self, instant: int) -> None:
