@@ -192,6 +192,11 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "faults.event=[{at_s=1,do='motor_off',target='uav3',efficiency=0.5}]",
         "faults.event.1.efficiency: expected no efficiency without 'degrade', got 0.5",
     ),
+    ("controller.tension.minimum_N=8", "expected less than the 7.36 N at hover, got 8"),
+    (
+        ("controller.tension.minimum_N=2", "controller.motor_lag_s=0.05"),
+        "controller.tension: expected controller.motor_lag_s = 0 with it, got 0.05",
+    ),
     ("plant.motors.falling_lag_s=0.02", "expected lag_s > 0 and rotors with it, got lag_s 0, no rotors"),
     ("plant.motors.lag_s=1e-4", "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001"),
     ("controller.motor_lag_s=1e-4", "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001"),
