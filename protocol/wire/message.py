@@ -115,8 +115,9 @@ class Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
         for field, shape_of in self.shapes.items():
             value: Array = getattr(self, field)
             expected = shape_of(self)
-            if len(value.shape) != len(expected) or any(
-                b not in (None, a) for a, b in zip(value.shape, expected, strict=True)
+            if value.shape != expected and (
+                len(value.shape) != len(expected)
+                or any(b not in (None, a) for a, b in zip(value.shape, expected, strict=True))
             ):
                 shown = ", ".join("any" if length is None else str(length) for length in expected)
                 raise MessageError("wrong_shape", f"{field}: expected shape ({shown}), got {value.shape}")

@@ -8,6 +8,7 @@ bundles: `Answer`, `Relay` and `Record`.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -355,12 +356,17 @@ class Bundle(Message, frozen=True, kw_only=True):
 
     def may_carry(self, key: str) -> bool:
         """Return whether a bundle of this kind may carry a message with a key."""
-        beginning = key.split("/", 1)[0]
-        return any(beginning in (cls.kind, cls.route.unshared_key) for cls in self.carries)
+        return key.split("/", 1)[0] in _beginnings(type(self))
 
     def check(self) -> None:
         """Check that each message has its key."""
         lengths_fit(keys=self.keys, parts=self.parts)
+
+
+@lru_cache
+def _beginnings(bundle: type[Bundle]) -> frozenset[str]:
+    """Return the beginnings of the keys of all messages that a kind of bundle may carry."""
+    return frozenset(name for cls in bundle.carries for name in (cls.kind, cls.route.unshared_key))
 
 
 class Answer(Bundle, tag="answer", frozen=True, kw_only=True):
