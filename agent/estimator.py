@@ -71,6 +71,7 @@ class StateEstimator:
         self._received: dict[int, dict[int, Plan]] = {}  # plans whose states are known, by tick and agent
         self._measured: dict[int, Measurement] = {}
         self._stale_from: int | None = None  # earliest tick whose estimate or inputs have changed
+        self._sensed_from: int | None = None  # earliest tick whose measurements have changed, with a filter
         self._newest: dict[int, int] = {}
         self.measured = -1  # tick of the newest measurement taken in
         self._assumed: tuple[int, Array] | None = None  # tick and inputs of the newest period, unless replaced since
@@ -107,6 +108,8 @@ class StateEstimator:
         """Take in measurements and inputs of a UAV, once; the inputs acted in the period before."""
         if tick >= self._first and uav not in self._sensors.setdefault(tick, {}):
             self._sensors[tick][uav] = values
+            since = tick - self._oldest
+            self._sensed_from = since if self._sensed_from is None else min(self._sensed_from, since)
             self._changed(tick - max(1, self._oldest))
 
     def reports(self, k: int, uavs: Sequence[int]) -> Array:
@@ -144,8 +147,11 @@ class StateEstimator:
             self._stale_from = None
         at = begin - self._first
         del self._estimates[at + 1 :]
-        del self._priors[at + 1 :], self._beliefs[at:]
-        self._estimates[at] = self._joined(self._estimates[at].copy(), begin)
+        del self._priors[at + 1 :], self._beliefs[at + 1 :]
+        if self._kalman is None or self._sensed_from is None or self._sensed_from <= begin or not self._beliefs:
+            del self._beliefs[at:]
+            self._estimates[at] = self._joined(self._estimates[at].copy(), begin)
+        self._sensed_from = None
         self._assumed = None
         for tick in range(begin, k):
             u = announced.at(tick, before=k, x=self._estimates[-1])

@@ -44,27 +44,53 @@ UNKNOWN_LAG_S = 0.03
 _SAME_AIR = 0.8
 
 
+# Ticks in a row, with nothing but own measurements, whose gain is that of the last correction with more: of the newest
+# ticks, the others' are on their way. A tick that has them has its own covariance and gain. Without external forces.
+_SAME_GAIN = 8
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Covariance:
+    """Covariance of the error of an estimate.
+
+    Attributes:
+        P: (r, r), of the coordinates of the state, the actual inputs with motor lag, and the forces.
+        T, L: Basis of these coordinates, without the forces; that about the state before its correction.
+        surprise: Squared innovation of the last measurements in units of its covariance, and how many they were.
+    """
+
+    P: Array
+    T: Array
+    L: Array
+    surprise: tuple[float, int] = (0.0, 0)
+
+
+@dataclass(slots=True, kw_only=True)
 class Belief:
-    """Estimate at a tick and the covariance of its error.
+    """Estimate at a tick and the covariance of its error, which is computed when it is asked for.
 
     Attributes:
         x: State, (n,); with motor lag [x, a], (n + m,).
         forces: Horizontal forces on the payload (2), N, its mass error, kg, horizontal force on each UAV (2), N, and
             drag of payload and each UAV (2), kg/s; or none.
-        P: Covariance, (r, r), of the coordinates of the state, the actual inputs with motor lag, and the forces.
-        T, L: Basis of these coordinates, without the forces; that about the state before its correction.
         u: Inputs until the tick, (m,).
-        surprise: Squared innovation of the last measurements in units of its covariance, and how many they were.
+        found: The covariance, or its computation.
+        own: Gain of own measurements from the last correction that had a gain of its own, (n + forces, own), and ticks
+            since then; None before the first.
     """
 
     x: Array
     forces: Array
-    P: Array
-    T: Array
-    L: Array
     u: Array
-    surprise: tuple[float, int] = (0.0, 0)
+    found: Covariance | Callable[[], Covariance]
+    own: tuple[Array, int] | None = None
+
+    @property
+    def covariance(self) -> Covariance:
+        """The covariance."""
+        if not isinstance(self.found, Covariance):
+            self.found = self.found()
+        return self.found
 
 
 @lru_cache
@@ -79,13 +105,14 @@ class KalmanFilter:
     Args:
         setup: The run.
         feedback: Gain of the shared control law.
+        owned: UAVs, 0-based, whose measurements come at once.
 
     Attributes:
         ages: Of the sensors' quantities, ticks.
         Q: Covariance of what the model lacks, per period, in the coordinates of a belief.
     """
 
-    def __init__(self, setup: Setup, feedback: Feedback) -> None:
+    def __init__(self, setup: Setup, feedback: Feedback, owned: Sequence[int] = ()) -> None:
         system, sheet, section = setup.system, setup.sensors, setup.scenario.controller
         self._feedback, self._period_s = feedback, setup.settings.sampling_period_s
         self._lag_s, self._u_hover = setup.settings.motor_lag_s, setup.hover.u
@@ -96,6 +123,9 @@ class KalmanFilter:
         self._inputs = system.m if self._lag_s > 0.0 else 0
         masses = [system.payload.mass, min(uav.mass for uav in system.uavs)]
         forces = len(_FORCE) if section.disturbance.estimate else 0
+        # Unknown forces change within few ticks, and with them the gain.
+        self._owned = list(owned) if len(owned) < N and not forces else []
+        self._is_own = np.repeat(np.isin(np.arange(N), self._owned), state.SENSED)
         weights = np.append(system.gravity * np.repeat(masses, (3, 2)), masses)[:forces]
         weights[2:3] /= system.gravity
         # External forces and mass from those that are estimated.
@@ -126,7 +156,8 @@ class KalmanFilter:
     def first(self, x: Array) -> Belief:
         """Return the belief before any measurement, about a state."""
         T, L = self.basis(x)
-        return Belief(x=x, forces=np.zeros(self._spread.shape[1]), P=self._P0, T=T, L=L, u=self._u_hover)
+        found = Covariance(P=self._P0, T=T, L=L)
+        return Belief(x=x, forces=np.zeros(self._spread.shape[1]), u=self._u_hover, found=found)
 
     def forces(self, belief: Belief) -> Array | None:
         """Return the estimated forces and mass error as `Model` takes them, (4 + 3 N,); None if not estimated."""
@@ -203,29 +234,49 @@ class KalmanFilter:
             by_fail_safe: Which of them follow the fail-safe, which knows its UAV, (4 N,).
         Source: docs/equations.md (63).
         """
+        # The law is that of now, whenever the covariance is computed.
+        K = self._feedback(tick) if by_fail_safe.any() or by_law.any() else None
+
+        def found() -> Covariance:
+            return self._propagated(belief, model, ahead, u, K, by_law, by_fail_safe)
+
+        own = None if belief.own is None else (belief.own[0], belief.own[1] + 1)
+        return Belief(x=ahead, forces=belief.forces, u=u, found=found, own=own)
+
+    def _propagated(
+        self,
+        belief: Belief,
+        model: Model,
+        ahead: Array,
+        u: Array,
+        K: Array | None,
+        by_law: npt.NDArray[np.bool_],
+        by_fail_safe: npt.NDArray[np.bool_],
+    ) -> Covariance:
+        """Return the covariance one tick later; arguments as those of `predict`."""
         n = model.system.n
         x, forces, actual = belief.x[:n], self.forces(belief), belief.x[n:] if self._inputs else u
         linear = model.linearise(x, actual, forces=forces)
         if self._inputs:
             linear = motors.lagged(linear, actual, u, self._lag_s, model.system.commands_rates)
         discrete = zero_order_hold(linear, self._period_s)
-        T, (T_ahead, L) = belief.T, self.basis(ahead)
+        P, T = belief.covariance.P, belief.covariance.T
+        T_ahead, L = self.basis(ahead)
         moved, s = discrete.A @ T, T.shape[1]
         pushed = np.zeros((len(T), 0)) if forces is None else self._pushed(model, x, actual, forces, discrete.A)
-        P, Q = belief.P, self.Q.copy()
+        Q = self.Q.copy()
         if forces is not None:
             lagging = L.T @ discrete.B * (UNKNOWN_LAG_S / self._period_s * (u - belief.u))
             Q[:s, :s] += lagging @ lagging.T
-        if by_fail_safe.any() or by_law.any():
-            K, B = self._feedback(tick), discrete.B
-            closed = by_law | by_fail_safe
+        if K is not None:
+            B, closed = discrete.B, by_law | by_fail_safe
             moved = moved + B[:, closed] @ (K[closed] @ T)
             effect, K_T = L.T @ B[:, by_law], K[by_law] @ T
             Q[:s, :s] += effect @ (K_T @ P[:s, :s] @ K_T.T) @ effect.T
         A = np.eye(len(P))
         A[:s, :s], A[:s, s:] = L.T @ moved, L.T @ pushed
         P = A @ P @ A.T + Q
-        return Belief(x=ahead, forces=belief.forces, P=(P + P.T) / 2.0, T=T_ahead, L=L, u=u)
+        return Covariance(P=(P + P.T) / 2.0, T=T_ahead, L=L)
 
     def _pushed(self, model: Model, x: Array, u: Array, forces: Array, A: Array) -> Array:
         """Return the effect of the unknown forces over a period, (n, forces), to second order in it."""
@@ -255,42 +306,73 @@ class KalmanFilter:
         of = np.concatenate([entries for _, entries, _ in read])
         within = np.concatenate([first + entries for first, entries, _ in read])
         z = np.concatenate([values[entries] for _, entries, values in read])
-        angles = (of >= state.THETA.start) & (of < state.THETA.stop)
-        P, R, T, s = belief.P, self._R[of], belief.T, belief.T.shape[1]
-        actual = belief.x[n:] if self._inputs else belief.u
-        forces = self.forces(belief)
+        actual, forces = belief.x[n:] if self._inputs else belief.u, self.forces(belief)
+        own = belief.own
+        is_own = [uav for uav, _, _ in sensed] == self._owned and len(of) == state.SENSED * len(sensed)
         y, slopes = model.sense(belief.x[:n], actual, forces=forces)
         error = z - y[within]
+        angles = (of >= state.THETA.start) & (of < state.THETA.stop)
         error[angles] -= 2.0 * np.pi * np.round(error[angles] / (2.0 * np.pi))
-        H = np.empty((len(z), len(P)))
-        H[:, :s] = slopes[within, :n] @ T[:n]
-        if forces is not None:
-            H[:, s:] = slopes[within, n:] @ self._effects(model, belief.x[:n], actual, forces)
-        H_P = H @ P
-        S = H_P @ H.T
-        S[np.diag_indices_from(S)] += R
-        solved = np.linalg.solve(S, np.column_stack([H_P, error]))
-        G = solved[:, :-1].T
-        xi = G @ error
-        x, found = self.moved(belief.x, T @ xi[:s]), belief.forces + xi[s:]
-        kept = np.eye(len(P)) - G @ H
-        P = kept @ P @ kept.T + (G * R) @ G.T
-        surprise = float(error @ solved[:, -1]), len(error)
-        return replace(belief, x=x, forces=found, P=(P + P.T) / 2.0, surprise=surprise)
+        R = self._R[of]
+
+        def observed() -> Array:
+            T = belief.covariance.T
+            H = np.empty((len(z), T.shape[1] + len(belief.forces)))
+            H[:, : T.shape[1]] = slopes[within, :n] @ T[:n]
+            if forces is not None:
+                H[:, T.shape[1] :] = slopes[within, n:] @ self._effects(model, belief.x[:n], actual, forces)
+            return H
+
+        if is_own and own is not None and own[1] <= _SAME_GAIN:
+            gain = own[0]
+            step = gain @ error
+
+            def found() -> Covariance:
+                before, H = belief.covariance, observed()
+                G = np.vstack([before.L.T @ gain[: len(belief.x)], gain[len(belief.x) :]])
+                surprise = float(error @ np.linalg.solve(H @ before.P @ H.T + np.diag(R), error)), len(error)
+                return self._joseph(before, G, H, R, surprise)
+
+            later: Covariance | Callable[[], Covariance] = found
+        else:
+            before, H = belief.covariance, observed()
+            H_P = H @ before.P
+            S = H_P @ H.T
+            S[np.diag_indices_from(S)] += R
+            solved = np.linalg.solve(S, np.column_stack([H_P, error]))
+            G, s = solved[:, :-1].T, before.T.shape[1]
+            xi = G @ error
+            step = np.concatenate([before.T @ xi[:s], xi[s:]])
+            later = self._joseph(before, G, H, R, (float(error @ solved[:, -1]), len(error)))
+            rows = np.flatnonzero(self._is_own[within])
+            if len(rows) == state.SENSED * len(self._owned) > 0:
+                of_own = np.linalg.solve(S[rows[:, None], rows], H_P[rows]).T
+                own = np.vstack([before.T @ of_own[:s], of_own[s:]]), 0
+        x = self.moved(belief.x, step[: len(belief.x)])
+        return replace(belief, x=x, forces=belief.forces + step[len(belief.x) :], found=later, own=own)
+
+    @staticmethod
+    def _joseph(before: Covariance, G: Array, H: Array, R: Array, surprise: tuple[float, int]) -> Covariance:
+        """Return the covariance after a correction with any gain."""
+        kept = np.eye(len(before.P)) - G @ H
+        P = kept @ before.P @ kept.T + (G * R) @ G.T
+        return replace(before, P=(P + P.T) / 2.0, surprise=surprise)
 
     def moved(self, x: Array, dx: Array) -> Array:
         """Return a state moved along the manifold. Source: docs/equations.md (62)."""
         x = x + dx
         rods = state.StateView(x[: state.PAYLOAD + state.PER_UAV * self._N])
-        rods.e_P[:] /= np.linalg.norm(rods.e_P, axis=1, keepdims=True)
-        rods.Omega_P[:] -= rods.e_P * (rods.e_P * rods.Omega_P).sum(axis=1, keepdims=True)
+        e, Omega = rods.e_P, rods.Omega_P
+        e /= np.sqrt((e * e).sum(axis=1, keepdims=True))
+        Omega -= e * (e * Omega).sum(axis=1, keepdims=True)
         x.setflags(write=False)
         return x
 
     def certain(self, belief: Belief, entries: npt.NDArray[np.intp], deviation: float = 1e-3) -> Belief:
         """Return the belief with some entries of the state known, such as those that a failure sets."""
-        known = np.flatnonzero(belief.T[entries].any(axis=0))
-        P = belief.P.copy()
+        covariance = belief.covariance
+        known = np.flatnonzero(covariance.T[entries].any(axis=0))
+        P = covariance.P.copy()
         P[known], P[:, known] = 0.0, 0.0
         P[known, known] = deviation**2
-        return replace(belief, P=P)
+        return replace(belief, found=replace(covariance, P=P))

@@ -61,7 +61,7 @@ class TeamEstimate:
             self._disturbance = DisturbanceEstimator(
                 setup.model, setup.hover, self._owned, period_s, section.disturbance.time_constant_s
             )
-        self._kalman = KalmanFilter(setup, self._feedback) if section.estimator == "kalman" else None
+        self._kalman = KalmanFilter(setup, self._feedback, self._owned) if section.estimator == "kalman" else None
         self.estimator = StateEstimator(
             setup.model, self._reference, period_s, self._disturbance, setup.settings.motor_lag_s, self._kalman
         )

@@ -59,9 +59,9 @@ def compared(setup: Setup) -> dict[str, float | str]:
     x = np.array([truth[tick] for tick in ticks])
     errors = [(_error(belief, truth[tick]), belief) for tick, belief in beliefs if tick in truth]
     n = len(errors[0][0])
-    nees = np.array([xi @ np.linalg.solve(belief.P[:n, :n], xi) for xi, belief in errors])
+    nees = np.array([xi @ np.linalg.solve(belief.covariance.P[:n, :n], xi) for xi, belief in errors])
     low, high = chi2.ppf([0.025, 0.975], n)
-    nis, count = np.array([belief.surprise for _, belief in errors]).sum(axis=0)
+    nis, count = np.array([belief.covariance.surprise for _, belief in errors]).sum(axis=0)
     places = np.array([xi[state.R0] for xi, _ in errors])
     return {
         "outcome": outcome,
@@ -79,7 +79,7 @@ def compared(setup: Setup) -> dict[str, float | str]:
 def _error(belief: Belief, x: Array) -> Array:
     """Return the error of an estimate in its coordinates, without actual inputs and forces."""
     n = len(x)
-    found: Array = belief.L[:n].T @ (x - belief.x[:n])
+    found: Array = belief.covariance.L[:n].T @ (x - belief.x[:n])
     return found[: state.PAYLOAD + (n - state.PAYLOAD) // state.PER_UAV * 10]
 
 
