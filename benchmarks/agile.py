@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write(" | ".join(rows[-1]) + "\n")
         sys.stdout.flush()
     columns = ["Case", "Completed", "Error rms, mean, cm", "Worst rms, cm", "Largest error, cm", "Attitude, deg"]
-    text = f"`eight`, {options.seeds} seeds of each case; `python -m benchmarks.agile`:"
+    text = f"`eight`, {options.seeds} seeds of each case (`python -m benchmarks.agile --seeds N --case NAME`):"
     if not options.case:
         write(DOCUMENT, {SECTION: str(Table(text=text, columns=columns, rows=rows))})
     return 0
