@@ -66,6 +66,7 @@ SLOWLY = "clock.speed=0.1"  # real time has to keep up on a busy machine: 0.5 s 
 DRAWINGS = 12
 BROWSER_S = 600.0  # for a page that is drawn without a graphics processor on a busy machine; the runs last longer
 ROD_M = 1e-3  # poses and points have single precision, at some hundred metres
+ARROW = 29, 172  # on the handle, pixels from the middle of the view
 DELAY_STEPS = 10  # of 0.01 s
 AGENTS, VICTIM = 4, 2
 WANTED = {"delay_s": 0.1, "loss": 0.0}
@@ -287,7 +288,7 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
 @pytest.mark.slow
 @needs_browser
 def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
-    """Buttons, keys and the number fields of a page send the payload to targets, each a step from the one before."""
+    """The handle, buttons, keys and the number fields of a page send the payload to targets, one after the other."""
     folder = tmp_path / "sent"
     hover = "maneuver.phase=[{name='hover',duration_s=900.0,displacement_m=[0,0,0]}]"
     with live_run(folder, "clock.speed=1.0", hover) as address:
@@ -298,7 +299,18 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
             keys: Any = ActionChains(window.driver).key_down(Keys.SHIFT)
             keys.send_keys(key).key_up(Keys.SHIFT).perform()
 
-        expected = np.array([0.0, 0.0, -10.0])
+        # The arrow along x, where the first view shows it.
+        view = window.driver.find_element("css selector", "canvas")
+
+        def is_dragged() -> bool:
+            pull: Any = ActionChains(window.driver, duration=400).move_to_element_with_offset(view, *ARROW)
+            pull.click_and_hold().move_by_offset(25, 0).move_by_offset(25, 10).pause(1.0).release().perform()
+            return wait_for(lambda: len(log.of(Target)) > 0, 15.0)
+
+        assert wait_for(is_dragged)
+        expected = log.of(Target)[-1].points[0]
+        assert expected[0] > 0.1
+        assert expected[1:].tolist() == [0.0, -10.0]
         steps: list[tuple[Callable[[], None], list[float]]] = [
             (partial(window.click, "+x"), [0.5, 0.0, 0.0]),
             (partial(shift, Keys.ARROW_UP), [0.0, -0.5, 0.0]),
