@@ -309,14 +309,13 @@ class KalmanFilter:
         actual, forces = belief.x[n:] if self._inputs else belief.u, self.forces(belief)
         own = belief.own
         is_own = [uav for uav, _, _ in sensed] == self._owned and len(of) == state.SENSED * len(sensed)
-        y, slopes = model.sense(belief.x[:n], actual, forces=forces)
-        error = z - y[within]
+        error = z - model.sensed(belief.x[:n], actual, forces=forces)[within]
         angles = (of >= state.THETA.start) & (of < state.THETA.stop)
         error[angles] -= 2.0 * np.pi * np.round(error[angles] / (2.0 * np.pi))
         R = self._R[of]
 
         def observed() -> Array:
-            T = belief.covariance.T
+            T, slopes = belief.covariance.T, model.sense(belief.x[:n], actual, forces=forces)[1]
             H = np.empty((len(z), T.shape[1] + len(belief.forces)))
             H[:, : T.shape[1]] = slopes[within, :n] @ T[:n]
             if forces is not None:

@@ -148,6 +148,11 @@ class Model:
         slopes[self._sensed] += values
         return y, slopes
 
+    def sensed(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
+        """Return the measurements of `sense` alone, (15 N,)."""
+        flat = self._sense.flat(x, self._effective(u), *self._acting(forces))
+        return flat[self._sense.parts[0]]
+
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
         """Return exact derivatives about (x, u) under constant forces.
 
