@@ -62,7 +62,7 @@ def test_the_payload_arrives_and_the_run_replays(extra: tuple[str, ...]) -> None
 
 @pytest.mark.slow
 def test_along_a_flat_reference_to_way_points() -> None:
-    """Fast flight leaves its curve for a target and way points, on a late network, and stays within millimetres."""
+    """Fast flight leaves its curve for a target and way points, on a late network, and arrives within 2 cm."""
     settings = (
         "maneuver.phase.2.laps=1.0",
         "maneuver.phase.2.speed_mps=3.0",
@@ -71,7 +71,7 @@ def test_along_a_flat_reference_to_way_points() -> None:
     log = flown("eight", *settings)
     (found,) = summarise(runs.ready("eight", *settings), log)["targets"]
     assert found["position_m"] == [2.0, 3.0, -10.0]
-    assert found["error_m"] < 0.005
+    assert found["error_m"] < 0.02
 
 
 @pytest.mark.parametrize("name", ["resilient", "eight"])

@@ -55,7 +55,7 @@ CHANNELS: Mapping[str, str] = {
 METADATA = "exported run"
 
 # Array fields with two axes; all others have one.
-_MATRICES = ("uav_states", "inputs", "corrections")
+_MATRICES = ("points", "uav_states", "inputs", "corrections")
 _FIELDS: dict[str, dict[str, Any]] = {
     kind: {field: get_type_hints(cls)[field] for field in cls.__struct_fields__} for kind, cls in KINDS.items()
 }
