@@ -48,6 +48,8 @@ class Clearance:
         on_places = model.linearise(x, u).C[: 3 * model.system.N] @ effect
         R, omegas = rotation(x[state.THETA0]), np.linalg.inv(euler_rates(x[state.THETA0])).T
         turned = np.array([np.cross(omega, self._corners) @ R.T for omega in omegas])
+        # All agents correct the payload's distance: each its share of what they do together.
         on_corners = effect[state.R0] + np.einsum("aci,as->cis", turned, effect[state.THETA0])
+        on_corners *= model.system.N / len(self._own)
         on_points = np.concatenate([on_places.reshape(-1, 3, effect.shape[1])[self._own], on_corners])
         return np.asarray(np.einsum("opi,pis->ops", normals, on_points))

@@ -206,3 +206,13 @@ def test_program_keeps_clear_of_an_obstacle(margin_m: float, load_margin_m: floa
     assert law is not None
     assert least_m(course.Z, obstacle) == pytest.approx(max(margin_m, load_margin_m) - 0.05, abs=1e-6)
     assert least_m(rollout(model, SETTINGS, x0, law)[0], obstacle) > max(margin_m, load_margin_m) - 0.005
+    if load_margin_m < margin_m:
+        return
+    # Agents of one UAV each share the payload's correction: together they do about what one agent does.
+    together = np.zeros_like(c)
+    for uav in range(4):
+        alone = controller((uav,), obstacles=[obstacle])
+        together[:, alone.own] = step(alone, x0, c)[1].c
+    law = one.law(x0, track.X[start : start + 12], together, None, start)
+    assert law is not None
+    assert least_m(rollout(model, SETTINGS, x0, law)[0], obstacle) == pytest.approx(load_margin_m, abs=0.005)
