@@ -1,0 +1,1 @@
+"""The same team and maneuver with the frameworks of others."""

@@ -1,0 +1,167 @@
+"""The team in AgentLib-MPC, an agent for each UAV.
+
+Every agent plans the inputs of its UAV with the model of the whole team, and consensus by ADMM makes equal what the
+agents assume of each other's inputs. AgentLib's agents, local communicator and environment run as they are; the plant
+is this project's, as a module. Its problems have no terminal cost, no limits on changes of inputs and no separation.
+"""
+
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+from agentlib.core import AgentVariable, BaseModule, BaseModuleConfig
+from agentlib.utils.multi_agent_system import LocalMASAgency
+from agentlib_mpc.models.casadi_model import CasadiInput, CasadiModel, CasadiModelConfig, CasadiOutput, CasadiState
+
+from model.arrays import Array
+from model.dynamics import Symbols, motion, outputs
+from model.linearisation import Model
+from model.state import INPUTS
+from mpc.cost import Cost
+from protocol.scenario.setup import Setup
+
+_FILE = Path(__file__).resolve()
+
+
+@dataclass(slots=True)
+class Flight:
+    """The run in this process: AgentLib makes its modules and models itself, from names of classes."""
+
+    setup: Setup
+    iterations: int
+    X: list[Array] = field(default_factory=list)
+    U: list[Array] = field(default_factory=list)
+    now: ClassVar["Flight"]
+
+
+class Team(CasadiModel):
+    """The whole team as one agent sees it; the agents' objectives sum to that of the team."""
+
+    agent: ClassVar[int]
+
+    def setup_system(self) -> Any:
+        """Return the agent's share of the stage cost."""
+        setup = Flight.now.setup
+        symbols, cost = Symbols.of(setup.system.N), Cost(setup.settings.weights, setup.system, setup.hover)
+        x, u, y_ref = (
+            ca.vertcat(*(getattr(self, f"{name}_{k}").sym for k in range(size)))
+            for name, size in (("x", len(setup.hover.x)), ("u", len(setup.hover.u)), ("y", len(cost.Q)))
+        )
+        values = [x, u, ca.DM(setup.system.vector()), ca.DM.zeros(symbols.F.shape)]
+        derivative, y = (
+            ca.Function("of", [symbols.x, symbols.u, symbols.p, symbols.F], [of])(*values)
+            for of in (motion(symbols).derivative, outputs(symbols))
+        )
+        for k in range(len(setup.hover.x)):
+            getattr(self, f"x_{k}").ode = derivative[k]
+        for j in range(INPUTS * self.agent, INPUTS * (self.agent + 1)):
+            getattr(self, f"w_{j}").alg = 1.0 * getattr(self, f"u_{j}")
+        effort = u - setup.hover.u
+        return (ca.dot(cost.Q, (y - y_ref) ** 2) + ca.dot(cost.R, effort**2)) / setup.system.N
+
+
+def model_of(agent: int, setup: Setup) -> type[Team]:
+    """Return the model class of an agent, 0-based."""
+    own = range(INPUTS * agent, INPUTS * (agent + 1))
+    p = 4 * setup.system.N + 9
+
+    class Config(CasadiModelConfig):
+        inputs: list[CasadiInput] = [
+            *(CasadiInput(name=f"u_{j}", value=float(v)) for j, v in enumerate(setup.hover.u)),
+            *(CasadiInput(name=f"y_{k}", value=0.0) for k in range(p)),
+        ]
+        states: list[CasadiState] = [CasadiState(name=f"x_{k}", value=float(v)) for k, v in enumerate(setup.hover.x)]
+        outputs: list[CasadiOutput] = [CasadiOutput(name=f"w_{j}", value=float(setup.hover.u[j])) for j in own]
+
+    return type(f"Team{agent}", (Team,), {"agent": agent, "__annotations__": {"config": Config}})
+
+
+class PlantConfig(BaseModuleConfig):
+    """Variables of the plant: all states, which it sends, and all inputs, which it takes."""
+
+    x: list[AgentVariable] = []
+    u: list[AgentVariable] = []
+    shared_variable_fields: list[str] = ["x"]
+
+
+class Plant(BaseModule):
+    """The plant of this project in AgentLib's environment: inputs act from the instant at which they are found on."""
+
+    config: PlantConfig
+
+    def register_callbacks(self) -> None:
+        """Inputs are read when they act."""
+
+    def process(self) -> Iterator[Any]:
+        """Send the state, wait until shortly before the next instant, integrate."""
+        flight = Flight.now
+        setup, model, x = flight.setup, Model(flight.setup.system), flight.setup.initial_state()
+        while True:
+            for k, value in enumerate(x):
+                self.set(f"x_{k}", float(value))
+            yield self.env.timeout(0.9 * setup.settings.sampling_period_s)
+            u = np.array([self.get_value(f"u_{j}") for j in range(len(setup.hover.u))])
+            flight.X.append(x)
+            flight.U.append(u)
+            x, _ = model.integrate(x, u, setup.settings.sampling_period_s, 10)
+            yield self.env.timeout(0.1 * setup.settings.sampling_period_s)
+
+
+def _agents(setup: Setup, iterations: int) -> list[dict[str, Any]]:
+    here, period_s = str(_FILE), setup.settings.sampling_period_s
+    t_s = period_s * np.arange(len(setup.Y_ref))
+    y = {f"y_{k}": pd.Series(setup.Y_ref[:, k], index=t_s) for k in range(setup.Y_ref.shape[1])}
+    limits_of = setup.settings.limits
+    lower, upper = limits_of.lower(setup.system.N), limits_of.upper(setup.system.N)
+    found: list[dict[str, Any]] = []
+    for agent in range(setup.system.N):
+        own = range(INPUTS * agent, INPUTS * (agent + 1))
+        limits = [{"lb": float(lower[j]), "ub": float(upper[j])} for j in range(len(setup.hover.u))]
+        controller = {
+            "module_id": "admm",
+            "type": "agentlib_mpc.admm_local",
+            "optimization_backend": {
+                "type": "casadi_admm",
+                "model": {"type": {"file": here, "class_name": f"Team{agent}"}},
+                "discretization_options": {"collocation_order": 2, "collocation_method": "legendre"},
+                "solver": {"name": "ipopt", "options": {"ipopt.print_level": 0, "ipopt.tol": 1e-3}},
+            },
+            "time_step": period_s,
+            "prediction_horizon": setup.settings.horizon,
+            "max_iterations": iterations,
+            "penalty_factor": 1e-2,
+            "sync_delay": 5e-4,
+            "inputs": [{"name": name, "value": series} for name, series in y.items()],
+            "controls": [{"name": f"u_{j}", "value": float(setup.hover.u[j]), **limits[j]} for j in own],
+            "states": [{"name": f"x_{k}", "value": float(v)} for k, v in enumerate(setup.initial_state())],
+            "couplings": [
+                {"name": f"{'w' if j in own else 'u'}_{j}", "alias": f"c_{j}", "value": float(v), **limits[j]}
+                for j, v in enumerate(setup.hover.u)
+            ],
+        }
+        found.append({"id": f"uav{agent + 1}", "modules": [{"type": "local_broadcast"}, controller]})
+    plant = {
+        "module_id": "plant",
+        "type": {"file": here, "class_name": "Plant"},
+        "x": [{"name": f"x_{k}", "value": float(v)} for k, v in enumerate(setup.initial_state())],
+        "u": [{"name": f"u_{j}", "value": float(v)} for j, v in enumerate(setup.hover.u)],
+    }
+    return [*found, {"id": "plant", "modules": [{"type": "local_broadcast"}, plant]}]
+
+
+def fly(setup: Setup, iterations: int) -> tuple[Array, Array, float]:
+    """Return states and inputs at each tick, (ticks, n) and (ticks, m), and the processor time."""
+    Flight.now = flight = Flight(setup, iterations)
+    # AgentLib imports the file of a class under a name of its own: it is to find this module, and the agents' models.
+    sys.modules[".".join([*(folder.name for folder in _FILE.parents[:-1]), _FILE.stem])] = sys.modules[__name__]
+    globals().update({f"Team{agent}": model_of(agent, setup) for agent in range(setup.system.N)})
+    begin = time.process_time()
+    agency = LocalMASAgency(agent_configs=_agents(setup, iterations), env={"rt": False}, variable_logging=False)
+    agency.run(until=setup.ticks * setup.settings.sampling_period_s - 1e-3)
+    return np.array(flight.X), np.array(flight.U), time.process_time() - begin
