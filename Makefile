@@ -41,7 +41,7 @@ campaigns: $(VENV)/.installed-test ## search for defects by random runs, by nigh
 bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (5 minutes)
 	@$(BIN)/python -m benchmarks
 
-figures: $(VENV)/.installed-test ## run every experiment and renew figures and tables of README and docs (50 minutes)
+figures: $(VENV)/.installed-test $(VENV)/.installed-firmware ## run every experiment and renew figures and tables of README and docs (an hour)
 	@$(BIN)/python docs/scenario_page.py
 	@$(BIN)/python docs/values_page.py
 	@$(BIN)/python docs/guarantees_page.py
