@@ -147,6 +147,15 @@ SHARED: Columns = {
     "cost over all sent": number("cost_ratio", digits=3),
     **WITHOUT_RATIO,
 }
+TRACKED: Columns = {
+    "case": "case",
+    "speed, m/s": plain("speed_mps"),
+    "completed": done,
+    "error rms, cm": number("payload_rms_m", 100.0),
+    "largest, cm": mean("payload_max_m", 100.0, 1),
+    "attitude, deg": mean("attitude_max_deg", digits=1),
+    "cost over perfect network": number("cost_ratio"),
+}
 DELAY, LOST = {"delay, ms": plain("delay_s", 1e3)}, {"lost": plain("loss", 100.0, " %")}
 NETWORK_OF: Columns = {**SCENARIO, "network": "network"}
 
@@ -188,6 +197,7 @@ SECTIONS: Mapping[str, Section] = {
         {**NETWORK_OF, "N_p": "horizon", "terminal weight": lambda row: row["terminal"].removesuffix(".0")}
     ),
     "hover": points({**SCENARIO, "last hover, s": plain("hover_s")}, WITHOUT_RATIO),
+    "agile": Section({"points.csv": TRACKED}, ("--speed", "5", "--speed", "6", "--seeds", "1")),
     "scaling": Section({"points.csv": GROWTH}, ("--max", "12", "--seeds", "3")),
 }
 
