@@ -73,10 +73,6 @@ class Setup:
     settings: ControllerSettings  # the same for every agent
     owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
     samples_s: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # measured delays of the links, by file
-    # The same run with a further target, by what that is: shared by the nodes of a process.
-    _headed: WeakValueDictionary[Hashable, Any] = field(
-        default_factory=WeakValueDictionary, init=False, repr=False, compare=False
-    )
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
@@ -117,6 +113,11 @@ class Setup:
         except TargetError as error:
             raise ScenarioError(source, "maneuver.target", str(error)) from error
         return setup
+
+    @cached_property
+    def _headed(self) -> WeakValueDictionary[Hashable, Any]:
+        """The same run with a further target, by what that is: shared by the nodes of a process."""
+        return WeakValueDictionary()
 
     @cached_property
     def model(self) -> Model:
