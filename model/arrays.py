@@ -63,7 +63,8 @@ def rows(start: int, steps: int, known: int) -> slice | npt.NDArray[np.intp]:
 def continued(before: T, after: T, kept: int) -> T:
     """Return data of instants from their `first` on, a row each, with up to `kept` rows of earlier data ahead of them.
 
-    Both are objects of one dataclass whose other fields are arrays, or dataclasses of arrays.
+    Both are objects of one dataclass whose other fields are arrays, dataclasses of arrays, or functions, of which the
+    later one is taken.
     """
     first, now = before.first, after.first  # type: ignore[attr-defined]
     count = min(kept, now - first)
@@ -73,6 +74,8 @@ def continued(before: T, after: T, kept: int) -> T:
             names = [field.name for field in fields(new) if field.name != "first"]
             found = {name: joined(getattr(old, name), getattr(new, name)) for name in names}
             return replace(new, **found)  # type: ignore[type-var]
+        if callable(new):
+            return new
         both = np.concatenate([old[rows(now - first - count, count, len(old))], new])
         frozen(both)
         return both

@@ -110,8 +110,8 @@ def test_every_message_could_travel() -> None:
     for sender in {message.sender for message in messages}:
         numbers = [message.sequence for message in messages if message.sender == sender]
         assert numbers == list(range(len(numbers)))
-    # No link change, no fault, no rejection; motors are ideal, and no class controls.
-    never = {"link", "fault", "rejected", "actual_inputs", "note"}
+    # No link change, no target, no fault, no rejection; motors are ideal, and no class controls.
+    never = {"link", "target", "fault", "rejected", "actual_inputs", "note"}
     assert {message.kind for message in messages} == set(KINDS) - never
 
 
