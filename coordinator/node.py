@@ -8,10 +8,8 @@ it again when a tick is opened.
 from collections.abc import Collection, Sequence
 from enum import Enum
 
-from coordinator.clock import Clock
-from coordinator.links import RequestedLinkChanges
-from coordinator.roster import TeamRoster, names
-from coordinator.targets import Targets
+from coordinator.clock import Clock, TeamRoster, names
+from coordinator.links import RequestedLinkChanges, Targets
 from protocol.admission.plausibility import check_tick
 from protocol.scenario.links import LinkError, words_of
 from protocol.scenario.setup import Setup

@@ -15,11 +15,9 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control
 from transport.analysis.series import series_of
 from transport.experiments.cases import Case, Point, Team, cases_of
-from transport.experiments.declaration import Experiment
-from transport.experiments.quantities import axis
-from transport.experiments.results import Results
+from transport.experiments.declaration import Experiment, axis
 from transport.experiments.simulation import Result
-from transport.experiments.sweep import sweep
+from transport.experiments.sweep import Results, sweep
 from transport.experiments.workers import on_cores
 from transport.flight.header import machine, versions
 from transport.log.run_log import RunLog

@@ -2,22 +2,82 @@
 
 import importlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import metadata
 from importlib.util import find_spec
+from typing import Protocol
 
 import numpy as np
 
 from model.arrays import Array
+from model.linearisation import Model
 from model.parameters import System
 from model.state import StateView
 from plant.environment import Environment
 from plant.inner_loop import checked_firmware
-from plant.physics import EngineClass, Physics
-from plant.rods import Rods
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.own_class import OwnClassError, made, own_class, real_array, told, version_of
+from protocol.scenario.plant_sections import PlantSection
 from protocol.scenario.setup import Setup
+
+
+class Rods:
+    """Massless rigid rods, no ground; steps of at most `plant.step_s`, halved where their local error is large.
+
+    Source: docs/equations.md (4)-(13).
+    """
+
+    version = metadata.version("payload-transport")
+
+    def __init__(self, system: System, section: PlantSection) -> None:
+        self._model = Model(system)
+        self._step_s, self._tolerance = section.step_s, section.tolerance
+        self._x: Array = np.zeros(system.n)  # until `reset`
+
+    def reset(self, x: Array) -> None:
+        """Continue from a state, (n,)."""
+        self._x = x
+
+    def advance(self, u: Array, forces: Array | None, duration_s: float) -> float:
+        """Integrate an interval under held inputs, (4 N,), and forces, (3 + 3 N,); return the local error estimate."""
+        steps = math.ceil(duration_s / self._step_s - 1e-9)
+        self._x, error = self._model.integrate(self._x, u, duration_s, steps, forces=forces, tolerance=self._tolerance)
+        return error
+
+    def state(self) -> Array:
+        """Return the present state, (n,)."""
+        return self._x
+
+
+class Physics(Protocol):
+    """Integration of the ground truth: N UAVs, one payload, in the layout and the signs of `model.state`.
+
+    An engine with cables may have an attribute `tensions`, the least tension of each in the last interval, (N,), N.
+    Errors may be raised as any exception: the run then ends with its text.
+    """
+
+    def reset(self, x: Array) -> None:
+        """Continue from a state, (12 + 12 N,), SI; called before the first interval and after the failure of a UAV."""
+
+    def advance(self, u: Array, forces: Array | None, duration_s: float) -> float | None:
+        """Integrate an interval, a sampling period or a part of one.
+
+        Args:
+            u: Thrust and moments of each UAV, held, (4 N,), N and N m, in its body frame; thrust >= 0 acts along -b3.
+            forces: External forces on the centres of mass of payload and UAVs, held, (3 + 3 N,), inertial frame, N;
+                None without any.
+            duration_s: > 0, s.
+        Returns: The largest local error of any component of the state, SI, if the engine can tell it.
+        """
+
+    def state(self) -> Array:
+        """Return the present state, (12 + 12 N,), SI, with |e_i| = 1 and e_i . Omega_i = 0."""
+
+
+# What makes an engine: its class, or any function with the same arguments. Its attribute `version`, if there is
+# one, is recorded, else a hash of its file.
+EngineClass = Callable[[System, PlantSection], Physics]
 
 # How far the state that an engine reads out after `reset` may be from the given one, SI.
 _SAME_STATE = 1e-6

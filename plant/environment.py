@@ -14,7 +14,7 @@ from model.failure import with_released
 from model.linearisation import Model
 from model.parameters import Payload, System, Uav
 from model.state import StateView
-from protocol.scenario.draws import draw_key, generator
+from protocol.scenario.links import draw_key, generator
 from protocol.scenario.setup import Setup
 from protocol.wire.names import PLANT
 

@@ -12,7 +12,7 @@ import numpy as np
 from model.arrays import Array
 from model.linearisation import Model
 from model.state import SENSED
-from protocol.scenario.draws import draw_key, generator
+from protocol.scenario.links import draw_key, generator
 from protocol.scenario.setup import Setup
 from protocol.wire.names import PLANT
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from protocol.scenario.errors import ScenarioError as ScenarioError
     from protocol.wire.errors import TransportError as TransportError
-    from transport.experiments.errors import ExperimentError as ExperimentError
+    from transport.experiments.cases import ExperimentError as ExperimentError
     from transport.flight.harness import HarnessError as HarnessError
     from transport.flight.run_files import RunError as RunError
     from transport.interface.active import ActiveRun as ActiveRun
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from transport.interface.margins import margins as margins
     from transport.interface.run import Run as Run
     from transport.interface.scenario import Scenario as Scenario
+    from transport.interface.scenario import team as team
     from transport.interface.series import RunSeries as RunSeries
     from transport.interface.settings import ArgumentError as ArgumentError
     from transport.interface.sweep import Sweep as Sweep
     from transport.interface.sweep import sweep as sweep
-    from transport.interface.team import team as team
     from transport.log.run_log import LogError as LogError
     from transport.viewer.server import ViewerError as ViewerError
 
@@ -40,7 +40,7 @@ _MODULES = {
     "sweep": "transport.interface.sweep",
     "margins": "transport.interface.margins",
     "Margins": "transport.interface.margins",
-    "team": "transport.interface.team",
+    "team": "transport.interface.scenario",
     "Scenario": "transport.interface.scenario",
     "Run": "transport.interface.run",
     "RunSeries": "transport.interface.series",
@@ -50,7 +50,7 @@ _MODULES = {
     "ScenarioError": "protocol.scenario.errors",
     "RunError": "transport.flight.run_files",
     "HarnessError": "transport.flight.harness",
-    "ExperimentError": "transport.experiments.errors",
+    "ExperimentError": "transport.experiments.cases",
     "LogError": "transport.log.run_log",
     "ViewerError": "transport.viewer.server",
 }

@@ -5,6 +5,7 @@ seed, sender, receiver, kind and the message's tick, so that the delays of a mes
 order anything arrives.
 """
 
+import hashlib
 import json
 import math
 from bisect import bisect_right
@@ -12,15 +13,31 @@ from collections.abc import Collection, Iterable, Mapping
 from operator import itemgetter
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+from numpy.random import Generator, Philox
 from pydantic import ValidationError
 
 from model.arrays import Array
-from protocol.scenario.draws import draw_key, generator
 from protocol.scenario.errors import first_problem
 from protocol.scenario.keys import UNITS, key_of, out_of_range
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
 from protocol.wire.messages import LinkChange, MessageError
 from protocol.wire.names import PLANT
+
+Key = npt.NDArray[np.uint64]
+
+
+def draw_key(*purpose: object) -> Key:
+    """Return the key of an independent stream of random numbers for the seed of a run and a purpose, (2,) uint64."""
+    digest = hashlib.sha256("/".join(map(str, purpose)).encode()).digest()
+    return np.frombuffer(digest[:16], dtype="<u8")
+
+
+def generator(key: Key, tick: int, stream: int = 0) -> Generator:
+    """Return the generator that belongs to a key, a tick and one of the streams of that tick."""
+    return Generator(Philox(key=key, counter=np.array([0, 0, stream, tick], dtype=np.uint64)))
+
 
 # Uniform numbers drawn for each message, by their first use; jitter takes two. A new one goes to the end.
 _LOSS, _BURST, _JITTER, _DUPLICATE, _ECHO, _REORDER, _DRAWS = 0, 1, 2, 4, 5, 7, 8

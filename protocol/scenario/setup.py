@@ -28,11 +28,10 @@ from mpc.settings import ControllerSettings
 from protocol.scenario.budget import ticks_of
 from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted, uav_faults
-from protocol.scenario.feasible import exceeded, least_slowing
 from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
 from protocol.scenario.schema import FURTHEST_M, ObstacleSection, Scenario, UavSection
-from protocol.scenario.targets import TargetError, check_scripted
+from protocol.scenario.targets import TargetError, check_scripted, exceeded, least_slowing
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.messages import Measurement, Plan
 from protocol.wire.names import PLANT

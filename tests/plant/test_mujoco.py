@@ -13,8 +13,8 @@ from model.arrays import Array
 from model.linearisation import Model
 from model.parameters import System, payload_half_size, resting_height, table_1
 from model.state import StateView
+from plant.engines import Rods
 from plant.mujoco_engine import MujocoEngine
-from plant.rods import Rods
 from protocol.scenario.plant_sections import MujocoSection, PlantSection
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 from tests.support.runs import plant_states, ready, recorded

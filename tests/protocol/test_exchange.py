@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from coordinator.node import CoordinatorNode
 from plant.node import PlantNode
 from protocol.network import process
-from protocol.network.exchange import Exchange, exchange_of
+from protocol.network.process import Exchange, exchange_of
 from protocol.scenario.faults import Fault
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode, encode

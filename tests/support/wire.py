@@ -16,7 +16,7 @@ from protocol.network import bus as bus_module
 from protocol.network import process
 from protocol.network.bus import Bus, Interrupted
 from protocol.network.endpoints import Endpoints
-from protocol.network.exchange import exchange_of
+from protocol.network.process import exchange_of
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys, matches

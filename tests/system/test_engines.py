@@ -23,7 +23,7 @@ FOREIGN_M = 1e-5
 
 BROKEN = """
 import time
-from plant.rods import Rods
+from plant.engines import Rods
 
 class Raising(Rods):
     def advance(self, u, forces, duration_s):
@@ -41,7 +41,7 @@ class Slow(Rods):
 # What the code of an engine may do to its process.
 ROUGH = """
 import os, sys, time
-from plant.rods import Rods
+from plant.engines import Rods
 
 class Prints(Rods):
     def __init__(self, *arguments):

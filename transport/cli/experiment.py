@@ -29,14 +29,12 @@ from transport.experiments import (
     design_experiments,
     network_experiments,
 )
-from transport.experiments.cases import Case, cases_of
+from transport.experiments.cases import Case, ExperimentError, cases_of, refused
 from transport.experiments.conclusions import conclusions, scaling_conclusions
 from transport.experiments.declaration import EXPERIMENTS, Declaration, Values
-from transport.experiments.errors import ExperimentError, refused
-from transport.experiments.results import Results
 from transport.experiments.simulation import simulate
 from transport.experiments.statistics import PointStatistics
-from transport.experiments.sweep import Simulate, sweep
+from transport.experiments.sweep import Results, Simulate, sweep
 from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, means_in_words, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.header import machine

@@ -20,7 +20,7 @@ app = lazy_group(
         "top": ("transport.cli.top:top", "Watch the agents of an active run."),
         "status": ("transport.cli.operate:status", "Show the progress of a run, or the health of one process."),
         "fault": ("transport.cli.operate:fault", "Kill, stop, continue or restart a process of an active run."),
-        "target": ("transport.cli.target:target", "Send the payload of an active run to a target."),
+        "target": ("transport.cli.operate:target", "Send the payload of an active run to a target."),
         "doctor": ("transport.cli.doctor:doctor", "Check that this machine can run a scenario."),
         "agent": ("transport.cli.processes:agent", "Run one agent: the controller of the UAVs it owns."),
         "plant": ("transport.cli.processes:plant", "Run the plant: dynamics and actuators."),
@@ -48,8 +48,8 @@ app = lazy_group(
 app.add_typer(
     lazy_group(
         {
-            "set": ("transport.cli.link:set_links", "Impair or repair links from the next tick on."),
-            "clear": ("transport.cli.link:clear_links", "Remove all impairments, also from the plant's links."),
+            "set": ("transport.cli.operate:set_links", "Impair or repair links from the next tick on."),
+            "clear": ("transport.cli.operate:clear_links", "Remove all impairments, also from the plant's links."),
         },
         help="Change the links of an active run.",
     ),

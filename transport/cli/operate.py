@@ -1,10 +1,12 @@
-"""Commands that ask the processes of an active run: `status`, `fault`, and `metrics` for Prometheus."""
+"""Commands that act on an active run: `status`, `fault`, `link`, `target`, and `metrics` for Prometheus."""
 
+import inspect
 import json
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, get_origin
 
 import typer
 from rich.console import Console
@@ -15,9 +17,14 @@ from typer import Argument, Option
 from protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
 from protocol.network.security import SecurityError
 from protocol.network.session import BusError, ask
+from protocol.scenario.files import TableError, points_of
+from protocol.scenario.keys import key_of, meanings, unit_of
+from protocol.scenario.link_sections import LinkSection
+from protocol.scenario.links import PERFECT, LinkError, link_change
 from protocol.scenario.schema import Scenario
+from protocol.scenario.targets import TargetError, asked
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from protocol.wire.names import COORDINATOR, RECORDER
+from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from transport.cli.active_run import ActiveRun
 from transport.cli.options import FormatOption, ScenarioOption, SetOption, with_options
 from transport.cli.output import Format, exit_on, fail, show_json
@@ -225,3 +232,134 @@ def process_endpoints(scenario: Scenario, connect: Sequence[str] | None = None) 
         at = connect[i] if connect is not None else [*default[name].listen, *default[name].connect][0]
         found[name] = Endpoints(listen=[], connect=[at], mode=default[name].mode, security=security_of(scenario))
     return found
+
+
+# Placeholders of the options by the unit of their keys.
+_METAVARS = {"s": "SECONDS", "1/s": "HZ", "": "PROBABILITY"}
+
+
+def _options() -> Iterator[inspect.Parameter]:
+    """Yield the options that set the keys of a link."""
+    meaning = meanings(LinkSection)
+    for name, field in LinkSection.model_fields.items():
+        if not (option := key_of(field).option):
+            continue
+        is_choice = get_origin(field.annotation) is Literal
+        low, high = (next((getattr(e, end) for e in field.metadata if hasattr(e, end)), None) for end in ("ge", "le"))
+        metavar = "NAME" if is_choice else _METAVARS[unit_of(name, field)]
+        text = f"{meaning[name][0].upper()}{meaning[name][1:]}.".replace("`", "")
+        kind: Any = Annotated[
+            (str if is_choice else float) | None, Option(option, metavar=metavar, min=low, max=high, help=text)
+        ]
+        yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+
+
+def _settings(**given: Any) -> dict[str, Any]:
+    """Return the keys of a link whose options are given."""
+    return {key: value for key, value in given.items() if value is not None}
+
+
+_settings.__signature__ = inspect.Signature(list(_options()))  # type: ignore[attr-defined]
+
+
+@with_options(_settings, ActiveRun)
+def set_links(
+    settings: dict[str, Any],
+    run: ActiveRun,
+    sender: Annotated[
+        str | None, Option("--from", metavar="PROCESS", help="Sender: number of an agent, or plant; else all agents.")
+    ] = None,
+    receiver: Annotated[str | None, Option("--to", metavar="PROCESS", help="Receiver, in the same way.")] = None,
+    output: FormatOption = Format.text,
+) -> None:
+    """Impair or repair links from the next tick on.
+
+    Options that are not given keep their values.
+
+    Example: transport link set --from 1 --to 2 --delay 0.1
+    """
+    if not settings:
+        fail("expected at least one of --delay, --jitter, --loss, ..., got none", EXIT_USAGE)
+    with exit_on(LinkError, code=EXIT_USAGE):
+        link_change("", "", json.dumps(settings))
+    ends = {"from": _process_name(sender), "to": _process_name(receiver)}
+    answer = run.ask(COORDINATOR, "link", {**ends, "settings": settings})
+    if output is Format.json:
+        show_json(answer)
+        return
+    typer.echo(f"links change with tick {answer['tick']} (t = {answer['t_s']:.2f} s)")
+
+
+@with_options(ActiveRun)
+def clear_links(run: ActiveRun, output: FormatOption = Format.text) -> None:
+    """Remove all impairments, also from the plant's links.
+
+    Example: transport link clear
+    """
+    for ends in ({}, {"from": PLANT}, {"to": PLANT}):
+        answer = run.ask(COORDINATOR, "link", {**ends, "settings": dict(PERFECT)})
+    if output is Format.json:
+        show_json(answer)
+        return
+    cleared = "all links: delay 0, loss 0, no other impairment"
+    typer.echo(f"{cleared}, from tick {answer['tick']} on (t = {answer['t_s']:.2f} s)")
+
+
+def _process_name(end: str | None) -> str:
+    """Return the name of a process given as 2, agent2 or plant; empty for all agents."""
+    return "" if end is None else f"agent{end}" if end.isdecimal() else end
+
+
+@with_options(ActiveRun)
+def target(
+    run: ActiveRun,
+    x: Annotated[float | None, Argument(metavar="X", help="Position in the inertial frame, m: forwards.")] = None,
+    y: Annotated[float | None, Argument(metavar="Y", help="To the right.")] = None,
+    z: Annotated[float | None, Argument(metavar="Z", help="Downwards.")] = None,
+    speed: Annotated[
+        float | None, Option("--speed", metavar="MPS", min=1e-3, help="Largest speed; else up to 1 m/s, if feasible.")
+    ] = None,
+    file: Annotated[
+        Path | None,
+        Option("--file", metavar="CSV", help="Way points instead: columns x,y,z, or t,x,y,z without --speed."),
+    ] = None,
+    output: FormatOption = Format.text,
+) -> None:
+    """Send the payload of an active run to a target.
+
+    From the next tick on the reference leaves its path smoothly, also that to an earlier target, and comes to rest
+    there. A target that cannot be flown is refused with the reason. Way points are run through on a smooth curve after
+    the first one.
+
+    Exit codes: 0 accepted; 2 refused; 4 no answer.
+
+    Example: transport target 3 0 -12 --speed 1.5
+    """
+    point = [value for value in (x, y, z) if value is not None]
+    if len(point) != (3 if file is None else 0):
+        fail(f"expected X Y Z, or --file, got {len(point)} numbers{' and --file' if file else ''}", EXIT_USAGE)
+    given: dict[str, Any] = {"points_m": [point]}
+    if file is not None:
+        with exit_on(TableError, code=EXIT_USAGE, option="--file"):
+            points, times_s = points_of(file)
+        given = {"points_m": points, **({} if times_s is None else {"times_s": times_s})}
+    given |= {} if speed is None else {"speed_mps": speed}
+    with exit_on(TargetError, code=EXIT_USAGE):
+        asked(given)
+    answer = run.ask(COORDINATOR, "target", given)
+    if output is Format.json:
+        show_json(answer)
+        return
+    typer.echo(in_words(answer))
+
+
+def in_words(answer: dict[str, Any]) -> str:
+    """Return the coordinator's answer to a target as a sentence."""
+    further = f", the last way point at t = {answer['ends_s']:.2f} s" if answer["ends_s"] > answer["reached_s"] else ""
+    return (
+        f"target from tick {answer['tick']} on (t = {answer['t_s']:.2f} s), "
+        f"reached at t = {answer['reached_s']:.2f} s{further}"
+    )
+
+
+target.context_settings = {"ignore_unknown_options": True}  # type: ignore[attr-defined]  # -2 is no option

@@ -3,11 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 from protocol.scenario.schema import Scenario
-from transport.experiments.cases import Point
-from transport.experiments.declaration import Experiment, Range, Values, declared
-from transport.experiments.errors import refused
+from transport.experiments.cases import Point, refused
+from transport.experiments.declaration import Experiment, Range, Values, axis, declared
 from transport.experiments.network_experiments import NETWORKS
-from transport.experiments.quantities import axis
 
 _PERFECT, _LATE = NETWORKS
 _CENTRALIZED, _UNIMPAIRED = "centralized", "perfect network"

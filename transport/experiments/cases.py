@@ -15,8 +15,24 @@ from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
+from protocol.wire.errors import TransportError
+from protocol.wire.exit_codes import EXIT_USAGE
 from transport.flight.trial import checked
 from transport.log.run_log import RunLog
+
+
+class ExperimentError(TransportError, RuntimeError):
+    """An experiment that cannot be started or completed: one line for the user, and exit code of the process."""
+
+    def __init__(self, text: str, exit_code: int = EXIT_USAGE) -> None:
+        super().__init__(text)
+        self.exit_code = exit_code
+
+
+def refused(option: str, expected: str, got: object, exit_code: int = EXIT_USAGE) -> ExperimentError:
+    """Return the error for a wrong option."""
+    return ExperimentError(f"{option}: expected {expected}, got {got}", exit_code)
+
 
 # Keys and sections of a scenario that make a run random unless they are zero.
 _RANDOM = {"jitter_s", "loss", "duplicate", "reorder", "gust_mps", "noise"}

@@ -14,10 +14,8 @@ import threadpoolctl
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, StepReport
-from transport.experiments.cases import Point
-from transport.experiments.declaration import QUICK_MANEUVER, Declaration, Experiment
-from transport.experiments.errors import refused
-from transport.experiments.quantities import axis
+from transport.experiments.cases import Point, refused
+from transport.experiments.declaration import QUICK_MANEUVER, Declaration, Experiment, axis
 from transport.flight import memory
 from transport.report.report import write_whole
 

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 
 from protocol.scenario.schema import Scenario
-from transport.experiments.cases import Point, Team
-from transport.experiments.declaration import NONE, Experiment, Range, Values, declared
-from transport.experiments.errors import refused
+from transport.experiments.cases import Point, Team, refused
+from transport.experiments.declaration import NONE, Axis, Experiment, Range, Values, axis, declared
 from transport.experiments.network_experiments import NETWORKS
-from transport.experiments.quantities import Axis, axis
 
 AS_IT_IS, NEVER, CENTRALIZED = "as it is", "never", "centralized"
 

@@ -4,10 +4,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from transport.experiments.cases import Point
-from transport.experiments.declaration import NONE, Experiment, Range, Values, declared
-from transport.experiments.errors import refused
-from transport.experiments.quantities import Axis, axis
+from transport.experiments.cases import Point, refused
+from transport.experiments.declaration import NONE, Axis, Experiment, Range, Values, axis, declared
 
 # Standard deviation of one unit of `links.jitter_s`, and the mean it adds, by distribution (docs/keys.md).
 # A lognormal number whose logarithm has unit variance has a mean of 1 / sqrt(e - 1) standard deviations.

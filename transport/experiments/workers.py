@@ -12,8 +12,7 @@ import time
 from collections.abc import Iterator, Sequence
 
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from transport.experiments.cases import Case
-from transport.experiments.errors import ExperimentError, refused
+from transport.experiments.cases import Case, ExperimentError, refused
 from transport.experiments.simulation import ERROR, Result, simulate
 
 # Timeout of the cluster, and period at which a worker checks that its parent lives, s.

@@ -15,17 +15,16 @@ from rich.console import Console
 from protocol.scenario.budget import most_workers
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
-from transport.experiments.declaration import Experiment
+from transport.experiments.declaration import Axis, Experiment, axis, quantity
 from transport.experiments.figures import fill
-from transport.experiments.quantities import Axis, axis, quantity
-from transport.experiments.results import Results
 from transport.experiments.simulation import Result
 from transport.experiments.statistics import PointStatistics
+from transport.experiments.sweep import Results
 from transport.experiments.table import WIDTH, means_in_words, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.progress import compile_model
 from transport.interface.figure import RunFigure, drawn
-from transport.interface.progress import console
+from transport.interface.fly import console
 from transport.interface.scenario import Scenario
 from transport.interface.settings import ArgumentError, file_name, key_of, public, require_pandas
 

@@ -21,8 +21,7 @@ from transport.analysis.series import Series, series_of
 from transport.log.run_folder import open_run
 from transport.report.figures_3d import draw_parts, frame, line
 from transport.report.style import COMPONENTS, RC, REFERENCE, scale_cost, shade_phases
-from transport.scene.colours import UAV_COLOURS, age_colour
-from transport.scene.drawing import Drawing
+from transport.scene.drawing import UAV_COLOURS, Drawing, age_colour
 from transport.scene.scene import Scene, SceneBuilder
 
 KINDS = (".gif", ".mp4")

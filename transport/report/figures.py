@@ -33,7 +33,7 @@ from transport.report.style import (
     scale_cost,
     shade_phases,
 )
-from transport.scene.colours import UAV_COLOURS, uav_style
+from transport.scene.drawing import UAV_COLOURS, uav_style
 
 # Names of the figures of a run.
 FIGURES = ("performance", "inputs", "trajectories", "timing")

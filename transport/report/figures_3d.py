@@ -18,8 +18,7 @@ from protocol.scenario.setup import Setup
 from transport.analysis.series import Series
 from transport.report.column import draw_legend, legend_height_in
 from transport.report.style import COLUMN_IN, PAYLOAD, REFERENCE
-from transport.scene.colours import uav_style
-from transport.scene.drawing import Label, Lines, Mesh, Part, Pose, obstacles
+from transport.scene.drawing import Label, Lines, Mesh, Part, Pose, obstacles, uav_style
 
 # Smallest distance between drawn formations, m.
 _APART_M = 0.5

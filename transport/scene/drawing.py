@@ -8,6 +8,7 @@ frames are relative to the inertial one, z down; lengths in m.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +18,49 @@ from scipy.spatial.transform import Rotation
 from model.arrays import Array
 from model.parameters import System, payload_corners, payload_half_size
 from protocol.scenario.setup import Setup
-from transport.scene.colours import Colour, age_colour, uav_colour
 from transport.scene.history import LinkState
 from transport.scene.scene import Scene, SceneBuilder
+
+Colour = tuple[int, int, int]
+
+# For colour-blind readers (after Okabe and Ito 2008), with different lightness for print in grey. Beyond five UAVs the
+# colours repeat with another line style.
+UAV_COLOURS = ("#004488", "#C24E00", "#009E73", "#E08BBC", "#7F5F00")
+_LINE_STYLES = ("-", "--", ":", "-.")
+
+# Ages of plans and their colours (docs/viewer.md), after that of a fresh one, which is at most `_FRESH_S` old; dark if
+# older than the oldest, or without any plan.
+_FRESH_S, _AGES_S = 0.1, (0.2, 0.5)
+_AGE_COLOURS = ((154, 154, 154), (230, 159, 0), (178, 24, 43))
+_OLDEST_S = 1.0
+DARK: Colour = (17, 17, 17)
+
+
+def uav_style(i: int) -> dict[str, Any]:
+    """Return line colour and style of UAV i (0-based)."""
+    return {
+        "color": UAV_COLOURS[i % len(UAV_COLOURS)],
+        "linestyle": _LINE_STYLES[i // len(UAV_COLOURS) % len(_LINE_STYLES)],
+    }
+
+
+def uav_colour(i: int) -> Colour:
+    """Return the colour of UAV i (0-based), 0..255."""
+    code = uav_style(i)["color"].lstrip("#")
+    return int(code[:2], 16), int(code[2:4], 16), int(code[4:], 16)
+
+
+def age_colour(age_s: float | None, period_s: float) -> Colour:
+    """Return the colour of a link by the age of the newest plan, s; None for no plan.
+
+    A plan that is one sampling period old is fresh: on a perfect network there is no newer one.
+    """
+    if age_s is None or age_s > _OLDEST_S:
+        return DARK
+    channels = zip(*_AGE_COLOURS, strict=True)
+    r, g, b = (round(float(np.interp(age_s, (min(period_s, _FRESH_S), *_AGES_S), channel))) for channel in channels)
+    return r, g, b
+
 
 # Layers that can be shown and hidden, and whether they are shown at first; parts of no layer are always shown.
 LAYERS: Mapping[str, bool] = {

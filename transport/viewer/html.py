@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from html import escape
 
-from transport.scene.colours import DARK, Colour, age_colour, uav_colour
+from transport.scene.drawing import DARK, Colour, age_colour, uav_colour
 from transport.scene.scene import AgentState, Scene
 
 _TABLE = "font-size:12px;width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums"

@@ -7,7 +7,7 @@ import numpy as np
 
 from model.arrays import Array
 from model.state import INPUTS
-from transport.scene.colours import uav_style
+from transport.scene.drawing import uav_style
 from transport.scene.scene import SceneBuilder
 
 if TYPE_CHECKING:

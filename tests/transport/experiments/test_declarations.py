@@ -14,10 +14,9 @@ from protocol.scenario.schema import Scenario
 from tests.support.results import here
 from tests.support.runs import ticks
 from transport.cli.experiment import EXPERIMENTS
-from transport.experiments.cases import Point, cases_of, is_random
+from transport.experiments.cases import ExperimentError, Point, cases_of, is_random
 from transport.experiments.declaration import Experiment
 from transport.experiments.design_experiments import AS_IT_IS, PARTS, ablation, deaths, horizon, hover
-from transport.experiments.errors import ExperimentError
 from transport.experiments.network_experiments import JITTER, NETWORKS
 
 TICKS = 6_000

@@ -2,7 +2,7 @@
 
 import pytest
 
-from transport.experiments.quantities import axis, quantity
+from transport.experiments.declaration import axis, quantity
 
 
 @pytest.mark.parametrize(

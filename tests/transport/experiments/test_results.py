@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from protocol.wire.exit_codes import EXIT_USAGE
-from transport.experiments.errors import ExperimentError
-from transport.experiments.results import Results
+from transport.experiments.cases import ExperimentError
 from transport.experiments.simulation import ERROR, NUMBERS, Result
+from transport.experiments.sweep import Results
 
 
 def result(key: str, outcome: str = "completed", cost: float = 0.1 + 0.2) -> Result:

@@ -22,9 +22,9 @@ from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, Plan, PlantState
 from tests.support.runs import recorded, reproducible
+from transport.interface.scenario import path_phase
 from transport.interface.series import QUANTITIES
 from transport.interface.settings import ArgumentError
-from transport.interface.team import path_phase
 from transport.report.style import RC, save
 
 # A maneuver of 30 ticks.
