@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 ArrayLike = npt.ArrayLike
+Rows = slice | npt.NDArray[np.intp]
 
 T = TypeVar("T")
 
@@ -53,7 +54,7 @@ def padded(rows: Array, columns: int) -> Array:
     return np.pad(rows, ((0, 0), (0, missing))) if missing else rows
 
 
-def rows(start: int, steps: int, known: int) -> slice | npt.NDArray[np.intp]:
+def rows(start: int, steps: int, known: int) -> Rows:
     """Return rows from `start` on; those that are not known are replaced by the nearest."""
     if 0 <= start <= known - steps:
         return slice(start, start + steps)
@@ -63,8 +64,8 @@ def rows(start: int, steps: int, known: int) -> slice | npt.NDArray[np.intp]:
 def continued(before: T, after: T, kept: int) -> T:
     """Return data of instants from their `first` on, a row each, with up to `kept` rows of earlier data ahead of them.
 
-    Both are objects of one dataclass whose other fields are arrays, dataclasses of arrays, or functions, of which the
-    later one is taken.
+    Both are objects of one dataclass whose other fields are arrays, lists, dataclasses of them, or functions, of which
+    the later one is taken.
     """
     first, now = before.first, after.first  # type: ignore[attr-defined]
     count = min(kept, now - first)
@@ -76,7 +77,10 @@ def continued(before: T, after: T, kept: int) -> T:
             return replace(new, **found)  # type: ignore[type-var]
         if callable(new):
             return new
-        both = np.concatenate([old[rows(now - first - count, count, len(old))], new])
+        at = rows(now - first - count, count, len(old))
+        if isinstance(new, list):
+            return [*(old[i] for i in np.arange(len(old))[at]), *new]
+        both = np.concatenate([old[at], new])
         frozen(both)
         return both
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from model import jets, state
-from model.arrays import Array, frozen
+from model.arrays import Array, Rows, frozen
 from model.hover import Hover
 from model.maneuver import Maneuver
 from model.parameters import System
@@ -23,6 +23,8 @@ from model.parameters import System
 LEAST_TENSION = 0.1
 # Largest tilt of a UAV on a reference, rad: Euler angles become singular at a right angle.
 MOST_TILT = 1.2
+# Rows of a reference whose derivatives with respect to forces are computed at once.
+_BLOCK = 16
 # Imaginary step of derivatives with respect to forces, N: without differences, so without rounding.
 _STEP_N = 1e-30
 
@@ -62,20 +64,31 @@ class Track:
     first: int = 0
     flown: Callable[[Array, Any], Flight]
 
-    @cached_property
-    def by_forces(self) -> tuple[Array, Array]:
-        """Return the change of X and U per external force and further mass of the payload, SI per N and per kg.
+    def by_forces(self, at: Rows) -> tuple[Array, Array]:
+        """Return the change of X and U at k rows per external force and further mass of the payload, SI per N and kg.
 
-        Returns: (K, n, 4 + 3 N) and (K, m, 4 + 3 N), computed at the first use.
+        Returns: (k, n, 4 + 3 N) and (k, m, 4 + 3 N), computed at the first use of a row, some rows at once.
         """
-        path, middle = np.ascontiguousarray(np.moveaxis(self.paths, 0, 2))
-        forces = 4 + 3 * (self.U.shape[1] // state.INPUTS)
-        X_forces, U_forces = np.empty((*self.X.shape, forces)), np.empty((*self.U.shape, forces))
-        for i, unit in enumerate(np.eye(forces)):
-            X_forces[..., i] = self.flown(path, 1j * _STEP_N * unit).x.imag / _STEP_N
-            U_forces[..., i] = self.flown(middle, 1j * _STEP_N * unit).u.imag / _STEP_N
-        frozen(X_forces, U_forces)
-        return X_forces, U_forces
+        found = [self._block(row // _BLOCK) for row in np.arange(len(self.X))[at]]
+        wanted = [row % _BLOCK for row in np.arange(len(self.X))[at]]
+        X_forces, U_forces = ([block[part][row] for block, row in zip(found, wanted, strict=True)] for part in (0, 1))
+        return np.array(X_forces), np.array(U_forces)
+
+    def _block(self, number: int) -> tuple[Array, Array]:
+        """Return the change of rows `number * _BLOCK` on by each force."""
+        if number not in self._blocks:
+            paths = self.paths[number * _BLOCK : (number + 1) * _BLOCK]
+            forces = 4 + 3 * (self.U.shape[1] // state.INPUTS)
+            path, middle = np.repeat(np.ascontiguousarray(np.moveaxis(paths, 0, 2)), forces, axis=2)
+            steps = np.tile(1j * _STEP_N * np.eye(forces), (len(paths), 1))
+            changed = self.flown(path, steps).x, self.flown(middle, steps).u
+            by_row = [part.imag.reshape(len(paths), forces, -1) / _STEP_N for part in changed]
+            self._blocks[number] = by_row[0].transpose(0, 2, 1), by_row[1].transpose(0, 2, 1)
+        return self._blocks[number]
+
+    @cached_property
+    def _blocks(self) -> dict[int, tuple[Array, Array]]:
+        return {}
 
 
 class FlatReference:
@@ -131,7 +144,7 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
         path: Jets of the payload's position, inertial frame, m, and of length and width of the team as multiples of
             those at hover, (7, k, 5); without these, (7, k, 3), the team keeps its formation.
         forces: Constant external forces and the payload's further mass, (4 + 3 N,), inertial frame, N and kg; may be
-            complex.
+            complex; or of each instant, (k, 4 + 3 N).
         released: UAVs, 0-based, in whose place bobs hang from their rods (`model.failure`), in system and hover too.
     Source: docs/equations.md (66)-(68).
     """
@@ -144,8 +157,8 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
     # Force and moment on the payload per force of each rod, (6, 3 N).
     W = np.hstack([np.vstack([np.eye(3), _skew(r)]) * (i not in released) for i, r in enumerate(rho)])
     share = np.linalg.pinv(W)[:, :3].reshape(N, 3, 3)
-    needed = (system.payload.mass + F[-1]) * jets.derivative(jets.derivative(path))
-    needed[0] -= F[:3] + F[-1] * gravity
+    needed = (system.payload.mass + F[..., -1:]) * jets.derivative(jets.derivative(path))
+    needed[0] -= F[..., :3] + F[..., -1:] * gravity
     t = np.einsum("nij,okj->okni", share, needed)
     t[0] -= hover.tensions[:, None] * state.StateView(hover.x).e_P
     if formation.size:
@@ -155,7 +168,7 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
     place = path[: len(e), :, None] - lengths * e
     place[0] += rho
     carried = -masses * jets.derivative(jets.derivative(place)) - t[:3]
-    carried[0] += masses * gravity + F[3:-1].reshape(N, 3)
+    carried[0] += masses * gravity + F[..., 3:-1].reshape(-1, N, 3)
     gone = sorted(released)
     carried[:, :, gone] = 0.0
     carried[0, :, gone, 2] = 1.0  # upright, for the directions below

@@ -12,7 +12,7 @@ Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -86,17 +86,13 @@ class Expansion:
 
     Attributes:
         M: Weight of the corrections, (N_p, m, m).
-        A_closed: State matrix with all feedback, (N_p, n, n).
-        B: Input matrix, (N_p, n, m).
+        A_closed: State matrix with all feedback, (n, n) each.
+        B: Input matrix, (n, m) each.
     """
 
     M: Array
-    A_closed: Array
-    B: Array
-
-    def at(self, steps: slice | npt.NDArray[np.int_]) -> "Expansion":
-        """Return the expansion at some of the steps, a slice or (k,)."""
-        return Expansion(M=self.M[steps], A_closed=self.A_closed[steps], B=self.B[steps])
+    A_closed: Sequence[Array]
+    B: Sequence[Array]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

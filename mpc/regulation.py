@@ -3,14 +3,14 @@
 import contextlib
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import numpy.typing as npt
 
 from model import flat
-from model.arrays import Array, continued, padded, rows
+from model.arrays import Array, Rows, continued, padded, rows
 from model.failure import failed_hover, failed_model
 from model.flat import Track
 from model.hover import Hover
@@ -20,6 +20,7 @@ from model.state import input_slice
 from mpc.cost import Cost, UserCosts
 from mpc.fail_safe import FailSafe
 from mpc.feedback import (
+    Expansion,
     FeedbackError,
     FeedbackLaw,
     Preview,
@@ -237,19 +238,21 @@ class Regulation:
         self, tracker: Tracker, track: Track, x0: Array, c: Array, forces: Array | None, start: int, steps: int
     ) -> FeedbackLaw:
         """Return the control law along the reference. Source: docs/equations.md (70), (73)."""
-        at, where = rows(start - tracker.first, steps, len(tracker.K)), rows(start - track.first, steps, len(track.X))
+        gains, where = tracker.over(start, steps), rows(start - track.first, steps, len(track.X))
         u_rest, error = track.U[where], x0 - track.X[where]
         if forces is not None:
-            X_forces, U_forces = track.by_forces
-            u_rest = u_rest + U_forces[where, :, : len(forces)] @ forces
-            error = error - X_forces[where, :, : len(forces)] @ forces
+            X_forces, U_forces = track.by_forces(where)
+            u_rest = u_rest + U_forces[..., : len(forces)] @ forces
+            error = error - X_forces[..., : len(forces)] @ forces
         return FeedbackLaw(
-            K=tracker.K[at],
+            K=np.array([at.K for at in gains]),
             u_rest=u_rest,
             error=error,
-            feedforward=tracker.feedforward[at],
+            feedforward=np.array([at.feedforward for at in gains]),
             c=c,
-            along=tracker.along.at(at),
+            along=Expansion(
+                M=np.array([at.M for at in gains]), A_closed=[at.A_closed for at in gains], B=[at.B for at in gains]
+            ),
         )
 
     @property
@@ -270,7 +273,7 @@ class Regulation:
         if self.regulator is None:
             raise FeedbackError("expected a shared control law, got open-loop prediction")
         if self._tracker is not None:
-            return np.asarray(self._tracker.K[rows(instant - self._tracker.first, 1, len(self._tracker.K))][0])
+            return self._tracker.over(instant, 1)[0].K
         return self.regulator.K
 
     def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
@@ -326,17 +329,17 @@ class Regulation:
             if since is None or since >= making.ready:
                 self._tracker = making.result()
             else:
-                self._tracker, self._recursion = making.meanwhile(off=self._off), making
+                self._tracker, self._recursion = making.meanwhile(self._off, self._settings.horizon), making
         self._foresee(found)
 
     def _recursion_along(self, track: Track, found: Regulator, before: Tracker | None, since: int) -> Recursion:
         """Return the control law along a reference in the making; the last two arguments are those of `Recursion`."""
-        period_s, fixed = self._settings.sampling_period_s, {}
-        for uav, feedback in self._uncontrolled.items():
-            on_reference = np.zeros((len(track.X), len(feedback)))
-            for row in range(since - track.first, len(track.X)):
-                on_reference[row] = self._fail_safe.inputs(uav, track.X[row], track.first + row)
-            fixed[uav] = on_reference, feedback
+        period_s, safe = self._settings.sampling_period_s, self._fail_safe
+
+        def on_reference(uav: int, row: int) -> Array:
+            return safe.inputs(uav, track.X[row], track.first + row)
+
+        fixed = {uav: (partial(on_reference, uav), feedback) for uav, feedback in self._uncontrolled.items()}
         return Recursion(self._model, track, found, self.cost, self.user_costs, period_s, fixed, before, since)
 
     def _value_on_reference(self) -> None:
@@ -387,6 +390,6 @@ class Regulation:
         return self._by_forces
 
 
-def _within(preview: Preview, start: int, steps: int) -> slice | npt.NDArray[np.intp]:
+def _within(preview: Preview, start: int, steps: int) -> Rows:
     """Return the rows of instants of the maneuver; later ones are replaced by its last."""
     return rows(start - preview.first, steps, len(preview.slope))

@@ -9,14 +9,14 @@ by completion of squares. So an agent's optimum without constraints follows from
 zero where theirs are. Only where the trajectory under it violates a constraint is a QP solved, about that trajectory.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from model import motors, state
-from model.arrays import Array, frozen, padded
+from model.arrays import Array, frozen, padded, rows
 from model.discretisation import zero_order_hold
 from model.flat import Track
 from model.linearisation import Model
@@ -30,8 +30,10 @@ from mpc.qp import QP
 from mpc.rows import Rows, separation_rows
 from mpc.settings import ControllerSettings
 
-# Gains computed in a sampling period while the team flies: some 15 ms.
-_INSTANTS = 16
+# Gains computed in a sampling period while the team flies: 8 ms of processor time for four UAVs.
+INSTANTS = 16
+# Inputs on the reference at an instant, (4,), and feedback from the state, (4, n), of UAVs by their 0-based numbers.
+Uncontrolled = Mapping[int, tuple[Callable[[int], Array], Array]]
 # Integration steps per sampling period of the difference of reference and model.
 _STEPS = 2
 # A constraint counts as violated from this share of the range of inputs on, or of m or rad: rounding otherwise.
@@ -39,20 +41,38 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Tracker:
-    """The regulator along a reference at instants 0..L-1 from `first` on; the last one, at rest, holds from then on.
+class Gains:
+    """The regulator at an instant of a reference.
 
     Attributes:
-        K: Feedback gain, (L, m, n).
-        feedforward: Response to the difference between the reference and the model's steps along it, (L, m).
-        along: Expansion about the reference at these instants.
-        first: Number of the first instant, that of the reference.
+        K: Feedback gain, (m, n).
+        feedforward: Response to the difference between the reference and the model's step along it, (m,).
+        M, A_closed, B: Expansion about the reference, as in `Expansion`.
     """
 
     K: Array
     feedforward: Array
-    along: Expansion
+    M: Array
+    A_closed: Array
+    B: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tracker:
+    """The regulator along a reference at instants 0..L-1 from `first` on; the last one, at rest, holds from then on.
+
+    Attributes:
+        gains: At each instant; laws of several teams share them, as a copy would take as long as their computation.
+        first: Number of the first instant, that of the reference.
+    """
+
+    gains: Sequence[Gains]
     first: int = 0
+
+    def over(self, start: int, steps: int) -> Sequence[Gains]:
+        """Return the gains at some instants."""
+        at = rows(start - self.first, steps, len(self.gains))
+        return self.gains[at] if isinstance(at, slice) else [self.gains[i] for i in at]
 
 
 class Recursion:
@@ -68,8 +88,8 @@ class Recursion:
         cost: Q on the outputs, R on all inputs.
         terms: The user's terms.
         period_s: Sampling period, s.
-        uncontrolled: Inputs on the reference, (L, 4), and feedback from the state, (4, n), of each UAV without an
-            agent, by its 0-based number.
+        uncontrolled: Inputs on the reference at an instant, (4,), and feedback from the state, (4, n), of each UAV
+            without an agent, by its 0-based number.
         before: The regulator until then, of another team; None: this one holds from the start.
         since: First instant of this team.
     Source: docs/equations.md (70)-(72).
@@ -80,63 +100,57 @@ class Recursion:
 
     def __init__(
         self, model: Model, track: Track, regulator: Regulator, cost: Cost, terms: UserCosts, period_s: float,
-        uncontrolled: Mapping[int, tuple[Array, Array]] | None = None, before: Tracker | None = None, since: int = 0,
+        uncontrolled: Uncontrolled | None = None, before: Tracker | None = None, since: int = 0,
     ) -> None:  # fmt: skip
         self._model, self._track, self._regulator, self._cost, self._terms = model, track, regulator, cost, terms
         since -= track.first  # instants are rows from here on
         self._period_s, self._uncontrolled, self._since = period_s, uncontrolled or {}, since
         moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
-        last, n, m = int(moving.max(initial=-1)) + 1, model.system.n, model.system.m
+        last = int(moving.max(initial=-1)) + 1
         if before is not None:
-            last = len(before.K) - 1
-        self._last, self._next = last, last  # instant whose gain is the next one
-        shapes = (last + 1, m, n), (last + 1, m), (last + 1, m, m), (last + 1, n, n), (last + 1, n, m)
-        self._K, self._feedforward, self._M, self._A_closed, self._B = (np.zeros(shape) for shape in shapes)
-        if before is not None:
-            along = before.along
-            self._K[:], self._feedforward[:], self._M[:] = before.K, before.feedforward, along.M
-            self._A_closed[:], self._B[:] = along.A_closed, along.B
-        self._before = before
-        self._P, self._p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(n)
+            last = len(before.gains) - 1
+        self._last = last
+        self._found: list[Gains] = []  # from the end on
+        self._before = [] if before is None else before.gains
+        self._P, self._p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(model.system.n)
         self.ready = track.first + since
         if before is not None:
-            self.ready += -(-max(last + 1 - since, 0) // _INSTANTS)
+            self.ready += -(-max(last + 1 - since, 0) // INSTANTS)
 
-    def meanwhile(self, off: Collection[int]) -> Tracker:
-        """Return the regulator until this one is ready: the gains before, without UAVs that are off, 0-based.
+    def meanwhile(self, off: Collection[int], horizon: int) -> Tracker:
+        """Return the regulator over horizons until this one is ready: the gains before, but not of UAVs that are off.
 
-        These and what they do count no more: a bob in the place of a released one swings freely.
+        These, 0-based, and what they do count no more: a bob in the place of a released one swings freely.
         """
-        K, feedforward, now = self._K.copy(), self._feedforward.copy(), slice(self._since, None)
-        K[now, state.input_indices(sorted(off))] = 0.0
-        for uav in off:
-            K[now, :, state.uav_slice(uav)] = 0.0
-        for uav, (on_reference, feedback) in self._uncontrolled.items():
-            at = state.input_slice(uav)
-            K[now, at] = feedback
-            feedforward[now, at] = (on_reference - self._track.U[:, at])[self._since : len(K)]
-        along = self.result().along if self._before is None else self._before.along
-        frozen(K, feedforward)
-        return Tracker(K=K, feedforward=feedforward, along=along, first=self._track.first)
+        gains = list(self._before)
+        for k in range(self._since, min(self.ready - self._track.first + horizon, len(gains))):
+            K, feedforward = gains[k].K.copy(), gains[k].feedforward.copy()
+            K[state.input_indices(sorted(off))] = 0.0
+            for uav in off:
+                K[:, state.uav_slice(uav)] = 0.0
+            for uav, (on_reference, feedback) in self._uncontrolled.items():
+                at = state.input_slice(uav)
+                K[at], feedforward[at] = feedback, on_reference(k) - self._track.U[k, at]
+            frozen(K, feedforward)
+            gains[k] = replace(gains[k], K=K, feedforward=feedforward)
+        return Tracker(gains=gains, first=self._track.first)
 
     def advance(self, instant: int) -> None:
-        """Compute so many gains that with as many at each instant the result is ready in time."""
-        self._until(self._last - _INSTANTS * (instant - self._track.first + 1 - self._since))
+        """Compute the share of an instant after the first; the last share is left to `result`."""
+        self._reach(INSTANTS * (instant - self._track.first - self._since))
 
     def result(self) -> Tracker:
         """Return the regulator; compute what is missing of it."""
-        self._until(-1)
-        along = Expansion(M=self._M, A_closed=self._A_closed, B=self._B)
-        frozen(self._K, self._feedforward, along.M, along.A_closed, along.B)
-        return Tracker(K=self._K, feedforward=self._feedforward, along=along, first=self._track.first)
+        self._reach(self._last + 1)
+        return Tracker(gains=[*self._before[: self._since], *reversed(self._found)], first=self._track.first)
 
-    def _until(self, instant: int) -> None:
-        while self._next > instant and self._next >= self._since:
-            self._step(self._next)
-            self._next -= 1
+    def _reach(self, count: int) -> None:
+        """Compute gains up to a number of them."""
+        for k in range(self._last - len(self._found), max(self._last - count, self._since - 1), -1):
+            self._found.append(self._step(k))
 
-    def _step(self, k: int) -> None:
-        """Compute the gain at an instant from the cost-to-go after it."""
+    def _step(self, k: int) -> Gains:
+        """Return the gains at an instant from the cost-to-go after it."""
         model, track, regulator, cost, P = self._model, self._track, self._regulator, self._cost, self._P
         n, m, controlled = model.system.n, model.system.m, regulator.controlled
         R = cost.R[controlled]
@@ -144,7 +158,7 @@ class Recursion:
         fixed = np.zeros((m, n))
         for uav, (on_reference, feedback) in self._uncontrolled.items():
             fixed[state.input_slice(uav)] = feedback
-            u[state.input_slice(uav)] = on_reference[k]
+            u[state.input_slice(uav)] = on_reference(k)
         across = _across(x)
         discrete = zero_order_hold(model.linearise(track.X_middle[k], track.U[k]), self._period_s)
         at = model.linearise(x, track.U[k])
@@ -161,14 +175,16 @@ class Recursion:
         feedforward = u - track.U[k]
         feedforward[controlled] = -gains[:, -1]
         A_closed = A - B @ gains[:, :-1]
-        self._M[k], self._A_closed[k], self._B[k] = M, A_closed, discrete.B
         if k == self._last:
-            self._K[k], self._feedforward[k] = regulator.K, 0.0
-            return
-        self._K[k], self._feedforward[k] = K, feedforward
+            K, feedforward = regulator.K, np.zeros(m)
+        frozen(K, feedforward, M, A_closed)
+        found = Gains(K=K, feedforward=feedforward, M=M, A_closed=A_closed, B=discrete.B)
+        if k == self._last:
+            return found
         weighted = np.vstack([np.sqrt(cost.Q)[:, None] * at.C, padded(self._terms.about(x), n)]) @ across
         P = weighted.T @ weighted + A.T @ P @ A - coupled.T @ gains[:, :-1]
         self._P, self._p = (P + P.T) / 2.0, A_closed.T @ pushed
+        return found
 
 
 def _across(x: Array) -> Array:

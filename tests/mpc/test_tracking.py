@@ -1,6 +1,7 @@
 """The control law along a flat reference, and the program about it."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -17,7 +18,7 @@ from model.obstacles import Obstacle, Solid, clearances
 from model.state import R0, StateView, input_slice
 from mpc.controller import Controller, StepResult
 from mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
-from mpc.tracking import Course, rollout
+from mpc.tracking import INSTANTS, Course, Gains, Recursion, rollout
 from tests.model.test_flat import unequal
 
 PERIOD_S = 0.05
@@ -112,18 +113,31 @@ def test_no_corrections_on_and_near_the_reference() -> None:
     assert not result.c.any()
 
 
-def test_law_of_another_team_is_the_same_by_parts_and_at_once() -> None:
-    """An agent dies; until all gains are known, its UAV has the fail-safe's gain and the others keep theirs."""
+def test_law_of_another_team_is_the_same_by_parts_and_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An agent dies; until all gains are known, its UAV has the fail-safe's gain and the others keep theirs.
+
+    No instant computes more gains than its share, also that of the death and the last one, whatever the host's speed.
+    """
     by_parts, at_once, gone, since = controller().regulation, controller().regulation, {3}, 60
-    before = by_parts.gain(since + 1)
+    before, computed, one_gain = by_parts.gain(since + 1), Counter[int](), Recursion._step
+    at = since
+
+    def counted(making: Recursion, k: int) -> Gains:
+        computed[at] += 1
+        return one_gain(making, k)
+
+    monkeypatch.setattr(Recursion, "_step", counted)
     by_parts.form(gone, (), (), since=since)
     own = input_slice(3)
     meanwhile = by_parts.gain(since + 1)
     np.testing.assert_array_equal(by_parts.gain(since - 1), at_once.gain(since - 1))
     np.testing.assert_array_equal(meanwhile[: own.start], before[: own.start])
-    assert not by_parts.advance(since)
-    ready = next(k for k in range(since, since + 20) if by_parts.advance(k))
+    while not by_parts.advance(at):
+        at += 1
+    ready = at
     assert ready > since + 2
+    assert max(computed.values()) == INSTANTS
+    assert min(computed) > since
     model, track = flown()
     other = Controller(model, hover(model.system), SETTINGS.model_copy(), (0,), track.X, track).regulation
     other.form(gone, (), ())
