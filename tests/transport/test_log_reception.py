@@ -14,8 +14,7 @@ from protocol.wire.messages import Message, MessageError, Plan, Record, Rejected
 from protocol.wire.node import Outbox
 from tests.support import runs
 from tests.support.logs import HEADER, with_scenario
-from transport.log.run_log import RunLog, read_log
-from transport.log.tail import LogTail
+from transport.log.run_log import LogTail, RunLog, read_log
 from transport.log.writer import LogWriter
 
 TICKS = 30

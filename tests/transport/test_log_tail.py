@@ -12,8 +12,7 @@ from protocol.wire import messages as protocol
 from tests.support import runs
 from tests.support.logs import record_run
 from transport.log.parser import records
-from transport.log.run_log import read_log
-from transport.log.tail import LogTail
+from transport.log.run_log import LogTail, read_log
 
 TICKS = 40
 RUN = runs.setup(runs.ticks(TICKS))

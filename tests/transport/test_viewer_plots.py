@@ -16,7 +16,7 @@ from tests.support.browser import connected_pages
 from tests.support.commands import PATIENCE_S, wait_for
 from tests.support.logs import record_run
 from transport.flight.live import LiveRun
-from transport.log.tail import LogTail
+from transport.log.run_log import LogTail
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
 from transport.viewer import html

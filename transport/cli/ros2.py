@@ -21,8 +21,7 @@ from transport.cli.active_run import RunOption, find_active
 from transport.cli.output import exit_on, fail
 from transport.flight.commands import Commands
 from transport.log.run_folder import setup_of
-from transport.log.run_log import LogError
-from transport.log.tail import LogTail
+from transport.log.run_log import LogError, LogTail
 from transport.scene.history import KINDS, RunHistory
 from transport.scene.scene import SceneBuilder
 

@@ -1,7 +1,7 @@
 """The log of a run in memory, read from its file or its run folder (`transport.log.writer` describes the file)."""
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,7 +16,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode
 from protocol.wire.errors import TransportError
 from protocol.wire.keys import RECORDER
-from protocol.wire.messages import Message, MessageError, Plan
+from protocol.wire.messages import KINDS, Message, MessageError, Plan
 from transport.log.channels import KEYS, METADATA, OWN, is_known
 from transport.log.parser import Parser, UnreadableError
 
@@ -62,36 +62,86 @@ class RunLog:
         return times
 
 
-class LogReception:
-    """Reading the entries of one log, in their order, as a receiver of the run would have read them when they came.
+class LogTail:
+    """Reader of one log, which may still be written, as a receiver of the run would have read it when it came.
 
     The log holds what came, also what was forged, repeated or garbled. Every message passes the gate of the run,
-    without checks of the moment. Refused ones are counted and reported in the name of the recorder.
+    without checks of the moment. Refused ones are counted and reported in the name of the recorder. Without the setup
+    of the run, sizes, agents and plausibility are not checked.
 
-    Without the setup of the run, sizes, agents and plausibility are not checked.
+    Args:
+        path: The file, which need not exist yet.
+        kinds: Kinds of messages to return.
+        setup: The run, if it is known already; otherwise it is taken from the header of the log.
+
+    Attributes:
+        parser: Parser of the file.
+        unknown: Descriptions of the entries that are not of this version.
     """
 
-    def __init__(self, setup: Setup | None) -> None:
-        # The log of an in-memory run has no bundles.
-        shape = None if setup is None else replace(setup.shape, relayed=False)
-        self._gate = Gate(RECORDER, KEYS, shape)
+    def __init__(
+        self, path: Path, kinds: Collection[str] | Mapping[str, object] = KINDS, setup: Setup | None = None
+    ) -> None:
+        self.parser, self.unknown = Parser(path), list[str]()
+        self._path, self._wanted, self._setup = path, frozenset(kinds), setup
+        self._gate: Gate | None = None
 
-    def read(self, topic: str, data: bytes, at_ns: int) -> Iterator[Message]:
-        """Yield the messages of an entry that arrived at a time, ns.
+    @property
+    def ended(self) -> bool:
+        """Whether the data section has come to its proper end."""
+        return self.parser.ended
 
-        Raises: MessageError: the recorder did not write this.
+    def read(self) -> list[Message]:
+        """Return the new messages, in order; a record written only in part waits for the next call.
+
+        Raises: LogError: the file cannot be read, or would become too large.
         """
-        if topic.startswith(OWN):
-            yield decode(data)
-        else:
-            for message in self._gate.accept(KEYS.prefix + topic, data):
-                if isinstance(message, Message):
-                    yield message
-            yield from self._gate.notices(at_ns, 0)
+        if self.ended or not self._path.exists():
+            return []
+        found = [entry.message for entry in self.entries()]
+        if self.ended:
+            found += self.last_notices()
+        return [message for message in found if message.kind in self._wanted]
 
-    def close(self) -> Iterator[Message]:
-        """Yield what is to be said at the end of the log."""
-        yield from self._gate.last_notices(0)
+    def entries(self) -> Iterator[Recorded]:
+        """Yield the messages of the entries that are whole and were not read yet.
+
+        Raises: LogError: as of `read`, or there is no such file.
+        """
+        with reading(self._path):
+            for channel, data, received_ns in self.parser.entries():
+                if not is_known(channel):
+                    encoding = channel.message_encoding
+                    self.unknown.append(f"a channel {channel.topic!r} with encoding {encoding!r}")
+                    continue
+                if self._gate is None:
+                    setup = self._setup or setup_in(self.parser.metadata.get(METADATA, {}), self._path.parent)
+                    # The log of an in-memory run has no bundles.
+                    shape = None if setup is None else replace(setup.shape, relayed=False)
+                    self._gate = Gate(RECORDER, KEYS, shape)
+                try:
+                    for message in _accepted(self._gate, channel.topic, data, received_ns):
+                        yield Recorded(message=message, received_ns=received_ns)
+                except MessageError as error:
+                    self.unknown.append(f"{channel.topic}: {error}")
+
+    def last_notices(self) -> list[Message]:
+        """Return what is to be said at the end of the log."""
+        return [] if self._gate is None else list(self._gate.last_notices(0))
+
+
+def _accepted(gate: Gate, topic: str, data: bytes, at_ns: int) -> Iterator[Message]:
+    """Yield the messages of an entry that arrived at a time, ns.
+
+    Raises: MessageError: the recorder did not write this.
+    """
+    if topic.startswith(OWN):
+        yield decode(data)
+    else:
+        for message in gate.accept(KEYS.prefix + topic, data):
+            if isinstance(message, Message):
+                yield message
+        yield from gate.notices(at_ns, 0)
 
 
 def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:
@@ -107,7 +157,7 @@ def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:
 
 
 def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -> RunLog:
-    """Read all that can be read of a log, each message checked as by a receiver of the run (`LogReception`).
+    """Read all that can be read of a log, each message checked as by a receiver of the run (`LogTail`).
 
     A file cut or damaged anywhere behind its first bytes gives the messages of every intact chunk and a sentence in
     `cut`. Messages equal the sent ones bit for bit.
@@ -119,32 +169,20 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
         setup: The run, if it is known already; otherwise it is taken from the header of the log.
     Raises: LogError: no such file, not an MCAP file, one that would become too large, or not the log of a run.
     """
+    tail = LogTail(path, setup=setup)
     messages: list[Recorded] = []
-    unknown: list[str] = []  # descriptions
-    parser = Parser(path)
-
-    def keep(read: Iterator[Message], received_ns: int) -> None:
-        for message in read:
-            if not horizons and isinstance(message, Plan):
-                message = msgspec.structs.replace(
-                    message, inputs=message.inputs[:1].copy(), corrections=message.corrections[:0]
-                )
-            messages.append(Recorded(message=message, received_ns=received_ns))
-
-    reception: LogReception | None = None
+    for entry in tail.entries():
+        message = entry.message
+        if not horizons and isinstance(message, Plan):
+            message = msgspec.structs.replace(
+                message, inputs=message.inputs[:1].copy(), corrections=message.corrections[:0]
+            )
+            entry = replace(entry, message=message)
+        messages.append(entry)
+    last_ns = messages[-1].received_ns if messages else 0
+    messages += [Recorded(message=notice, received_ns=last_ns) for notice in tail.last_notices()]
+    parser, unknown = tail.parser, tail.unknown
     with reading(path):
-        for channel, data, received_ns in parser.entries():
-            if not is_known(channel):
-                unknown.append(f"a channel {channel.topic!r} with encoding {channel.message_encoding!r}")
-                continue
-            if reception is None:
-                reception = LogReception(setup or setup_in(parser.metadata.get(METADATA, {}), path.parent))
-            try:
-                keep(reception.read(channel.topic, data, received_ns), received_ns)
-            except MessageError as error:
-                unknown.append(f"{channel.topic}: {error}")
-        if reception is not None:
-            keep(reception.close(), received_ns)
         is_whole = parser.is_whole()
     header = parser.metadata.get(METADATA)
     if header is None and is_whole and not parser.damaged:

@@ -18,7 +18,7 @@ from transport.flight.commands import Commands
 from transport.flight.live import LiveRun
 from transport.flight.live import read as read_live_run
 from transport.log.run_folder import open_run, setup_of
-from transport.log.tail import LogTail
+from transport.log.run_log import LogTail
 from transport.scene.drawing import Drawing
 from transport.scene.history import KINDS, RunHistory
 from transport.scene.scene import Scene, SceneBuilder
