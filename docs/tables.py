@@ -33,8 +33,10 @@ def bar(cells: Sequence[str]) -> str:
 def place(document: Path, name: str) -> re.Pattern[str]:
     """Return the pattern of what stands between two markers of a document.
 
-    Raises: SystemExit: the document has no such markers.
+    Raises: SystemExit: the document has no such markers, or there is none.
     """
+    if not document.exists():
+        raise SystemExit(f"{document}: no such file")
     pattern = re.compile(rf"(<!-- {re.escape(name)} -->\n).*?(\n<!-- end of {re.escape(name)} -->)", re.DOTALL)
     if not pattern.search(document.read_text(encoding="utf-8")):
         raise SystemExit(f"{document}: expected the markers of {name!r}, got none")

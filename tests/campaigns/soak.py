@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.loop import processes_of
 from benchmarks.page import BenchmarkError, Table
-from benchmarks.processes import processes_of
 from protocol.network.health import usage
 from transport.flight import live
 from transport.flight.header import machine
