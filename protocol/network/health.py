@@ -1,11 +1,11 @@
 """Health of a process: its use of the host's resources, and the offset of its wall clock."""
 
-import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
+
+import psutil
 
 try:
     import resource
@@ -55,19 +55,21 @@ def offset(sent_ns: int, asked_ns: int, answered_ns: int, received_ns: int) -> O
     return Offset(ahead_ns / 1e9, max(0, way_ns) / 2e9)
 
 
-def usage(process: str = "self") -> dict[str, float | int | None]:
-    """Return a process's memory (bytes), threads, open files and processor time (s); None where they are not known."""
-    root = Path("/proc") / process
+def usage(process: int | None = None) -> dict[str, float | int | None]:
+    """Return memory (bytes), threads, open files and processor time (s) of a process, by default this one.
+
+    None where they are not known.
+    """
     try:
-        fields = (root / "stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
-        tick_hz = os.sysconf("SC_CLK_TCK")
+        of = psutil.Process(process)
+        times = of.cpu_times()
         return {
-            "memory_bytes": int(fields[21]) * os.sysconf("SC_PAGE_SIZE"),
-            "threads": int(fields[17]),
-            "open_files": len(list((root / "fd").iterdir())),
-            "cpu_s": (int(fields[11]) + int(fields[12])) / tick_hz,
+            "memory_bytes": of.memory_info().rss,
+            "threads": of.num_threads(),
+            "open_files": of.num_fds(),
+            "cpu_s": times.user + times.system,
         }
-    except (OSError, ValueError, IndexError):
+    except psutil.Error:
         return dict.fromkeys(("memory_bytes", "threads", "open_files", "cpu_s"))
 
 

@@ -94,17 +94,7 @@ def way_of(path: Path) -> list[list[float]]:
 
     Raises: TableError: it cannot be read, or is invalid.
     """
-    try:
-        heading, *rest = read_text(path).splitlines() or [""]
-    except OSError as error:
-        raise TableError(f"cannot read {path} ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise TableError(f"{path}: expected UTF-8 text, got other bytes") from error
-    if heading.replace(" ", "") != COLUMNS:
-        raise TableError(f"{path}: expected the heading {COLUMNS}, got {heading[:60]!r}")
-    rows = [_row(path, number, line) for number, line in enumerate(filter(str.strip, rest), start=1)]
-    if not 2 <= len(rows) <= MOST_ROWS:
-        raise TableError(f"{path}: expected 2 to {MOST_ROWS} rows, got {len(rows)}")
+    _, rows = _table(path, [COLUMNS], 2, MOST_ROWS)
     for number in range(1, len(rows)):
         if rows[number][0] <= rows[number - 1][0]:
             expected = f"expected a time > {rows[number - 1][0]:g} s"
@@ -119,19 +109,25 @@ def points_of(path: Path) -> tuple[list[list[float]], list[float] | None]:
 
     Raises: TableError: it cannot be read, or is invalid.
     """
+    columns, rows = _table(path, ["x,y,z", "t,x,y,z", "x_m,y_m,z_m", COLUMNS], 1, MAX_POINTS)
+    return [row[-3:] for row in rows], [row[0] for row in rows] if columns.startswith("t") else None
+
+
+def _table(path: Path, headings: Sequence[str], least: int, most: int) -> tuple[str, list[list[float]]]:
+    """Return the heading of a CSV file, one of those given, and its rows of numbers."""
     try:
         heading, *rest = read_text(path).splitlines() or [""]
     except OSError as error:
-        raise TableError(f"{path}: cannot be read ({error.strerror})") from error
+        raise TableError(f"cannot read {path} ({error.strerror})") from error
     except UnicodeDecodeError as error:
         raise TableError(f"{path}: expected UTF-8 text, got other bytes") from error
-    names = heading.replace(" ", "").replace("_s", "").replace("_m", "")
-    if names not in ("x,y,z", "t,x,y,z"):
-        raise TableError(f"{path}: expected the heading x,y,z or t,x,y,z, got {heading[:60]!r}")
-    rows = [_row(path, number, line, names) for number, line in enumerate(filter(str.strip, rest), start=1)]
-    if not 1 <= len(rows) <= MAX_POINTS:
-        raise TableError(f"{path}: expected 1 to {MAX_POINTS} way points, got {len(rows)}")
-    return [row[-3:] for row in rows], [row[0] for row in rows] if names.startswith("t") else None
+    columns = heading.replace(" ", "")
+    if columns not in headings:
+        raise TableError(f"{path}: expected the heading {' or '.join(headings)}, got {heading[:60]!r}")
+    rows = [_row(path, number, line, columns) for number, line in enumerate(filter(str.strip, rest), start=1)]
+    if not least <= len(rows) <= most:
+        raise TableError(f"{path}: expected {least} to {most} rows, got {len(rows)}")
+    return columns, rows
 
 
 def with_paths(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -167,7 +163,7 @@ def _with_path(number: int, phase: Any, folder: Path) -> Any:
     return phase
 
 
-def _row(path: Path, number: int, line: str, columns: str = COLUMNS) -> list[float]:
+def _row(path: Path, number: int, line: str, columns: str) -> list[float]:
     try:
         values = [float(word) for word in line.split(",")]
     except ValueError:

@@ -154,7 +154,7 @@ def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict
     records: dict[str, Record] = {}
     while live.read(folder) is not None:
         for name, process in processes_of(run.pid).items():
-            used, memory_bytes = usage(process), _anonymous_bytes(process)
+            used, memory_bytes = usage(int(process)), _anonymous_bytes(process)
             if memory_bytes is None or used["threads"] is None or used["open_files"] is None:
                 continue  # the process has just ended
             record = records.setdefault(name, Record())

@@ -36,39 +36,12 @@ def load(module: str) -> Any:
 
 
 class Command(TyperCommand):
-    """Command whose help names arguments in capitals, optional ones in brackets, and keeps the example on one line."""
+    """Command whose help keeps the example on one line."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         if self.help:
             self.help = self.help.replace(_EXAMPLE, f"\n\n\b{_EXAMPLE[1:]}")  # \b: the paragraph is not wrapped
-
-    def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Return options and arguments of the usage line."""
-        found = ["[OPTIONS]"]
-        for parameter in self.get_params(ctx):
-            if parameter.param_type_name == "argument":
-                name = _name(parameter) + ("..." if parameter.nargs != 1 else "")
-                found.append(name if parameter.required else f"[{name}]")
-        return found
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the tables of arguments and of options."""
-        rows: dict[str, list[tuple[str, str]]] = {"argument": [], "option": []}
-        for parameter in self.get_params(ctx):
-            record = parameter.get_help_record(ctx)
-            if record is not None:
-                is_argument = parameter.param_type_name == "argument"
-                rows[parameter.param_type_name].append((_name(parameter), record[1]) if is_argument else record)
-        for kind, records in rows.items():
-            if records:
-                with formatter.section(f"{kind.capitalize()}s"):
-                    formatter.write_dl(records)
-
-
-def _name(parameter: Any) -> str:
-    """Return the name of an argument in the help."""
-    return str(parameter.metavar or parameter.name)
 
 
 class LazyGroup(TyperGroup):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console
 
+from protocol.scenario.files import write_delays
 from protocol.scenario.setup import Setup
 from transport.analysis.counted import counted
 from transport.analysis.metrics import summarise
@@ -139,10 +140,7 @@ class Run:
                 return target
             target.mkdir(parents=True)
             (target / "scenario.toml").write_text(self.log.header["scenario"], encoding="utf-8")
-            for name, delays_s in self._setup.samples_s.items():
-                if not Path(name).is_absolute():
-                    (target / name).parent.mkdir(parents=True, exist_ok=True)
-                    (target / name).write_text("\n".join(map(repr, delays_s)) + "\n", encoding="utf-8")
+            write_delays(self._setup.samples_s, target)
         except FileExistsError as error:
             raise ArgumentError(f"folder: expected a folder that does not exist yet, got {target}") from error
         except OSError as error:
