@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FLOWN = (
     *("model", "mpc", "protocol", "agent", "plant", "coordinator", "scenarios", "vehicles"),
     "transport/flight/memory.py",
-    *(f"transport/analysis/{name}.py" for name in ("metrics", "series", "swing")),
+    *(f"transport/analysis/{name}.py" for name in ("metrics", "series")),
 )
 
 

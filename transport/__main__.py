@@ -1,18 +1,76 @@
 """The command `transport`, also as `python -m transport`."""
 
 import atexit
+import io
 import os
 import signal
 import sys
 import traceback
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from errno import EPIPE
 from types import FrameType
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 from protocol.network.parent import ending_signals, wake_with_its_end
-from protocol.wire.exit_codes import EXIT_INTERRUPTED
-from transport.cli.standard_streams import standard_streams
+from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNRECORDED
 from transport.flight.signals import raise_interrupts
+
+
+class _Stream(io.FileIO):
+    """Raw stream of a file descriptor that leads to the null device after the first failed write.
+
+    Attributes:
+        error: That failure, if there was one.
+    """
+
+    error: OSError | None = None
+
+    def write(self, data: object) -> int | None:  # type: ignore[override]
+        try:
+            return super().write(data)  # type: ignore[arg-type]
+        except OSError as error:
+            self.error = error
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self.fileno())
+            os.close(null)
+            return super().write(data)  # type: ignore[arg-type]
+
+
+@contextmanager
+def standard_streams() -> Iterator[None]:
+    """Run a command whose output may fail at any moment.
+
+    A reader that has left, as `head`, changes nothing. Another failure of standard output, such as a full disk, is told
+    in a line, and the exit code is 10 unless the command has another one. Standard error may be lost.
+    """
+    raw = _replace("stdout", 1)
+    _replace("stderr", 2)
+    try:
+        yield
+    except SystemExit as end:
+        sys.stdout.flush()
+        if raw.error is None or raw.error.errno == EPIPE:
+            raise
+        sys.stderr.write(f"transport: standard output: cannot write the results ({raw.error.strerror})\n")
+        sys.exit(end.code or EXIT_UNRECORDED)
+
+
+def _replace(name: str, number: int) -> _Stream:
+    """Replace a stream of `sys`; one that is closed goes to the null device."""
+    old: TextIO | None = getattr(sys, name)
+    raw = _Stream(number if old is not None else os.open(os.devnull, os.O_WRONLY), "wb", closefd=False)
+    buffered = name == "stdout" and not raw.isatty()
+    stream = io.TextIOWrapper(
+        io.BufferedWriter(raw),
+        encoding=old.encoding if old is not None else "utf-8",
+        errors="backslashreplace",  # a character that the terminal has not is no reason to end
+        line_buffering=not buffered,
+        write_through=not buffered,
+    )
+    setattr(sys, name, stream)
+    return raw
+
 
 # As in transport.flight.fork_server, which other commands do not import.
 _FORK_SERVER = "fork-server"

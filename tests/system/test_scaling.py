@@ -23,8 +23,7 @@ from transport.experiments.declaration import EXPERIMENTS
 from transport.experiments.figures import draw
 from transport.experiments.simulation import CPU, ERROR, MESSAGES, NUMBERS, RESOURCES, Result, resource_use
 from transport.experiments.simulation import simulate as simulate_case
-from transport.experiments.statistics import PointStatistics, statistics_of
-from transport.experiments.table import WIDTH, table_of
+from transport.experiments.statistics import WIDTH, PointStatistics, statistics_of, table_of
 from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
 

@@ -9,9 +9,9 @@ from protocol.wire.codec import encode
 from protocol.wire.messages import Message, Plan, StepReport, Tick
 from tests.support.runs import SHORT, ready, recorded, reproducible
 from tests.support.shuffled import fly_shuffled
-from transport.analysis.counted import counted
 from transport.analysis.metrics import summarise
 from transport.analysis.replay import Replay
+from transport.analysis.series import counted
 from transport.flight import memory
 from transport.log.run_log import Recorded, RunLog
 

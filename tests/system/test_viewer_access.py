@@ -35,7 +35,7 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> Sent:
         requests.append((kind, content))
         return {"tick": 0}
 
-    monkeypatch.setattr("transport.flight.commands.request", request)
+    monkeypatch.setattr("transport.flight.live.request", request)
     return requests
 
 

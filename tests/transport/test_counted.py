@@ -6,7 +6,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, Plan, StepReport
 from tests.support import runs
 from tests.support.logs import log_of, plan, report
-from transport.analysis.counted import counted
+from transport.analysis.series import counted
 
 HOVER = runs.ticks(10)
 ALL = {1: 0, 2: 0, 3: 0, 4: 0}

@@ -22,9 +22,8 @@ from tests.support import runs
 from tests.support.logs import record_run
 from tests.support.messages import messages as any_message
 from transport.cli.main import app
-from transport.log.channels import topic_of
 from transport.log.run_folder import open_run
-from transport.log.run_log import read_log
+from transport.log.run_log import read_log, topic_of
 from transport.report.foxglove import CHANNELS, METADATA, json_schema, to_json
 from transport.scene.drawing import Drawing
 from transport.scene.scene import SceneBuilder

@@ -11,9 +11,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from transport.log.channels import ENCODING
 from transport.log.parser import MOST_CHUNK_BYTES, Parser
-from transport.log.run_log import LogError, LogTail, read_log
+from transport.log.run_log import ENCODING, LogError, LogTail, read_log
 
 CHUNK_BYTES = 2000
 CHANNELS = 7

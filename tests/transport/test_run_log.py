@@ -22,9 +22,8 @@ from protocol.wire.messages import FaultNote, Message, Plan, Tick
 from tests.support import runs
 from tests.support.messages import messages as any_message
 from tests.support.messages import sample
-from transport.log.channels import ENCODING
 from transport.log.parser import Parser
-from transport.log.run_log import LogError, RunLog, read_log
+from transport.log.run_log import ENCODING, LogError, RunLog, read_log
 from transport.log.writer import CHUNK_BYTES, CHUNK_S, LogWriter
 
 HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}

@@ -14,8 +14,7 @@ from protocol.wire.messages import PlantState
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, plant_state
 from transport.analysis.metrics import summarise
-from transport.analysis.series import series_of
-from transport.analysis.swing import AT_REST_M, Swing, swing_of
+from transport.analysis.series import AT_REST_M, Swing, series_of, swing_of
 
 # The last hover of the paper's maneuver, after a second of translation.
 HOLD = (

@@ -27,8 +27,7 @@ from protocol.wire.messages import (
     Tick,
 )
 from protocol.wire.names import agent_name
-from transport.analysis.series import Series, series_of
-from transport.analysis.swing import swing_of
+from transport.analysis.series import Series, series_of, swing_of
 from transport.log.run_log import RunLog
 
 # Time after which a target counts as reached or missed, s; tolerance of times.

@@ -33,9 +33,8 @@ from transport.experiments.cases import Case, ExperimentError, cases_of, refused
 from transport.experiments.conclusions import conclusions, scaling_conclusions
 from transport.experiments.declaration import EXPERIMENTS, Declaration, Values
 from transport.experiments.simulation import simulate
-from transport.experiments.statistics import PointStatistics
+from transport.experiments.statistics import WIDTH, WIDTH_OF_VARIANTS, PointStatistics, means_in_words, table_of
 from transport.experiments.sweep import Results, Simulate, sweep
-from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, means_in_words, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.header import machine
 

@@ -21,9 +21,8 @@ from protocol.wire.messages import KINDS, Control, Measurement, Plan, PlantState
 from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.recorded_run import complete_run, run_folder
-from transport.log.channels import kind_of, topic_of
 from transport.log.run_folder import missing, ranges
-from transport.log.run_log import LogError, RunLog, read_log, setup_in
+from transport.log.run_log import LogError, RunLog, kind_of, read_log, setup_in, topic_of
 from transport.log.tables import INPUT_NAMES, RATE_NAMES, Row, columns, tables
 
 LogArgument = Annotated[

@@ -168,15 +168,11 @@ def plant(options: ProcessOptions) -> None:
     options.run(PLANT, simulate)
 
 
+@with_options(ProcessOptions)
 def record(
-    scenario: ScenarioOption = "paper",
-    settings: SetOption = None,
-    run_name: RunNameOption = None,
-    connect: ConnectOption = None,
+    options: ProcessOptions,
     out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Run folder to create.")] = None,
-    join_timeout: JoinOption = None,
     figures: FiguresOption = True,
-    large: LargeOption = False,
     output: FormatOption = Format.text,
 ) -> None:
     """Record and report a run whose processes were started by hand.
@@ -191,14 +187,6 @@ def record(
     from transport.flight.run import observe
     from transport.flight.run_files import RunError, new_folder
 
-    options = ProcessOptions(
-        scenario=scenario,
-        settings=settings,
-        run_name=run_name,
-        connect=connect,
-        join_timeout=join_timeout,
-        allow_large=large,
-    )
     setup = options.setup()
     place = options.place(setup, RECORDER)
     folder = out if out is not None else new_folder(RUNS, setup.scenario.name)

@@ -19,7 +19,7 @@ from protocol.network.session import BusError
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_USAGE
 from transport.cli.active_run import RunOption, find_active
 from transport.cli.output import exit_on, fail
-from transport.flight.commands import Commands
+from transport.flight.live import Commands
 from transport.log.run_folder import setup_of
 from transport.log.run_log import LogError, LogTail
 from transport.scene.history import KINDS, RunHistory

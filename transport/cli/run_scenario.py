@@ -19,10 +19,9 @@ from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_USAGE
 from protocol.wire.names import COORDINATOR
 from transport.cli.lazy import load
-from transport.cli.options import (
-    RUNS,
-)
-from transport.cli.output import Format, exit_on, fail
+from transport.cli.options import RUNS
+from transport.cli.output import exit_on, fail
+from transport.cli.run import RunOptions
 from transport.cli.scenario_setup import read_setup, scenario_errors
 from transport.flight.harness import Child, HarnessError, start_child
 from transport.flight.run import simulate
@@ -34,26 +33,17 @@ from transport.viewer.server import ViewerError, require_viser
 _LONGEST_S, _KILLED_S = 120.0, 1.0
 
 
-def run_scenario(
-    scenario: str,
-    settings: list[str] | None,
-    out: Path | None,
-    output: Format,
-    *,
-    figures: bool,
-    external: list[str],
-    viewer_address: tuple[str, int] | None,
-    allow_large: bool,
-) -> None:
-    """Run a scenario; arguments as the options of `transport run`, with the viewer's host and port, None without."""
-    setup = read_setup(scenario, settings, allow_large=allow_large)
+def run_scenario(options: RunOptions) -> None:
+    """Run a scenario."""
+    settings, figures, external = options.settings, options.figures, options.external or []
+    setup = read_setup(options.scenario, settings, allow_large=options.allow_large)
     _check_external(setup, external)
-    folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
+    folder = options.out if options.out is not None else new_folder(RUNS, setup.scenario.name)
     viewer: AbstractContextManager[ViewerBeside | None] = nullcontext()
-    if viewer_address is not None:
+    if options.view:
         with exit_on(ViewerError, code=EXIT_USAGE):
             require_viser()
-        viewer = ViewerBeside(folder, *viewer_address, setup.scenario.clock.join_timeout_s)
+        viewer = ViewerBeside(folder, options.host, options.port, setup.scenario.clock.join_timeout_s)
     with viewer as beside:
         with ReportProcess(folder) as reporter:
             prepare = reporter.prepare if figures else lambda: None
@@ -64,9 +54,9 @@ def run_scenario(
             with _interrupts_told(folder):
                 run_report = load("transport.cli.run_report")
                 if reporter.report():
-                    run_report.show_written(folder, output)
+                    run_report.show_written(folder, options.output)
                 else:
-                    run_report.report(folder, output, figures=figures, setup=setup)
+                    run_report.report(folder, options.output, figures=figures, setup=setup)
         if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
             beside.wait_for_user()
     if finished.exit_code != 0:

@@ -43,9 +43,8 @@ from transport.experiments.comparison_verdict import (
     verdicts,
 )
 from transport.experiments.simulation import NUMBERS, run_in_memory
-from transport.experiments.statistics import Estimate
+from transport.experiments.statistics import Estimate, csv_bytes, empty_table
 from transport.experiments.sweep import Results, Simulate, Swept, sweep
-from transport.experiments.table import csv_bytes, empty_table
 from transport.flight.header import machine
 from transport.report.column import column_panels, draw_legend, head, legend_height_in
 from transport.report.compare import Overlaid, fill_overlaid

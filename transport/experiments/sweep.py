@@ -17,8 +17,7 @@ from transport.experiments.cases import Case, ExperimentError, refused
 from transport.experiments.declaration import Experiment
 from transport.experiments.figures import draw
 from transport.experiments.simulation import ERROR, NUMBERS, RESOURCES, Result
-from transport.experiments.statistics import PointStatistics, statistics_of
-from transport.experiments.table import cases_rows, csv_bytes, points_rows
+from transport.experiments.statistics import PointStatistics, cases_rows, csv_bytes, points_rows, statistics_of
 from transport.flight.header import machine
 from transport.flight.progress import ConsoleProgress
 from transport.report.report import write_whole

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from protocol.scenario.files import write_delays
 from protocol.scenario.setup import Setup
-from transport.analysis.counted import counted
 from transport.analysis.metrics import summarise
+from transport.analysis.series import counted
 from transport.analysis.steps import steps_rows
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries

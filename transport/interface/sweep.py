@@ -18,9 +18,8 @@ from transport.experiments.cases import Case, Point, cases_of_point
 from transport.experiments.declaration import Axis, Experiment, axis, quantity
 from transport.experiments.figures import fill
 from transport.experiments.simulation import Result
-from transport.experiments.statistics import PointStatistics
+from transport.experiments.statistics import WIDTH, PointStatistics, means_in_words, table_of
 from transport.experiments.sweep import Results
-from transport.experiments.table import WIDTH, means_in_words, table_of
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.progress import compile_model
 from transport.interface.figure import RunFigure, drawn

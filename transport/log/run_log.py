@@ -9,16 +9,51 @@ from pathlib import Path
 from typing import TypeVar, cast
 
 import msgspec
+from mcap.records import Channel
 
 from protocol.admission.gate import Gate
 from protocol.scenario.file import ScenarioError, validate
 from protocol.scenario.setup import Setup
-from protocol.wire.codec import decode
+from protocol.wire.codec import VERSION, decode
 from protocol.wire.errors import TransportError
-from protocol.wire.keys import RECORDER
-from protocol.wire.messages import KINDS, Message, MessageError, Plan
-from transport.log.channels import KEYS, METADATA, OWN, is_known
+from protocol.wire.keys import RECORDER, Keys
+from protocol.wire.messages import KINDS, LinkChange, Message, MessageError, Plan, Target
 from transport.log.parser import Parser, UnreadableError
+
+# Name of the metadata record that describes the run.
+METADATA = "run"
+# Encoding of the bytes of messages (docs/protocol.md); a log of another version of the protocol has another.
+ENCODING = f"payload-transport/{VERSION}"
+# Beginning of the channels of messages that the recorder made; no message from the network can be there.
+OWN = f"/{RECORDER}/"
+
+KEYS = Keys("log")
+
+
+def is_known(channel: Channel) -> bool:
+    """Return whether this version reads a channel."""
+    return channel.message_encoding == ENCODING
+
+
+def channel_of(message: Message) -> str:
+    """Return the channel in which a message is in the log if it came alone."""
+    return OWN + message.kind if message.sender == RECORDER else KEYS.of(message).removeprefix(KEYS.prefix)
+
+
+def topic_of(message: Message) -> str:
+    """Return the channel of a message in descriptions and exports; each kind has its own, in bundles or not."""
+    match message:
+        case LinkChange() | Target():  # share the key of the rosters
+            return f"/{message.kind}"
+        case Plan(agent=agent):  # has two keys
+            return f"/{message.kind}/{agent}"
+    return KEYS.of(message).removeprefix(KEYS.prefix)
+
+
+def kind_of(topic: str) -> str:
+    """Return the message kind of a channel of `topic_of`."""
+    return topic.lstrip("/").split("/", 1)[0]
+
 
 M = TypeVar("M", bound=Message)
 

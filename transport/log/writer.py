@@ -15,8 +15,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from protocol.wire.codec import Header, encode
 from protocol.wire.messages import Control, FaultNote, Message
-from transport.log.channels import ENCODING, METADATA, channel_of
-from transport.log.run_log import LogError
+from transport.log.run_log import ENCODING, METADATA, LogError, channel_of
 
 # A chunk ends at this size, before compression (about ten ticks of four agents), or at this age. A kill loses at most
 # one chunk; live readers wait for it.

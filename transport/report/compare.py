@@ -14,10 +14,8 @@ from matplotlib.lines import Line2D
 
 from model.arrays import Array
 from protocol.scenario.setup import Setup
-from transport.analysis.counted import counted
 from transport.analysis.metrics import summarise
-from transport.analysis.series import Series, series_of
-from transport.analysis.swing import SWING_S
+from transport.analysis.series import SWING_S, Series, counted, series_of
 from transport.log.run_folder import RecordedRun
 from transport.report.column import column_panels, draw_legend, head, legend_height_in
 from transport.report.report import HELD

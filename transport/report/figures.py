@@ -18,8 +18,7 @@ from protocol.scenario.targets import with_targets
 from protocol.wire.messages import STAGES, StepReport, Target
 from transport.analysis.metrics import rest_of_tick_ms
 from transport.analysis.replay import Comparison
-from transport.analysis.series import Series, series_of
-from transport.analysis.swing import SWING_S, swing_of
+from transport.analysis.series import SWING_S, Series, series_of, swing_of
 from transport.log.run_log import RunLog
 from transport.report.column import column_panels, draw_legend, finish, head, legend_height_in, limits, marks_of
 from transport.report.figures_3d import draw_trajectories

@@ -29,8 +29,7 @@ from mcap_protobuf.schema import register_schema
 
 from model.arrays import Array
 from protocol.wire.messages import KINDS, Message
-from transport.log.channels import topic_of
-from transport.log.run_log import RunLog
+from transport.log.run_log import RunLog, topic_of
 from transport.log.writer import LAST_TIME_NS, SEQUENCES
 from transport.scene.drawing import INERTIAL, Drawing, Label, Lines, Mesh, Part, quaternion
 from transport.scene.drawing import Pose as FramePose

@@ -14,10 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from protocol.scenario.setup import Setup
-from transport.analysis.counted import counted
 from transport.analysis.metrics import summarise
+from transport.analysis.series import SWING_S, counted
 from transport.analysis.steps import steps_columns, steps_rows
-from transport.analysis.swing import SWING_S
 from transport.log.run_folder import RecordedRun, open_run
 from transport.log.run_log import RunLog
 

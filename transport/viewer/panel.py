@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from protocol.wire.messages import agent_name
-from transport.flight.commands import Commands
+from transport.flight.live import Commands
 from transport.scene.drawing import LAYERS
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html

@@ -14,8 +14,7 @@ from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, Self
 
-from transport.flight.commands import Commands
-from transport.flight.live import LiveRun
+from transport.flight.live import Commands, LiveRun
 from transport.flight.live import read as read_live_run
 from transport.log.run_folder import open_run, setup_of
 from transport.log.run_log import LogTail

@@ -12,7 +12,7 @@ from tests.support.results import here, kept, tables
 from tests.support.runs import ticks
 from transport.cli.experiment import EXPERIMENTS
 from transport.experiments.simulation import NUMBERS
-from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS
+from transport.experiments.statistics import WIDTH, WIDTH_OF_VARIANTS
 from transport.flight import memory
 
 DONE, USAGE, SCENARIO, LOST, CASES = 0, 2, 3, 4, 7

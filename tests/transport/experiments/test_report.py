@@ -18,8 +18,14 @@ from transport.experiments.conclusions import conclusions
 from transport.experiments.declaration import Experiment
 from transport.experiments.figures import draw, fill
 from transport.experiments.simulation import ERROR, NUMBERS, Result
-from transport.experiments.statistics import PointStatistics, statistics_of
-from transport.experiments.table import WIDTH, WIDTH_OF_VARIANTS, means_in_words, table_of
+from transport.experiments.statistics import (
+    WIDTH,
+    WIDTH_OF_VARIANTS,
+    PointStatistics,
+    means_in_words,
+    statistics_of,
+    table_of,
+)
 from transport.report.style import COLUMN_IN, RC, SMALL
 
 BOTH = ("paper", "resilient")
