@@ -265,11 +265,18 @@ def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
 
 
 def _check_places(setup: Run, points: Array, since_s: float) -> None:
-    """Check that points are in reach and above the ground, and that the payload flies."""
+    """Check that points are in reach and above the ground, and that the payload flies.
+
+    Without a ground in the plant, none may be below z = 0 unless the payload has been as low.
+    """
     if np.abs(points).max() > FURTHEST_M:
         raise TargetError(f"points_m: expected at most {FURTHEST_M:g} m, got {np.abs(points).max():g}")
     ground_m = setup.scenario.plant.ground_m
     if ground_m is None:
+        lowest_m = max(0.0, *setup.maneuver.path(np.array([0.0, since_s]))[0][:, 2])
+        if points[:, 2].max() > lowest_m + _SLACK:
+            expected = f"expected z of at most {lowest_m:g} m, as z points down"
+            raise TargetError(f"points_m: {expected}, got {points[:, 2].max():g}")
         return
     resting_m = resting_height(setup.system, ground_m)
     if points[:, 2].max() > resting_m + _SLACK:

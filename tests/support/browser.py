@@ -187,6 +187,17 @@ class Browser:
         found = self.driver.find_elements("css selector", "[role=slider]")
         return {float(slider.get_attribute("aria-valuemax") or "nan"): slider for slider in found}
 
+    def values(self) -> set[tuple[float, float]]:
+        """Return largest and present value of each slider."""
+        script = "return [...document.querySelectorAll('[role=slider]')].map((s) => [s.ariaValueMax, s.ariaValueNow])"
+        return {(float(largest), float(value)) for largest, value in self.driver.execute_script(script)}
+
+    def type(self, number: int, text: str) -> None:
+        """Replace the text of a number field, by its place on the page, as fast as the browser takes it."""
+        field = self.driver.find_elements("css selector", "input[inputmode=decimal]")[number]
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(text)
+
     def press(self, largest: float, *keys: str) -> None:
         """Move the slider with this largest value by keys."""
         slider = self.sliders()[largest]

@@ -29,12 +29,12 @@ PHASES = [{"name": "climb", "duration_s": TICKS / 20, "displacement_m": [0.3, 0.
 CLIMB = f"maneuver.phase=[{{name='climb',duration_s={TICKS / 20},displacement_m=[0.3,0.0,-0.5]}}]"
 
 
-@pytest.fixture
-def sdk(tmp_path: Path) -> Iterator[Any]:
-    """The other implementation, and a router of this project in place of that of ROS 2."""
+@pytest.fixture(scope="module")
+def sdk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """The other implementation, with one session a process, and a router of this project in place of that of ROS 2."""
     module = pytest.importorskip("zenoh_ros2_sdk")
     module.port = free_base()
-    router = start("router", "--listen", f"tcp/127.0.0.1:{module.port}", cwd=tmp_path)
+    router = start("router", "--listen", f"tcp/127.0.0.1:{module.port}", cwd=tmp_path_factory.mktemp("router"))
     try:
         yield module
     finally:

@@ -66,9 +66,10 @@ DRAWINGS = 12
 BROWSER_S = 600.0  # for a page that is drawn without a graphics processor on a busy machine; the runs last longer
 ROD_M = 1e-3  # poses and points have single precision, at some hundred metres
 ARROW = 29, 172  # on the handle, pixels from the middle of the view
-DELAY_STEPS = 10  # of 0.01 s
+DELAY_STEPS = 10  # of 0.01 s, from those of the run
+LATE = ("links.delay_s=0.2", "links.loss=0.3")
 AGENTS, VICTIM = 4, 2
-WANTED = {"delay_s": 0.1, "loss": 0.0}
+WANTED = {"delay_s": 0.3}
 
 
 @contextmanager
@@ -246,14 +247,15 @@ def rod_error_m(drawing: Drawing, attachments: Array) -> float:
 @pytest.mark.slow
 @needs_browser
 def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> None:
-    """A slider delays every link of a live run, buttons kill and restart an agent, and the log holds the changes.
+    """A slider delays all links and leaves their loss, buttons kill and restart an agent, and the log holds all.
 
     The viewer does not change the run: in one process, with the changes in its scenario, the same run has bitwise the
     same plant states and plans, however many browsers were connected.
     """
     folder = tmp_path / "seen"
-    with live_run(folder, "clock.speed=1.0", "clock.on_agent_loss=continue", LONG) as address:
+    with live_run(folder, "clock.speed=1.0", "clock.on_agent_loss=continue", LONG, *LATE) as address:
         window.open(address)
+        assert wait_for(lambda: window.values() >= {(1.0, 0.2), (100.0, 30.0)}, BROWSER_S), window.values()
         with connected_pages(address, 2):
             window.press(1.0, *[RIGHT] * DELAY_STEPS)
             assert wait_for(lambda: "links change: at tick" in (window.text() or ""), BROWSER_S)
@@ -277,7 +279,7 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
     *_, last = changes = list(whole.of(LinkChange))  # a slow browser may release the slider on the way
     assert json.loads(last.settings) == WANTED
     assert last.tick + 10 < until
-    tables = (f"{{at_s={c.tick * 0.05!r},delay_s={json.loads(c.settings)['delay_s']!r},loss=0.0}}" for c in changes)
+    tables = (f"{{at_s={c.tick * 0.05!r},delay_s={json.loads(c.settings)['delay_s']!r}}}" for c in changes)
     unwatched = messages_until(until, folder / "scenario.toml", f"links.change=[{','.join(tables)}]")
     watched = [entry.message for entry in whole.messages if entry.message.tick < until]
     assert len(list(bits(unwatched))) == until * (1 + AGENTS)
@@ -321,9 +323,14 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
             act()
             assert wait_for(lambda known=known: len(log.of(Target)) > known, BROWSER_S)  # type: ignore[misc]
             assert np.allclose(log.of(Target)[-1].points, [expected])
-        window.click("Go there")
+        window.type(1, "1.25")
+        window.click("Go there")  # at once: what is typed may come later than the click
         assert wait_for(lambda: len(log.of(Target)) > known + 1, BROWSER_S)
-        assert np.allclose(log.of(Target)[-1].points, [expected])
+        expected[0] = 1.25
+        assert [np.round(target.points[0], 6).tolist() for target in log.of(Target)[known + 1 :]] == [expected.tolist()]
+        place = "target (1.25, {:g}, {:g}) m".format(*expected[1:])
+        for said in (f"{place}: arrives at t = ", f"at {place}: since t = "):
+            assert wait_for(lambda said=said: said in (window.text() or ""), BROWSER_S), window.text()  # type: ignore[misc]
         assert window.console() == []
 
 

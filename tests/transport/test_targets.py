@@ -17,14 +17,15 @@ from tests.coordinator.test_requests import answer_to
 from tests.support import logs, runs
 from tests.support.coordinator_clock import CONTINUE, answers, gone, ready, started, tell
 from tests.support.nodes import CoordinatorNode
-from transport.analysis.metrics import summarise
+from transport.analysis.metrics import SETTLED_S, summarise
 from transport.analysis.replay import Comparison, Replay
 from transport.log.run_log import RunLog
 
 REACHED_M = 0.05
 HOVER = "maneuver.phase=[{name='hover',duration_s=%g,displacement_m=[0,0,0]}]"
 FLAT = ("maneuver.reference=flat", "controller.limits.moments_Nm=[1.0,1.0,0.5]")
-TWO = "maneuver.target=[{at_s=0.5,points_m=[[0.4,0,-10]]},{at_s=2,points_m=[[0,0.4,-10.2]]}]"
+PLACES = ((0.5, "0.4,0,-10"), (2.0, "0,0.4,-10.2"), (7.1, "0,0,-10"))
+THREE = f"maneuver.target=[{','.join(f'{{at_s={at},points_m=[[{place}]]}}' for at, place in PLACES)}]"
 POOR = (
     *("links.delay_s=0.2", "links.loss=0.3", "clock.on_agent_loss='continue'"),
     "faults.event=[{at_s=1.0,do='kill',target='agent3'},{at_s=3.0,do='restart',target='agent3'}]",
@@ -45,12 +46,14 @@ def message(run: Any, tick: int, number: int = 1, **given: Any) -> Target:
 @pytest.mark.slow
 @pytest.mark.parametrize("extra", [(), POOR])
 def test_the_payload_arrives_and_the_run_replays(extra: tuple[str, ...]) -> None:
-    """The second target replaces the first on its way; the payload arrives, and replays are equal bit for bit."""
-    settings = (HOVER % 9.0, TWO, *extra)
+    """The second target replaces the first on its way; the payload is at it and the third; replays have equal bits."""
+    settings = (HOVER % 12.5, THREE, *extra)
     run, log = runs.ready("precise", *settings), flown("precise", *settings)
-    first, second = summarise(run, log)["targets"]
+    first, second, third = summarise(run, log)["targets"]
     assert first["error_m"] is None
-    assert second["error_m"] < REACHED_M
+    assert second["arrives_s"] < third["t_s"] == 7.1 < second["arrives_s"] + SETTLED_S  # and counts at that moment
+    assert third["arrives_s"] < 12.4 < third["arrives_s"] + SETTLED_S  # as this at the end
+    assert max(second["error_m"], third["error_m"]) < REACHED_M
     for agent in (1, 3):
         again, comparison = Replay(run, log, agent), Comparison()
         for step in again.steps():
@@ -107,6 +110,7 @@ def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
         ({"points_m": [[0.0, float("nan"), 0.0]]}, "points_m"),
         ({"points_m": [[0.0, 0.0, 2e5]]}, "expected at most 100000 m"),
         ({"points_m": [[0.0, 0.0, -9.0]], "speed_mps": -1.0}, "speed_mps"),
+        ({"points_m": [[3.0, 0.0, 2.0]]}, "expected z of at most 0 m, as z points down, got 2"),
         ({"points_m": [[200.0, 0.0, -9.0]]}, "expected a target before the end of the run"),
         ({"points_m": [[0, 0, -9.0], [0, 0, -9.0]]}, "expected each way point away from the one before"),
         ({"points_m": [[0, 0, -9.0], [1, 0, -9.0]], "times_s": [0.0, 0.5]}, "feasible in"),

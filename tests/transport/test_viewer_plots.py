@@ -136,7 +136,7 @@ def test_a_hidden_page_is_not_waited_for(live: Viewer) -> None:
 
 
 def test_the_camera_follows_the_team(live: Viewer, builder: SceneBuilder) -> None:
-    """After `team` the camera moves with the UAVs and keeps its distance; after `whole path` it stays."""
+    """The camera moves with the UAVs and keeps its distance, but not while a user turns it, or when not asked to."""
     with connected_pages(live.address, 1):
         assert wait_for(lambda: shown(live) == LAST)
         (client,) = live.clients()
@@ -148,7 +148,13 @@ def test_the_camera_follows_the_team(live: Viewer, builder: SceneBuilder) -> Non
             places.append((client.camera.position - builder.at(tick).uavs_I.mean(axis=0), client.camera.look_at))
         np.testing.assert_allclose(places[0][0], places[1][0], atol=NEAR_M)
         assert np.linalg.norm(places[1][1] - places[0][1]) > 0.1
-        live.view3d.look_at(None)
+        with client.atomic():  # as a page that is turned
+            client.camera.position, client.camera.look_at = client.camera.position + 1.0, client.camera.look_at
+        for tick, stays in ((0, True), (LAST, False)):
+            before = client.camera.position.copy()
+            live.view3d.show(builder.at(tick))
+            assert np.array_equal(client.camera.position, before) is stays
+        live.view3d.follow(False)
         before = client.camera.position.copy()
         live.view3d.show(builder.at(0))
         np.testing.assert_array_equal(client.camera.position, before)

@@ -31,7 +31,7 @@ from transport.analysis.series import Series, series_of, swing_of
 from transport.log.run_log import RunLog
 
 # Time after which a target counts as reached or missed, s; tolerance of times.
-SETTLED_S, _ROUNDING_S = 2.0, 1e-9
+SETTLED_S, _ROUNDING_S, _DIGITS = 2.0, 1e-9, 9
 _ORIGIN = {"script": " by script", "person": " by hand", "unknown": ""}
 
 
@@ -107,7 +107,7 @@ def events(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str,
         found.append(
             {
                 "tick": message.tick,
-                "time_s": message.tick * setup.settings.sampling_period_s,
+                "time_s": round(message.tick * setup.settings.sampling_period_s, _DIGITS),
                 "wall_s": None if began_ns is None or received_ns is None else (received_ns - began_ns) / 1e9,
                 "kind": kind,
                 "processes": list(processes),
@@ -226,15 +226,21 @@ def _cables(setup: Setup, log: RunLog) -> dict[str, Any] | None:
 
 
 def _targets(setup: Setup, series: Series) -> list[dict[str, Any]]:
-    """Return the targets and how close the payload was `SETTLED_S` after its reference had reached the last point."""
+    """Return the targets and how close the payload was `SETTLED_S` after its reference had reached the last point.
+
+    A target that is followed sooner, by the next one or the end, counts at that moment.
+    """
     targets = setup.maneuver.targets
     found = []
     for target, after in zip_longest(targets, targets[1:]):
-        settled = np.flatnonzero(series.times_s >= target.ends_s + SETTLED_S - _ROUNDING_S)
-        row = settled[0] if len(settled) and (after is None or after.since_s >= target.ends_s + SETTLED_S) else None
-        error_m = None if row is None else float(np.linalg.norm(series.x[row, R0] - target.end_I))
-        place_m = target.end_I.tolist()
-        found.append({"t_s": target.since_s, "position_m": place_m, "arrives_s": target.ends_s, "error_m": error_m})
+        at_s = min(
+            target.ends_s + SETTLED_S, series.times_s.max(initial=-np.inf), np.inf if after is None else after.since_s
+        )
+        row = np.searchsorted(series.times_s, at_s - _ROUNDING_S)
+        there = at_s >= target.ends_s - _ROUNDING_S
+        error_m = float(np.linalg.norm(series.x[row, R0] - target.end_I)) if there else None
+        times_s = {"t_s": round(target.since_s, _DIGITS), "arrives_s": round(target.ends_s, _DIGITS)}
+        found.append({**times_s, "position_m": target.end_I.tolist(), "error_m": error_m})
     return found
 
 

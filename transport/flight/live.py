@@ -149,9 +149,6 @@ def request(
     return answer
 
 
-_CHANGED = {"link": "links change", "target": "target changes"}
-
-
 class Commands:
     """Queue of requests to one live run, sent one after the other by a thread.
 
@@ -190,5 +187,10 @@ class Commands:
             except (RefusedError, UnansweredError) as error:
                 self._on_result(str(error), True)
                 continue
-            done = f"{content['do']} {content['target']}" if kind == "fault" else _CHANGED[kind]
-            self._on_result(f"{done}: at tick {answer['tick']}", False)
+            done = f"{content['do']} {content['target']}" if kind == "fault" else "links change"
+            text = f"{done}: at tick {answer['tick']}"
+            if kind == "target":
+                place, left_s = content["points_m"][-1], answer["ends_s"] - answer["t_s"]
+                name = "target ({:g}, {:g}, {:g}) m".format(*place)
+                text = f"{name}: arrives at t = {answer['ends_s']:.1f} s, in {left_s:.1f} s"
+            self._on_result(text, False)

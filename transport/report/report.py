@@ -27,7 +27,7 @@ HELD = 1e-6
 ACCURATE = 1e-6
 
 # Number of faults in the table, so that it fits a screen.
-_SHOWN_FAULTS = 8
+_SHOWN_FAULTS = 20
 
 # Bodies with a distance from obstacles, as the report names them.
 _CLEAR = {"uav": "UAVs", "rod": "rods", "payload": "payload"}
@@ -126,6 +126,7 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
             for name, of in (("UAV", uavs), ("payload", payload))
         ),
         ("payload swing", _swing(payload)),
+        *([("targets", _reached(summary["targets"]))] if summary.get("targets") else []),
         *([("cables", _slack(summary["cables"]))] if summary.get("cables") else []),
         ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
         *([("clearance", _clearances(clear))] if (clear := summary.get("clearance_min_m")) else []),
@@ -148,6 +149,12 @@ def _faults(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     shown = [(f"{fault['time_s']:6.2f} s", str(fault["what"])) for fault in faults[:_SHOWN_FAULTS]]
     more = len(faults) - _SHOWN_FAULTS
     return [*shown, (" " * 8, f"and {more} more in summary.json")] if more > 0 else shown
+
+
+def _reached(targets: Sequence[Mapping[str, Any]]) -> str:
+    errors_m = [target["error_m"] for target in targets if target["error_m"] is not None]
+    largest = f", payload at most {max(errors_m):.3f} m away" if errors_m else ""
+    return f"{len(errors_m)} of {len(targets)} reached{largest}"
 
 
 def _swing(payload: Mapping[str, Any]) -> str:

@@ -84,6 +84,8 @@ _SPAN_M, _SPAN_OF_GAP = 0.9, 0.7
 _PLATE_M, _CORE_M = 0.12, 0.15
 ARROW_M, _HEAD_M = 0.6, 0.05
 _GOAL_M, _CONTACT_M, _GROUND_M = 0.07, 0.03, 0.02
+# Distance of the plane below everything where there is no ground, m.
+_BELOW_M = 0.5
 # Half size from which an obstacle counts as endless, and how far beyond the maneuver it is drawn then, m.
 _ENDLESS_M, _BEYOND_M = 1e4, 1.0
 # Points of a flown and of a reference path, and tolerance of the former in parts of the maneuver's size: wide lines are
@@ -144,6 +146,7 @@ class Drawing:
         fixed: Parts that stay as they are in their frames.
         low, high: Corners of the box around the maneuver, (3,), inertial frame, with the UAVs' arrows and names.
         start_I: Position of the payload at the start of the reference, (3,), inertial frame.
+        team_I: Middle of the UAVs at this start, (3,), m.
         size: Diagonal of this box.
         floor: z of the ground, or of a plane below everything, inertial frame.
         span: Span of a drawn quadrotor.
@@ -153,13 +156,13 @@ class Drawing:
         self._builder, self._setup = builder, builder.setup
         self._N = self._setup.system.N
         payload_I, uavs_I = self._reference()
-        self.start_I = payload_I[0]
+        self.start_I, self.team_I = payload_I[0], uavs_I[0].mean(axis=0)
         above = uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * ARROW_M])
         everything = np.vstack([payload_I, above])
         self.low, self.high = everything.min(axis=0), everything.max(axis=0)
         self.size = float(np.linalg.norm(self.high - self.low))
         self._ground_m = self._setup.scenario.plant.ground_m
-        self.floor = float(self.high[2]) + 0.5 if self._ground_m is None else self._ground_m
+        self.floor = float(self.high[2]) + _BELOW_M if self._ground_m is None else self._ground_m
         self.span = min([uav_span(builder.start_I), *(2.0 * obstacle.margin_m for obstacle in self._setup.obstacles)])
         self._targets = len(self._setup.maneuver.targets)  # that are drawn
         self.fixed: tuple[Part, ...] = tuple(self._fixed())
@@ -210,6 +213,8 @@ class Drawing:
         targets = len(self._builder.setup.maneuver.targets)
         if targets != self._targets:
             self._targets, self.fixed = targets, tuple(self._fixed())
+            if self._ground_m is None:
+                self.floor = max(self.floor, float(self._reference()[0][:, 2].max()) + _BELOW_M)
             yield from self._reference_lines()
         yield self._thrust(scene)
         team_I, owned = scene.uavs_I.mean(axis=0), self._setup.owned

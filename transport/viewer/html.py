@@ -4,6 +4,9 @@ import json
 from collections.abc import Sequence
 from html import escape
 
+import numpy as np
+
+from model.arrays import Array
 from transport.scene.drawing import DARK, Colour, age_colour, uav_colour
 from transport.scene.scene import AgentState, Scene
 
@@ -13,6 +16,8 @@ _ALARM = "color:#b2182b"
 # Ages in the legend, s.
 _AGES = ((0.0, "fresh"), (0.2, "0.2 s"), (0.5, "0.5 s"))
 _SHOWN_EVENTS = 5
+# A payload this near to a target is at it, in gusts too, m.
+_AT_M = 0.2
 # Smallest delay behind an active run that is shown, s.
 _BEHIND_S = 1.0
 # A sentence that the browser shows by itself once this table has not been replaced for 5 s.
@@ -73,6 +78,16 @@ def flight(scene: Scene, duration_s: float, behind_s: float, *, watched: bool) -
     cells = "".join(f'<tr><td style="{_CELL};color:#666">{a}</td><td style="{_CELL}">{b}</td></tr>' for a, b in rows)
     table = f'<table style="{_TABLE};margin:4px 8px;width:auto">{cells}</table>'
     return f"{table}{_STALE if watched else ''}"
+
+
+def target(place_I: Array, arrives_s: float, scene: Scene) -> str:
+    """Return where the payload of a scene is sent, (3,), m, when its reference arrives, s, and how far it is."""
+    away_m = float(np.linalg.norm(scene.payload_I - place_I))
+    place, left_s = "target ({:g}, {:g}, {:g}) m".format(*place_I.tolist()), arrives_s - scene.time_s
+    when = f"arrives at t = {arrives_s:.1f} s, in {left_s:.1f} s" if left_s > 0.0 else f"since t = {arrives_s:.1f} s"
+    what = f"<b>at {place}</b>" if left_s <= 0.0 and away_m < _AT_M else f"to {place}"
+    text = f"{what}: {when}; {away_m:.2f} m away"
+    return f'<div style="font-size:12px;margin:2px 12px">{text}</div>'
 
 
 def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str:

@@ -83,6 +83,7 @@ class Panel:
         playback: Playback state that the widgets change.
         show_layer: Called with a layer's name and whether to show it.
         look: Called with whether to look at the team, or else at the whole maneuver.
+        follow: Called with whether the camera moves with the team.
         commands: Requests to the live run; None for a recorded run.
     """
 
@@ -93,6 +94,7 @@ class Panel:
         playback: Playback,
         show_layer: Callable[[str, bool], None],
         look: Callable[[bool], None],
+        follow: Callable[[bool], None],
         commands: Commands | None,
     ) -> None:
         self._builder, self._playback, self._commands = builder, playback, commands
@@ -100,6 +102,8 @@ class Panel:
         self._period_s = self._setup.settings.sampling_period_s
         self._duration_s = self._setup.ticks * self._period_s
         self._timer: threading.Timer | None = None
+        self._moved: set[str] = set()  # keys of links whose widgets a user has moved, not yet sent
+        self._links_shown = False
         self._is_over = commands is None
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
@@ -113,17 +117,19 @@ class Panel:
         speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x")
         self._follow = gui.add_checkbox("follow the run", playback.follows, visible=commands is not None)
         camera = gui.add_button_group("camera", (_WHOLE, _TEAM))
-        camera.on_click(_with_value(lambda value: look(value == _TEAM)))
+        follows = gui.add_checkbox("camera follows the team", commands is not None)
         with gui.add_folder("Run"):
             self._flight = gui.add_html("")
+        self._target = None
+        if commands is not None:
+            self._target = TargetControls(server, builder, commands.target, _checked)
+            self._add_links(gui)
         with gui.add_folder("Plots"):
             self._plots = Plots(gui, builder, is_live=commands is not None)
         with gui.add_folder("Agents"):
             self._agents = gui.add_html("")
-        self._target = None
         if commands is not None:
-            self._target = TargetControls(server, builder, commands.target, _checked)
-            self._add_controls(gui, commands)
+            self._add_processes(gui, commands)
         with gui.add_folder("Events"):
             self._events = gui.add_html("")
         with gui.add_folder("Show", expand_by_default=commands is None):
@@ -131,6 +137,13 @@ class Panel:
                 box = gui.add_checkbox(name, shown)
                 box.on_update(_with_value(partial(show_layer, name)))
             gui.add_html(html.legend())
+
+        def turn(value: str) -> None:
+            look(value == _TEAM)
+            _set(follows, value == _TEAM)
+
+        camera.on_click(_with_value(turn))
+        follows.on_update(_with_value(follow))
         self._time.on_update(_from_browser(lambda: playback.seek(round(self._time.value / self._period_s))))
         self._play.on_click(lambda _: playback.toggle())
         speed.on_update(_from_browser(lambda: playback.set_speed(SPEEDS[speed.value])))
@@ -155,7 +168,10 @@ class Panel:
         _set(self._time, scene.time_s)
         self._plots.show(scene.tick)
         if self._target is not None:
-            self._target.show()
+            self._target.show(scene)
+        if self._commands is not None and not self._links_shown:
+            self._links_shown = True
+            self._show_chosen_link()  # as the run has them, until a user moves one
         behind_s = 0.0 if self._is_over else self._builder.history.last * self._period_s - scene.time_s
         watched = not self._is_over and self._playback.follows
         self._flight.content = html.flight(scene, self._duration_s, behind_s, watched=watched)
@@ -170,25 +186,28 @@ class Panel:
         if self._commands is not None:
             self._links.visible = self._processes.visible = self._follow.visible = False
 
-    def _add_controls(self, gui: "viser.GuiApi", commands: Commands) -> None:
-        agents = [str(agent) for agent in self._setup.agents]
-        pairs = [f"{a} to {b}" for a in agents for b in agents if a != b]
-        self._links = gui.add_folder("Links", visible=bool(pairs))
+    def _add_links(self, gui: "viser.GuiApi") -> None:
+        agents = self._setup.agents
+        self._pairs = [(a, b) for a in agents for b in agents if a != b]
+        names = [f"{a} to {b}" for a, b in self._pairs[:_MOST_LINKS]]
+        self._links = gui.add_folder("Links", visible=bool(names))
         with self._links:
-            self._link = gui.add_dropdown("link", (_ALL, *pairs[:_MOST_LINKS]))
+            self._link = gui.add_dropdown("link", (_ALL, *names))
             self._delay = gui.add_slider("delay (s)", 0.0, 1.0, 0.01, 0.0, hint="as transport link set --delay")
             self._loss = gui.add_slider("loss (%)", 0, 100, 1, 0, hint="30 % is transport link set --loss 0.3")
             self._partition = gui.add_checkbox("partition", False, hint="100 % loss, as --loss 1")
             clear = gui.add_button("Clear all links", hint="as transport link clear")
+        self._link.on_update(_from_browser(self._show_chosen_link))
+        for widget, key in ((self._delay, "delay_s"), (self._loss, "loss"), (self._partition, "loss")):
+            widget.on_update(_from_browser(partial(self._change_link_after_rest, key)))
+        clear.on_click(lambda _: self._clear_links())
+
+    def _add_processes(self, gui: "viser.GuiApi", commands: Commands) -> None:
         self._processes = gui.add_folder("Processes")
         with self._processes:
-            for agent in agents:
+            for agent in self._setup.agents:
                 buttons = gui.add_button_group(f"agent {agent}", ("kill", "restart"))
-                buttons.on_click(_with_value(partial(commands.fault, target=agent_name(int(agent)))))
-        self._link.on_update(_from_browser(self._show_chosen_link))
-        for widget in (self._delay, self._loss, self._partition):
-            widget.on_update(_from_browser(self._change_link_after_rest))
-        clear.on_click(lambda _: self._clear_links())
+                buttons.on_click(_with_value(partial(commands.fault, target=agent_name(agent))))
 
     def _chosen_link(self) -> tuple[int, int] | None:
         """Return sender and receiver of the chosen link; None for all links."""
@@ -198,9 +217,12 @@ class Panel:
         return int(sender), int(receiver)
 
     def _show_chosen_link(self) -> None:
-        ends = self._chosen_link()
-        if ends is not None:
-            delay_s, loss = self._builder.link_history.settings(*ends, max(0, self._builder.history.last))
+        """Show the values of the chosen link, or the largest of all links."""
+        chosen, last = self._chosen_link(), max(0, self._builder.history.last)
+        pairs = self._pairs if chosen is None else [chosen]
+        found = [self._builder.link_history.settings(*ends, last) for ends in pairs]
+        if found:
+            delay_s, loss = map(max, zip(*found, strict=True))
             self._show_link(delay_s, round(100.0 * loss), partition=loss >= 1.0)
 
     def _clear_links(self) -> None:
@@ -213,8 +235,9 @@ class Panel:
         _set(self._loss, loss_percent)
         _set(self._partition, partition)
 
-    def _change_link_after_rest(self) -> None:
-        """Send the values of the sliders once they rest: a drag reports every step."""
+    def _change_link_after_rest(self, key: str) -> None:
+        """Send the value of a slider once it rests: a drag reports every step."""
+        self._moved.add(key)
         if self._timer is not None:
             self._timer.cancel()
         self._timer = threading.Timer(_REST_S, self._change_link)
@@ -224,7 +247,9 @@ class Panel:
     def _change_link(self) -> None:
         if self._commands is not None:
             loss = 1.0 if self._partition.value else self._loss.value / 100.0
-            self._commands.link(self._chosen_link(), {"delay_s": round(self._delay.value, 3), "loss": loss})
+            values = {"delay_s": round(self._delay.value, 3), "loss": loss}
+            moved, self._moved = self._moved, set()
+            self._commands.link(self._chosen_link(), {key: values[key] for key in sorted(moved)})
 
 
 def _from_browser(act: Callable[[], None]) -> Callable[[Any], None]:

@@ -14,6 +14,7 @@ import secrets
 import socket
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager, redirect_stdout
 from importlib.util import find_spec
@@ -38,6 +39,7 @@ _INVALID_DATA = 1007  # close code of RFC 6455
 _SILENT = logging.getLogger("transport.viewer.websockets")
 _SILENT.disabled = True
 _INSTALLING = threading.Lock()
+_CLOSED = "Queued a .* on a closed connection"  # by viser
 _RECEIPT = re.compile(r"/shown/(\d{1,9})/(\d{1,9})")
 
 
@@ -60,6 +62,8 @@ def start_server(host: str, port: int, *, secret: bool) -> tuple["viser.ViserSer
     require_viser()
     import viser
 
+    # A page may go, or the viewer end, at any moment; then nobody needs what is sent to it.
+    warnings.filterwarnings("ignore", _CLOSED, UserWarning)
     _check_address(host, port)
     guard = Guard(host, secrets.token_urlsafe(24) if secret else "")
     with guard.installed(), redirect_stdout(io.StringIO()):  # viser prints its address to stdout, which is for results

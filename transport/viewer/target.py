@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from model.arrays import Array
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene import Scene, SceneBuilder
+from transport.viewer import html
 
 if TYPE_CHECKING:
     import viser
@@ -24,7 +25,7 @@ STEPS = {
     "down": ((0.0, 0.0, 1.0), "pagedown"),
 }
 _STEP_M = 0.5
-# Steps that follow each other this closely are one target, s.
+# Steps that follow each other this closely are one target; a page sends what is typed later than a click, by less, s.
 _REST_S = 0.3
 
 
@@ -40,19 +41,21 @@ class TargetControls:
     ) -> None:
         self._builder, self._go, self._targets = builder, go, 0
         self._timer: threading.Timer | None = None
+        self._asked: list[list[float]] = []  # and not yet seen in the run
         self._dragged_from = np.zeros(3)
         place = tuple(builder.setup.maneuver.path(np.zeros(1))[0][0].tolist())
         gui = server.gui
         self._folder = gui.add_folder("Target")
         with self._folder:
-            self._place: Any = gui.add_vector3("x, y, z (m)", place, step=0.1, hint="inertial frame: z points down")
+            self._state = gui.add_html("")
+            self._place: Any = gui.add_vector3("x, y, z (m)", place, step=0.05, hint="inertial frame: z points down")
             there = gui.add_button("Go there", hint="as transport target X Y Z; or drag the arrows in the scene")
             self._step = gui.add_number("step (m)", _STEP_M, min=0.05, max=10.0, step=0.05)
             steps = gui.add_button_group("step", tuple(STEPS), hint="Shift and arrows, Page Up, Page Down")
         self._handle = server.scene.add_transform_controls(
             "/target", scale=0.6, disable_rotations=True, disable_sliders=True, position=place
         )
-        there.on_click(checked(lambda _: self._send()))
+        there.on_click(checked(lambda _: self._send_after_rest()))
         steps.on_click(checked(lambda event: self._move(STEPS[event.target.value][0])))
         self._place.on_update(checked(lambda event: self._show_typed(event.client_id)))
         self._handle.on_update(checked(self._dragged))
@@ -62,12 +65,17 @@ class TargetControls:
             command.on_trigger(checked(partial(self._stepped, direction)))
             self._keys.append(command)
 
-    def show(self) -> None:
-        """Show the newest target of the run, whoever has given it."""
+    def show(self, scene: Scene) -> None:
+        """Show the target of a scene; a new target of others moves the controls, own ones leave what was set since."""
         targets = self._builder.setup.maneuver.targets
-        if len(targets) > self._targets:
-            self._targets = len(targets)
-            self._set(targets[-1].end_I)
+        for target in targets[self._targets :]:
+            if (place := target.end_I.tolist()) in self._asked:
+                del self._asked[: self._asked.index(place) + 1]
+            else:
+                self._set(target.end_I)
+        self._targets = len(targets)
+        known = [target for target in targets if target.since_s <= scene.time_s]
+        self._state.content = html.target(known[-1].end_I, known[-1].ends_s, scene) if known else ""
 
     def close(self) -> None:
         """Hide the controls of a run that has ended."""
@@ -82,6 +90,9 @@ class TargetControls:
     def _move(self, direction: tuple[float, float, float]) -> None:
         """Move the target by a step, and send it once the steps rest."""
         self._set(np.array(self._place.value) + self._step.value * np.array(direction))
+        self._send_after_rest()
+
+    def _send_after_rest(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
         self._timer = threading.Timer(_REST_S, self._send)
@@ -106,4 +117,6 @@ class TargetControls:
             self._send()
 
     def _send(self) -> None:
-        self._go(np.array(self._place.value, dtype=np.float64))
+        place = np.array(self._place.value, dtype=np.float64)
+        self._asked.append(place.tolist())
+        self._go(place)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 # Camera offsets in parts of the size of the maneuver, and of the team; vertical field of view, rad. Links and predicted
 # paths lie in the plane of the UAVs, so both look from well above; from +y, x is to the right as in the figures.
 _VIEW, _VIEW_TEAM, _FOV = np.array([0.5, 1.1, -0.6]), np.array([0.9, 1.9, -2.2]), 0.75
-# The camera follows a team that has moved by this, m.
-_MOVED_M = 0.01
+# The camera follows a team that has moved by this, m, and stays while a user turns it by this part of its distance.
+_MOVED_M, _TURNED = 0.01, 1e-3
 
 
 class View3D:
@@ -32,8 +32,9 @@ class View3D:
         self._add_surroundings()
         for part in drawing.fixed:
             self._add(part)
-        # The team at which the camera of each browser looks; none that looks at the whole maneuver.
-        self._follows, self._seen_I = False, dict[int, Array]()
+        # Where the team was when the camera of each browser was moved last, and that camera relative to what it sees.
+        self._follows, self._seen_I, self._offset = False, dict[int, Array](), dict[int, Array]()
+        self._start_I = drawing.team_I
 
     @property
     def payload_I(self) -> Array:
@@ -56,31 +57,42 @@ class View3D:
                 frame.position, frame.wxyz = pose[0], quaternion(pose[1])
         for lines in self._drawing.moving(scene):
             self._set(lines)
+        for node in (self._grid, self._axes):
+            if node.position[2] != self._drawing.floor:  # a target is below everything before
+                node.position = (*node.position[:2], self._drawing.floor)
         if self._follows:
             self._follow(scene)
 
     def look_at(self, scene: Scene | None) -> None:
-        """Turn the camera of every browser to the team in a scene, and follow it, or, for None, to the maneuver."""
-        self._follows, self._seen_I = scene is not None, {}
+        """Turn the camera of every browser to the team in a scene, or, for None, to the maneuver."""
+        view = self._overview
         if scene is not None:
-            self._follow(scene)
-            return
-        for client in self._server.get_clients().values():
-            _turn(client, *self._overview)
+            centre_I = scene.uavs_I.mean(axis=0)
+            size = max(float(np.linalg.norm(np.ptp(scene.uavs_I, axis=0))), 1.0)
+            view = centre_I, centre_I + _VIEW_TEAM * size
+        for number, client in self._server.get_clients().items():
+            _turn(client, *view)
+            self._seen_I[number], self._offset[number] = view[0], view[1] - view[0]
+
+    def follow(self, wanted: bool, scene: Scene | None = None) -> None:
+        """Move the cameras with the team from a scene on, from its start if none is shown yet, or leave them."""
+        self._follows = wanted
+        if scene is not None:
+            self._seen_I = dict.fromkeys(self._server.get_clients(), scene.uavs_I.mean(axis=0))
 
     def _follow(self, scene: Scene) -> None:
-        """Move the cameras with the team, from where the user has turned them."""
+        """Move the cameras with the team, from where the users have turned them, and not while they turn them."""
         centre_I = scene.uavs_I.mean(axis=0)
-        size = max(float(np.linalg.norm(np.ptp(scene.uavs_I, axis=0))), 1.0)
         for number, client in self._server.get_clients().items():
-            seen_I = self._seen_I.get(number)
-            if seen_I is None:
-                _turn(client, centre_I, centre_I + _VIEW_TEAM * size)
-            elif np.linalg.norm(centre_I - seen_I) < _MOVED_M:
+            seen_I, camera = self._seen_I.get(number, self._start_I), client.camera
+            offset = camera.position - camera.look_at
+            turned = np.linalg.norm(offset - self._offset.get(number, offset)) > _TURNED * np.linalg.norm(offset)
+            self._offset[number] = offset
+            if not turned and np.linalg.norm(centre_I - seen_I) < _MOVED_M:
                 continue
-            else:
+            if not turned:
                 moved = centre_I - seen_I
-                _turn(client, client.camera.look_at + moved, client.camera.position + moved)
+                _turn(client, camera.look_at + moved, camera.position + moved)
             self._seen_I[number] = centre_I
 
     def _frame(self, name: str) -> Any:
@@ -133,7 +145,7 @@ class View3D:
         drawing, scene = self._drawing, self._server.scene
         middle = (drawing.low + drawing.high) / 2.0
         width = 2.0 * np.ceil(0.7 * drawing.size)
-        scene.add_grid(
+        self._grid = scene.add_grid(
             "/grid",
             width=width,
             height=width,
@@ -145,7 +157,9 @@ class View3D:
             infinite_grid=False,
             fade_distance=100.0,
         )
-        scene.add_frame("/axes", axes_length=0.5, axes_radius=0.015, position=(*drawing.start_I[:2], drawing.floor))
+        self._axes = scene.add_frame(
+            "/axes", axes_length=0.5, axes_radius=0.015, position=(*drawing.start_I[:2], drawing.floor)
+        )
         # No reflections or shadows: colours are those of the figures, and drawing without a graphics processor is fast.
         scene.configure_environment_map(None)
         scene.add_light_ambient("/light", intensity=1.5)

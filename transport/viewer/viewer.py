@@ -76,8 +76,9 @@ class Viewer:
         self.other_port = "" if port in (0, got) else f"port {port} is taken; the viewer listens on port {got}"
         self.playback = Playback(builder.setup.settings.sampling_period_s, follows=live is not None)
         self.view3d = View3D(self._server, Drawing(builder))
+        self.view3d.follow(live is not None)
         commands = None if live is None else Commands(live, self._show_result)
-        self._panel = Panel(self._server, builder, self.playback, self._show_layer, self._look, commands)
+        self._panel = Panel(self._server, builder, self.playback, self._show_layer, self._look, self._follow, commands)
         self._paced = builder.setup.scenario.clock.speed > 0.0
         self._is_over = live is None
         self.notice = ""
@@ -173,6 +174,9 @@ class Viewer:
 
     def _look(self, team: bool) -> None:
         self.view3d.look_at(self.shown if team else None)
+
+    def _follow(self, wanted: bool) -> None:
+        self.view3d.follow(wanted, self.shown)
 
     def _show_layer(self, name: str, shown: bool) -> None:
         self.view3d.show_layer(name, shown)
