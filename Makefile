@@ -31,10 +31,9 @@ test-firmware: $(VENV)/.installed-test $(VENV)/.installed-firmware ## build Beta
 
 test-all: test test-slow test-pages ## run all tests
 
-campaigns: $(VENV)/.installed-test ## search for defects by random runs, by night (scenarios, signals, files, messages; hours)
+campaigns: $(VENV)/.installed-test ## search for defects by random runs, by night (scenarios, signals, messages; hours)
 	@$(BIN)/python -m tests.campaigns scenarios --runs 2000
 	@$(BIN)/python -m tests.campaigns signals --runs 300
-	@$(BIN)/python -m tests.campaigns folders --runs 48
 	@$(BIN)/python -m tests.campaigns.wire --messages 1000000
 	@$(BIN)/python -m tests.campaigns.soak --minutes 30
 

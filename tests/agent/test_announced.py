@@ -86,16 +86,6 @@ def test_held(age: int) -> None:
     np.testing.assert_array_equal(rows(1, c), np.tile(expected, (STEPS, 1)))
 
 
-@pytest.mark.parametrize("alignment", ["by_age", "by_one", "held"])
-def test_of_an_agent_that_is_gone_the_age_counts(alignment: Alignment) -> None:
-    """The actuators of an agent without process follow its last plan, then hover."""
-    plan = labelled(1, 7)
-    inputs = announced(plan, alignment=alignment)
-    inputs.off_roster = {1}
-    U = rows(1, inputs.sequence(10, STEPS, before=11))
-    np.testing.assert_array_equal(U, np.vstack([plan.inputs[3:], np.tile(U_HOVER[COLUMNS[1]], (3, 1))]))
-
-
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_corrections_end(age: int, delay: int) -> None:
@@ -199,20 +189,6 @@ def test_plans_under_another_law_are_played_as_announced() -> None:
     u = inputs.at(10, before=12, x=X)
     np.testing.assert_array_equal(rows(1, u), older.inputs[3])
     np.testing.assert_array_equal(rows(2, u), by_law(10, X)[COLUMNS[2]] + newer.corrections[1])
-
-
-def test_who_follows_another_law() -> None:
-    """Agents with a newest usable plan older than the control law are listed; none without plan or off the roster."""
-    inputs = under_law(labelled(1, 3), labelled(1, 8), labelled(2, 3))
-    assert inputs.under_previous_law(before=10) == []
-    inputs.law_since = 5
-    assert inputs.under_previous_law(before=10) == [2]
-    assert inputs.under_previous_law(before=8) == [1, 2]  # that of tick 8 is not usable yet
-    assert inputs.under_previous_law(before=3) == []
-    inputs.off_roster = {2}
-    assert inputs.under_previous_law(before=8) == [1]
-    inputs.forget(1)
-    assert inputs.under_previous_law(before=8) == []
 
 
 def test_inputs_taken_to_be_in_force_are_within_limits() -> None:

@@ -1,7 +1,5 @@
 """Negotiation within a tick: an iteration waits for the proposals of all agents on the roster."""
 
-from collections.abc import Sequence
-
 import pytest
 from msgspec.structs import replace
 
@@ -42,14 +40,6 @@ def test_an_iteration_needs_all_proposals(node: AgentNode, last: int) -> None:
     assert answers(node, proposal(last, 0, 1)) == [0, "report"]
 
 
-def test_proposals_before_the_measurement() -> None:
-    """Proposals received before the own measurement are kept until the tick opens."""
-    run = setup(*NEGOTIATION)
-    node = AgentNode(run, 1)
-    assert answers(node, roster(), *[proposal(agent, 0, 2) for agent in OTHERS]) == []
-    assert answers(node, measurement(run, 1, 0)) == [2, 1]
-
-
 @pytest.mark.parametrize("left", [2, 1])
 def test_an_agent_that_leaves_is_not_waited_for(node: AgentNode, left: int) -> None:
     """With the roster that takes an agent off, this and all further iterations go on without it."""
@@ -61,21 +51,3 @@ def test_an_agent_that_leaves_is_not_waited_for(node: AgentNode, left: int) -> N
     assert answers(node, gone) == ([1] if left == 2 else [0, "report"])
     if left == 2:
         assert answers(node, *[proposal(agent, 0, 1) for agent in alive]) == [0, "report"]
-
-
-def test_proposals_do_not_stand_for_answers(node: AgentNode) -> None:
-    """The next tick needs the others' last plans of this one; their proposals do not count."""
-    run = setup(*NEGOTIATION)
-    for left in (2, 1):
-        answers(node, *[proposal(agent, 0, left) for agent in OTHERS])
-    assert answers(node, measurement(run, 1, 1)) == []
-    assert answers(node, *[plan(run, agent, 0) for agent in OTHERS[:2]]) == []
-    assert answers(node, plan(run, 4, 0)) == [2]
-
-
-def test_proposals_off_the_roster_do_not_count(node: AgentNode) -> None:
-    """A proposal of another incarnation, or of more iterations than there are, is refused."""
-    wrong: Sequence[Plan] = [proposal(4, 0, 2, incarnation=0), proposal(4, 0, 3)]
-    assert answers(node, proposal(2, 0, 2), proposal(3, 0, 2), *wrong) == []
-    assert node.rejected.total == 2
-    assert answers(node, proposal(4, 0, 2)) == [1]

@@ -63,21 +63,6 @@ def test_answers_a_measurement_once(run: Setup, node: AgentNode) -> None:
     assert refused(node) == [("plant", "past", 1)]
 
 
-@pytest.mark.parametrize("last", OTHERS)
-@pytest.mark.parametrize("measured_first", [True, False])
-def test_waits_for_measurement_and_plans(run: Setup, node: AgentNode, last: int, measured_first: bool) -> None:
-    """Tick k is answered when its measurement and the plans of k - 1 are in, whichever of them comes last."""
-    step(run, node, 0)
-    plans = [plan(run, agent, 0) for agent in OTHERS if agent != last]
-    if measured_first:
-        assert tell(node, measurement(run, 1, 1), *plans) == []
-        made, _ = answer(tell(node, plan(run, last, 0)))
-    else:
-        assert tell(node, *plans, plan(run, last, 0)) == []
-        made, _ = answer(tell(node, measurement(run, 1, 1)))
-    assert made.tick == 1
-
-
 def test_waits_only_for_whom_the_clock_waited(run: Setup, node: AgentNode) -> None:
     """An agent that did not answer tick k - 1 in time is not waited for at tick k."""
     step(run, node, 0)
@@ -101,18 +86,6 @@ def test_a_plan_that_counts_is_waited_for() -> None:
     assert (made.tick, report.delivered) == (1, 3)
 
 
-def test_early_plans_are_for_the_next_tick(run: Setup) -> None:
-    """A plan of tick k that is here before this agent plans for k does not change what it plans for k."""
-    shove = np.tile([30.0, 0.1, 0.1, 0.1], (5, 1))
-    made = []
-    for early in ([], [plan(run, 2, 1, inputs=shove)]):
-        node = AgentNode(run, 1)
-        tell(node, roster())
-        step(run, node, 0)
-        made.append(answer(tell(node, *early, *[plan(run, i, 0) for i in OTHERS], measurement(run, 1, 1)))[0])
-    np.testing.assert_array_equal(made[0].inputs, made[1].inputs)
-
-
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
@@ -130,90 +103,6 @@ def test_refused_plans(run: Setup, node: AgentNode, changes: dict[str, object], 
     assert tell(node, plan(run, 3, 0), plan(run, 4, 0), measurement(run, 1, 1)) == []
     _, report = answer(tell(node, plan(run, 2, 0)))
     assert report.delivered == 3
-
-
-def test_measurement_waits_for_its_roster(run: Setup) -> None:
-    """A measurement that names a roster this agent does not have is answered when it is here."""
-    node = AgentNode(run, 1)
-    assert tell(node, measurement(run, 1, 0)) == []
-    answer(tell(node, roster()))
-    plans = [plan(run, agent, 0) for agent in (2, 3)]
-    assert tell(node, *plans, measurement(run, 1, 1, answered=(1, 2, 3), version=2)) == []
-    answer(tell(node, roster({1: 1, 2: 1, 3: 1}, version=2)))
-
-
-@pytest.mark.parametrize("place", range(5))
-def test_roster_is_overtaken(run: Setup, place: int) -> None:
-    """Plans and measurements may overtake the roster, which comes from another process, without effect on the plan."""
-    shove = np.tile(run.hover.u[:4] + 0.1, (5, 1))
-    events: list[Message] = [
-        measurement(run, 1, 0),
-        *[plan(run, agent, 0, inputs=shove) for agent in OTHERS],
-        measurement(run, 1, 1),
-    ]
-    made = []
-    for at in (0, place):
-        answers = tell(AgentNode(run, 1), *events[:at], roster(), *events[at:])
-        made.append([message.inputs for message in answers if isinstance(message, Plan)])
-    assert len(made[0]) == 2
-    np.testing.assert_array_equal(made[1], made[0])
-
-
-def test_new_incarnation_is_believed(run: Setup, node: AgentNode) -> None:
-    """With a new roster the restarted agent's plans count, and those of its earlier incarnation do not."""
-    step(run, node, 0)
-    tell(node, roster({1: 1, 2: 2, 3: 1, 4: 1}, version=2), plan(run, 3, 0), plan(run, 4, 0), measurement(run, 1, 1))
-    assert tell(node, plan(run, 2, 0)) == []
-    made, _ = answer(tell(node, plan(run, 2, 0, incarnation=2)))
-    assert made.tick == 1
-
-
-LYING = np.array([[1.0, 0, 0, 0, 0, 0, 0, np.pi / 2, 0, 0, 0, 0]])  # a UAV pitched by 90 deg: the flight is over
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"tick": 1}, "past"),
-        ({"tick": 3}, "future"),
-        ({"uav_states": LYING}, "out_of_range"),
-    ],
-)
-def test_refused_measurements(run: Setup, node: AgentNode, changes: dict[str, object], reason: str) -> None:
-    """A measurement that is not this agent's next one, or not of a flight, is counted; the real one is answered."""
-    for k in range(2):
-        step(run, node, k)
-    wrong = replace(measurement(run, 1, 2), **changes)
-    assert tell(node, wrong) == []
-    assert refused(node) == [("plant", reason, 1)]
-    step(run, node, 2)
-
-
-def test_the_next_measurement_waits_its_turn(run: Setup, node: AgentNode) -> None:
-    """A measurement that waits for plans is replaced neither by itself again nor by a later one."""
-    step(run, node, 0)
-    assert tell(node, measurement(run, 1, 1), measurement(run, 1, 1), measurement(run, 1, 2)) == []
-    assert refused(node) == [("plant", "past", 1), ("plant", "future", 1)]
-    made, _ = answer(tell(node, *[plan(run, agent, 0) for agent in OTHERS]))
-    assert made.tick == 1
-
-
-@pytest.mark.parametrize(
-    ("wrong", "reason"),
-    [
-        (end(9), "future"),
-        (roster({2: 1}, k=9, version=2), "future"),
-        (roster({9: 1}, k=1, version=2), "unknown_agent"),
-    ],
-)
-def test_the_coordinators_words_are_weighed(run: Setup, node: AgentNode, wrong: Message, reason: str) -> None:
-    """An end or a roster of another time, or of other agents, is refused and counted."""
-    for k in range(2):
-        step(run, node, k)
-    assert tell(node, wrong) == []
-    assert refused(node) == [("coordinator", reason, 1)]
-    assert node.finished is None
-    step(run, node, 2)
 
 
 def test_report(run: Setup, node: AgentNode) -> None:

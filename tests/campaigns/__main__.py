@@ -2,7 +2,6 @@
 
   scenarios  mutates scenarios, validates and simulates them
   signals    kills, freezes and interrupts every process of a run, also those of report, figures and viewer
-  folders    removes, replaces, cuts and fills up the files of a run while it writes them
 
 `python -m tests.campaigns.wire` sends bad messages, and `python -m tests.campaigns.soak` watches resources for long.
 Exit code 1 if any run has a problem; each run can be repeated by its number.
@@ -12,13 +11,12 @@ import argparse
 import sys
 from pathlib import Path
 
-from tests.campaigns import folders, harness, scenarios, signals
+from tests.campaigns import harness, scenarios, signals
 
 # Function of a run, runs by default, and runs at a time: a run of processes has eight of them.
 CAMPAIGNS: dict[str, tuple[harness.Execute, int, int]] = {
     "scenarios": (scenarios.execute, 200, 1),
     "signals": (signals.execute, 200, 2),
-    "folders": (folders.execute, len(folders.DAMAGES), 2),
 }
 
 

@@ -17,37 +17,10 @@ from tests.support.coordinator_clock import (
     started,
     tell,
 )
-from tests.support.runs import ALL, plan, plant_state, setup
+from tests.support.runs import ALL, plan, setup
 
 BARRIER_NS = round(TIMEOUT_S * S)
 PACED = "clock.speed=1"
-
-
-def test_waits_for_all_and_the_observers() -> None:
-    """Tick 0 opens when plant, agents and observers are ready, in any order; the roster comes before it."""
-    names = ["plant", "agent1", "agent2", "agent3", "agent4", "recorder"]
-    for last in names:
-        node = coordinator(observers=["recorder"])
-        assert tell(node, [ready(name) for name in names if name != last]) == []
-        assert node.tick == -1
-        roster, tick = tell(node, [ready(last)])
-        assert isinstance(roster, Roster)
-        assert (roster.version, roster.agents, roster.incarnations) == (1, ALL, (1, 1, 1, 1))
-        assert isinstance(tick, Tick)
-        assert (tick.tick, tick.members, tick.answered, tick.roster) == (0, ALL, (), 1)
-
-
-def test_a_whole_run() -> None:
-    """Each tick opens on the last answer to the one before; the run ends with the last plant state and not before."""
-    node = started(coordinator())
-    sent = []
-    for k in range(3):
-        for agent in (3, 1, 4, 2):
-            sent += [(k, agent, text) for text in kinds(tell(node, answers(k, (agent,))))]
-        sent += [(k, 0, text) for text in kinds(tell(node, [plant_state(setup(), k)]))]
-    assert sent == [(0, 2, "tick 1"), (1, 2, "tick 2"), (2, 0, "control 2")]
-    assert node.finished is not None
-    assert (node.finished.outcome, node.finished.reason, node.finished.exit_code) == ("completed", "", 0)
 
 
 def test_a_tick_names_the_agents_that_answered() -> None:

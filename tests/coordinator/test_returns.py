@@ -45,14 +45,6 @@ def test_a_tick_waits_for_agents_that_return_at_it() -> None:
     assert (tick.tick, tick.members, tick.answered, tick.roster) == (3, ALL, LEFT, joined.version)
 
 
-def test_an_early_return_holds_no_tick() -> None:
-    """An agent that returns before its tick joins at the next one, and no tick is held."""
-    node = started(CoordinatorNode(setup(SIX, CONTINUE, KILLED)))
-    tell(node, [*answers(0), gone("agent2"), ready("agent2", 2)])
-    assert kinds(tell(node, answers(1, LEFT))) == ["roster 2", "tick 2"]
-    assert kinds(tell(node, [*answers(2, LEFT), *answers(2, (2,), 2)])) == ["tick 3"]
-
-
 def test_a_tick_is_held_no_longer_than_the_join_timeout() -> None:
     """After `clock.join_timeout_s` the run continues without the agent, and a roster says so."""
     node = held()
@@ -62,15 +54,6 @@ def test_a_tick_is_held_no_longer_than_the_join_timeout() -> None:
     assert isinstance(tick, Tick)
     assert tick.members == LEFT
     assert kinds(tell(node, answers(3, LEFT))) == ["tick 4"]
-
-
-def test_an_agent_that_leaves_before_it_joined() -> None:
-    """A new incarnation that is gone before its tick opened has not returned."""
-    node = started(CoordinatorNode(setup(SIX, CONTINUE, KILLED)))
-    tell(node, [*answers(0), gone("agent2"), ready("agent2", 2), gone("agent2", 2)])
-    tell(node, answers(1, LEFT))
-    assert tell(node, answers(2, LEFT)) == []
-    assert kinds(tell(node, [ready("agent2", 3)])) == ["roster 3", "tick 3"]
 
 
 def proposals(agents: Sequence[int], negotiation: int) -> list[Message]:
@@ -91,14 +74,6 @@ def test_only_agents_behind_in_a_negotiation_are_dropped(negotiation: int) -> No
     assert (roster.agents, roster.reason) == (LEFT, "agent2 did not answer tick 0 in time at t = 0.00 s")
     assert node.poll(expired_ns + BARRIER_NS - 1) == ()
     assert kinds(tell(node, answers(0, LEFT), expired_ns + BARRIER_NS - 1)) == ["tick 1"]
-
-
-def test_proposals_are_no_answers() -> None:
-    """A tick is closed by the last plans of all agents, not by the proposals before them."""
-    node = started(CoordinatorNode(setup(SIX, ITERATIONS)))
-    assert tell(node, [*proposals(ALL, 2), *proposals(ALL, 1)]) == []
-    assert tell(node, answers(0, LEFT)) == []
-    assert kinds(tell(node, answers(0, (2,)))) == ["tick 1"]
 
 
 def test_all_agents_stuck_in_a_negotiation() -> None:

@@ -2,7 +2,6 @@
 
 import os
 import signal
-from collections.abc import Sequence
 
 import pytest
 from msgspec.structs import replace
@@ -15,7 +14,7 @@ from protocol.scenario.faults import Fault
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Answer, Bundle, Message, Plan, Presence, Relay, StepReport, agent_name
+from protocol.wire.messages import Answer, Bundle, Message, Plan, Presence, StepReport, agent_name
 from tests.support import logs, runs
 from tests.support.runs import ALL, INCARNATION, SHORT, setup
 from tests.support.wire import NodeReceiver, without_network
@@ -84,53 +83,6 @@ def answer(agent: int, k: int) -> Answer:
     return made
 
 
-def test_proposals_go_to_all_at_once() -> None:
-    """The proposals of a negotiation are sent alone and at once: the agents wait for each other within the tick."""
-    line = Line("agent2", incarnation=INCARNATION)
-    proposal = plan(2, 3, negotiation=1)
-    line.send(proposal)
-    assert line.taken() == [("plan/2", encode(proposal))]
-    line.send(plan(2, 3), report(2, 3))
-    line.exchange.settle()
-    assert line.sent() == ["answer/2 3 #0: plan/2 report/2"]
-
-
-@pytest.mark.parametrize("order", [(1, 2, 3, 4), (4, 2, 1, 3)])
-def test_answers_leave_with_the_next_tick(order: Sequence[int]) -> None:
-    """The coordinator sends the answers of tick k unchanged with tick k + 1, by agent in whatever order they came."""
-    line = Line("coordinator")
-    line.send(runs.tick(0))
-    assert line.sent() == ["relay 0 #0: tick"]
-    answers = {agent: answer(agent, 0) for agent in order}
-    line.receive(*answers.values())
-    line.send(runs.tick(1))
-    ((_, data),) = line.taken()
-    expected = "plan/1 report/1 plan/2 report/2 plan/3 report/3 plan/4 report/4 tick"
-    assert said("relay", data) == f"relay 1 #1: {expected}"
-    relay = decode(data)
-    assert isinstance(relay, Relay)
-    assert relay.parts == (*[part for agent in ALL for part in answers[agent].parts], encode(runs.tick(1)))
-    line.exchange.settle()
-    line.exchange.flush()
-    assert line.sent() == []  # each is relayed once
-
-
-def test_answers_do_not_wait_for_a_tick_that_does_not_follow() -> None:
-    """If no tick follows the last answer at once, the answers are sent: last tick, paced run, tick that is held."""
-    line = Line("coordinator")
-    line.send(runs.tick(0, members=(1, 2, 3)))
-    line.taken()
-    for agent in (3, 1):
-        line.receive(answer(agent, 0))
-        line.exchange.settle()
-        assert line.sent() == []
-    line.receive(answer(2, 0))
-    line.exchange.settle()
-    assert line.sent() == ["relay 0 #1: plan/1 report/1 plan/2 report/2 plan/3 report/3"]
-    line.send(runs.tick(1))
-    assert line.sent() == ["relay 1 #2: tick"]
-
-
 def test_answers_are_sent_before_the_end() -> None:
     """The end of a run comes after the answers so far, complete or not."""
     line = Line("coordinator")
@@ -139,37 +91,6 @@ def test_answers_are_sent_before_the_end() -> None:
     line.receive(answer(2, 0))
     line.send(runs.end())
     assert line.sent() == ["relay 0 #1: plan/2 report/2", "control"]
-
-
-def test_an_agent_off_the_roster_is_not_awaited() -> None:
-    """A roster without the missing agents sends the answers of the others on."""
-    line = Line("coordinator")
-    line.send(runs.tick(0))
-    line.taken()
-    line.receive(answer(1, 0), answer(4, 0))
-    line.exchange.settle()
-    assert line.sent() == []
-    line.send(runs.roster({1: 1, 3: 1, 4: 1}, version=2))
-    line.exchange.settle()
-    assert line.sent() == ["roster"]
-    line.send(runs.roster({1: 1, 4: 1}, version=3))
-    line.exchange.settle()
-    assert line.sent() == ["roster", "relay 0 #1: plan/1 report/1 plan/4 report/4"]
-
-
-def test_only_answers_count() -> None:
-    """A proposal, or a plan that came alone, is neither relayed nor the answer that the relay waits for."""
-    line = Line("coordinator")
-    line.send(runs.tick(0, members=(1, 3)))
-    line.taken()
-    line.receive(answer(1, 0))
-    for alone in (plan(3, 0, negotiation=1), plan(3, 0)):
-        line.exchange.received(alone, None)
-        line.exchange.settle()
-        assert line.sent() == []
-    line.receive(answer(3, 0))
-    line.exchange.settle()
-    assert line.sent() == ["relay 0 #1: plan/1 report/1 plan/3 report/3"]
 
 
 @pytest.fixture

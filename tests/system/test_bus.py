@@ -1,13 +1,9 @@
 """The bus with an unknown session on its network: its messages are counted and have no other effect."""
 
 import json
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 import zenoh
@@ -25,8 +21,6 @@ from tests.support.runs import setup
 
 KEYS = Keys("bus")
 DIGEST = "0123456789ab"
-ROOT = Path(__file__).resolve().parents[2]
-
 # Timeout on a busy machine for actions of milliseconds, s.
 PATIENCE_S = 20.0
 
@@ -153,64 +147,6 @@ def test_a_process_that_waits_gives_signs_of_life(
         network[0].bus.join(["agent1", "agent2"], 1.0, said.append)
     assert 2 <= len(said) <= 10
     assert all(text.startswith("waiting for agent1, agent2; gives up in ") for text in said)
-
-
-def test_only_silent_processes_are_named(network: tuple[Plant, zenoh.Session]) -> None:
-    """A process that came and gave up waiting is not named as absent, unless no other is; a returned one is there."""
-    plant, session = network
-    tokens = [
-        session.liveliness().declare_token(KEYS.alive(name, 0, DIGEST, VERSION)) for name in ("coordinator", "agent1")
-    ]
-    for token in tokens:
-        token.undeclare()  # type: ignore[no-untyped-call]
-    here = session.liveliness().declare_token(KEYS.alive("agent1", 1, DIGEST, VERSION))
-    with pytest.raises(BusError, match="plant: no sign of agent2 within 1 s"):
-        plant.bus.join(["coordinator", "agent1", "agent2"], 1.0)
-    here.undeclare()  # type: ignore[no-untyped-call]
-
-
-SPEAKS = """
-import sys
-from protocol.network.bus import Bus
-from protocol.network.endpoints import Endpoints
-from protocol.network.session import BusError
-from protocol.admission.gate import Gate
-from protocol.wire.keys import Keys
-from tests.support.runs import setup
-
-name, own = sys.argv[1], f"tcp/127.0.0.1:{sys.argv[2]}"
-gate = Gate(name, Keys("bus"), setup().shape)
-endpoints = Endpoints(listen=[own], connect=[own])  # no process can connect to itself
-bus = Bus(name=name, incarnation=0, run="bus", digest="0" * 12, endpoints=endpoints, gate=gate)
-print("open", file=sys.stderr, flush=True)
-sys.stdin.read()
-bus.close()
-"""
-
-
-@pytest.mark.parametrize(("name", "speaks"), [("plant", True), ("recorder", False)])
-def test_standard_output_belongs_to_results(name: str, speaks: bool) -> None:
-    """Zenoh may write errors to standard output in a process of the run, but not in a command."""
-    environment = {key: value for key, value in os.environ.items() if key != "RUST_LOG"}
-    with subprocess.Popen(
-        [sys.executable, "-c", SPEAKS, name, str(free_base())],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**environment, "PYTHONPATH": str(ROOT)},
-    ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        line = process.stderr.readline()
-        assert line == "open\n", line + process.stderr.read()
-        if speaks:  # no timeout here: the test has one
-            assert any("ERROR" in line for line in process.stdout)
-        else:
-            time.sleep(1.0)
-        output, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, errors
-    assert speaks or output == ""
 
 
 def test_another_version_is_refused_by_name(network: tuple[Plant, zenoh.Session]) -> None:

@@ -1,6 +1,5 @@
 """The process that reports a run: the same files as any report, prepared or not, and nothing left behind."""
 
-import signal
 import subprocess
 import sys
 import time
@@ -60,17 +59,6 @@ def test_failures_are_noticed(tmp_path: Path) -> None:
     with ReportProcess(tmp_path) as reporter:
         reporter.prepare()
         assert not reporter.report()
-
-
-def test_ends_with_its_context(tmp_path: Path) -> None:
-    """A process that was never told to begin, and one that is stopped, end with the context."""
-    for number in (signal.SIGCONT, signal.SIGSTOP):
-        with ReportProcess(tmp_path) as reporter:
-            reporter.prepare()
-            child = reporter._child
-            assert child is not None
-            child.signal(number)
-        assert child.code is not None
 
 
 def test_ends_with_its_parent(tmp_path: Path) -> None:

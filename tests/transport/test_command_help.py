@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -48,17 +47,6 @@ def test_sections_hold_every_command_once() -> None:
     for heading, names in group.sections.items():
         _, _, block = shown.partition(f"\n{heading}:\n")
         assert [line.split()[0] for line in block.partition("\n\n")[0].splitlines()] == list(names)
-
-
-def test_values_have_names_in_capitals() -> None:
-    """Every argument and every option with a value is shown with a name such as SECONDS, not with a type."""
-    for command in every_command(root()):
-        if isinstance(command, TyperGroup):
-            continue
-        for parameter in command.params:
-            is_flag = getattr(parameter, "is_flag", False)
-            name = parameter.metavar or ""
-            assert is_flag or re.fullmatch(r"[A-Z=|]+", name), f"{command.name}: {parameter.name}"
 
 
 def test_commands_that_print_have_json() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.command_tree import below, command_of
+from tests.support.command_tree import command_of
 from transport.cli.lazy import LazyGroup
 
 # Names the project modules and the top-level packages that a program imports, on its last line.
@@ -68,15 +68,6 @@ def test_a_run_imports_viewer_and_report_when_needed() -> None:
     """The start of `transport run` imports neither the viewer nor figures: the processes of the run wait for it."""
     names = imported('import_module("transport.cli.run_scenario")')
     assert not names & {"transport.cli.view", "transport.cli.run_report", *FOREIGN - {"mcap"}}
-
-
-@pytest.mark.parametrize("names", COMMANDS, ids=" ".join)
-def test_the_list_of_commands_repeats_their_docstrings(names: tuple[str, ...]) -> None:
-    """The line of a command in the help of its group is the first line of the command's own help."""
-    group = group_of(names[:-1])
-    help_text = below(group)[names[-1]].help
-    assert help_text is not None
-    assert group.table[names[-1]][1] == help_text.splitlines()[0]
 
 
 def test_docs_list_every_command() -> None:

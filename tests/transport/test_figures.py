@@ -10,13 +10,12 @@ import matplotlib as mpl
 import pytest
 from matplotlib.figure import Figure
 
-from protocol.scenario.setup import Setup
 from protocol.wire.messages import FaultNote, LinkChange, Message
 from tests.support import runs
 from tests.support.figure_texts import problems
 from tests.support.logs import SINGLE_UAV, log_of, plant_state, record_run, report
 from transport.analysis.series import series_of
-from transport.log.run_log import RunLog, read_log
+from transport.log.run_log import read_log
 from transport.report.column import caption_of, marks_of
 from transport.report.figures import FIGURES, draw, fill
 from transport.report.report import write_report
@@ -87,23 +86,6 @@ def test_pdf_is_written_on_request(tmp_path: Path) -> None:
     assert not list((tmp_path / "c").glob("*.pdf"))
 
 
-def test_panels_have_data_and_limits() -> None:
-    """Inputs, separation and plan ages each have a panel with data and limit; without data there is no panel."""
-    run = runs.setup(runs.SHORT)
-    log = log_of([*(plant_state(run, k) for k in range(3)), *(report(run, 1, k) for k in range(3))])
-    assert [title.partition(",")[0] for title in titles(run, log, "inputs")] == [
-        "thrust (N)",
-        "roll moment (N m)",
-        "pitch moment (N m)",
-        "yaw moment (N m)",
-        "smallest distance between UAVs (m)",
-        "oldest plan used (s)",
-    ]
-    assert len(titles(run, log_of([plant_state(run, 0)]), "inputs")) == 5  # no step, no plan in use
-    alone = runs.setup(runs.SHORT, *SINGLE_UAV)
-    assert len(titles(alone, log_of([plant_state(alone, 0)]), "inputs")) == 4  # no other UAV
-
-
 @pytest.mark.parametrize("name", FIGURES)
 def test_texts_are_large_and_apart(name: str) -> None:
     """No text collides with another, leaves the figure or is too small, with marks near each other and short phases."""
@@ -115,16 +97,6 @@ def test_texts_are_large_and_apart(name: str) -> None:
         assert fill(figure, name, run, log, series_of(run, log))
         assert problems(figure, SMALL) == []
     assert figure.get_figwidth() == COLUMN_IN
-
-
-def titles(run: Setup, log: RunLog, name: str) -> list[str]:
-    """Return the titles of the panels of a figure; every panel has at least one line."""
-    figure = Figure()
-    with mpl.rc_context(RC):
-        assert fill(figure, name, run, log, series_of(run, log))
-    found = [axes.texts[0].get_text() for axes in figure.axes]
-    assert all(axes.lines for axes in figure.axes)
-    return found
 
 
 def test_events_are_marked() -> None:

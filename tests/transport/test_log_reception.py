@@ -109,14 +109,3 @@ def test_bad_messages_change_nothing(tmp_path: Path, flight: list[Message], rela
     assert sum(counts.values()) >= 3
     tail = [message for message in LogTail(tmp_path / "run.mcap").read() if not isinstance(message, Rejected)]
     assert {encode(message) for message in tail if isinstance(message, Message)} == accepted(log)
-
-
-def test_without_a_scenario_order_is_checked(tmp_path: Path, flight: list[Message]) -> None:
-    """A log that has lost its metadata gives every message once."""
-    path = tmp_path / "run.mcap"
-    with LogWriter(path, {}, period_ns=RUN.period_ns) as writer:
-        for message in [*flight, *flight]:
-            writer.write(message, 0)
-    log = read_log(path)
-    assert accepted(log) == {encode(message) for message in flight}
-    assert sum(refused(log).values()) == len(flight)

@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from coordinator.node import CoordinatorNode
 from model.arrays import Array
 from mpc.controller import Controller
 from plant.node import PlantNode
@@ -80,25 +79,6 @@ def test_two_runs_are_equal(settings: tuple[str, ...]) -> None:
     assert [encode(reproducible(m)) for m in again] == [encode(reproducible(m)) for m in run_messages(*settings)]
 
 
-def test_plans_of_a_tick_are_used_at_the_next() -> None:
-    """On a perfect network every plan and state used is one tick old."""
-    for message in run_messages(FOUR):
-        if isinstance(message, StepReport):
-            expected = (-1,) * 3 if message.tick == 0 else (1,) * 3
-            assert message.plan_ages == message.state_ages == expected
-            assert (message.delivered, message.late) == (3 * (message.tick > 0), 0)
-
-
-def test_actuation() -> None:
-    """The plant follows the plan of the same tick with "immediate", of the tick before with "next_tick"."""
-    assert [plant_state.plan_ticks for plant_state in plant_states(run_messages(FOUR))] == [
-        (k,) * 4 for k in range(TICKS)
-    ]
-    assert [plant_state.plan_ticks for plant_state in plant_states(run_messages(NEXT_TICK))] == [
-        (k - 1,) * 4 for k in range(TICKS)
-    ]
-
-
 def test_every_message_could_travel() -> None:
     """Everything sent decodes to the same bytes, under a key its sender owns, numbered without a gap."""
     keys = Keys("paper")
@@ -115,7 +95,7 @@ def test_every_message_could_travel() -> None:
     assert {message.kind for message in messages} == set(KINDS) - never
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("settings", [(FOUR,), (PAIRS,), (NEXT_TICK,), (CLOSED_LOOP,), BAD_NETWORK])
 def test_order_of_delivery_does_not_matter(settings: tuple[str, ...], seed: int) -> None:
     """All messages are equal bit for bit in any order of delivery: lockstep does not depend on the network."""
@@ -218,14 +198,6 @@ def test_timeouts_cost_nothing() -> None:
     assert (end.outcome, end.exit_code, end.tick) == ("aborted", 4, 1)
     assert end.reason == "no agent answered tick 1 in time: is the plant alive?"
     assert time.monotonic() - began_s < 60.0
-
-
-@pytest.mark.usefixtures("deaf_plant")
-def test_a_standstill_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A deadlock of the nodes raises an error with the tick."""
-    monkeypatch.setattr(CoordinatorNode, "wake_ns", None)
-    with pytest.raises(RuntimeError, match="deadlock at tick 1"):
-        memory.simulate(setup(SHORT))
 
 
 def test_stopwatch_is_only_for_reports() -> None:

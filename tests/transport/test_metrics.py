@@ -9,10 +9,10 @@ from msgspec.structs import replace
 from model import state
 from model.arrays import Array
 from model.failure import released_state
-from protocol.wire.messages import ActualInputs, Control, Message, Outcome, Plan, Reason, Rejected, StepReport
+from protocol.wire.messages import ActualInputs, Control, Message, Outcome, Reason, Rejected, StepReport
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, plan, plant_state, report
-from transport.analysis.metrics import events, rest_of_tick_ms, summarise
+from transport.analysis.metrics import rest_of_tick_ms, summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.cli.top import Watch
@@ -39,18 +39,6 @@ def perfect(ticks: int) -> list[Message]:
         messages += [report(run, agent, k) for agent in run.agents]
         messages.append(plant_state(run, k))
     return [*messages, control(ticks - 1)]
-
-
-def test_no_error_costs_nothing() -> None:
-    """At the reference with hover inputs cost, errors, attitude and violations vanish."""
-    run = runs.setup(runs.SHORT)
-    series = series_of(run, log_of([plant_state(run, k) for k in (0, 5, 12, 29)]))
-    assert np.abs(series.cost).max() < ROUNDING
-    assert np.abs(series.payload_error_I).max() < ROUNDING
-    assert np.abs(series.uav_errors_I).max() < ROUNDING
-    assert series.attitude_max_deg.max() == 0.0
-    assert series.violation.max() == 0.0
-    assert series.times_s == pytest.approx([0.0, 0.25, 0.6, 1.45])
 
 
 def test_cost_of_a_displaced_team() -> None:
@@ -135,23 +123,6 @@ def test_attitude_is_the_largest_angle() -> None:
     assert summary["attitude_max_deg"] == pytest.approx(3.0, rel=ROUNDING)
 
 
-def test_the_first_phase_does_not_count_after_hover() -> None:
-    """max_after_hover leaves out everything before the end of the first phase, and is null without the rest."""
-    run = runs.setup(runs.SHORT)  # 0.5 s of hover: ticks 0 to 9
-
-    def off(by_m: float) -> Array:
-        return np.array([0.0, by_m, 0.0])
-
-    messages = [
-        plant_state(run, k, lambda x, u, by_m=by_m: x.__setitem__(state.R0, x[state.R0] + off(by_m)))  # type: ignore[misc]
-        for k, by_m in ((0, 0.0), (9, 0.3), (10, 0.1))
-    ]
-    cost = summarise(run, log_of(messages))["cost"]
-    assert cost["max"] == pytest.approx(4 * 0.3**2, rel=ROUNDING)
-    assert cost["max_after_hover"] == pytest.approx(4 * 0.1**2, rel=ROUNDING)
-    assert summarise(run, log_of(messages[:2]))["cost"]["max_after_hover"] is None
-
-
 def test_separation_is_the_closest_pair() -> None:
     """The UAVs of Table I hover 0.5 m apart; a single UAV has no separation."""
     run = runs.setup(HOVER)
@@ -206,35 +177,6 @@ def test_largest_local_error_and_its_warning() -> None:
     assert "plant.tolerance" in line
 
 
-def test_a_perfect_network_loses_nothing() -> None:
-    """Four agents and five ticks: 4 x 3 plans of each of the first four ticks, all delivered, one tick old."""
-    summary = summarise(runs.setup(HOVER), log_of(perfect(5)))
-    assert summary["messages"] == {
-        "planned": 20,
-        "shared": 20,
-        "sent": 48,
-        "delivered": 48,
-        "lost": 0,
-        "late": 0,
-        "rejected": 0,
-    }
-    assert summary["rejections"] == []
-    assert summary["plan_age_ticks"] == {"mean": 1.0, "max": 1}
-    assert summary["solver"] == {"fallbacks": 0, "failures": 0}
-    assert summary["faults"] == []
-    assert (summary["outcome"], summary["exit_code"], summary["ticks"]) == ("completed", 0, 5)
-    assert summary["sim_time_s"] == pytest.approx(0.25)
-
-
-def test_unshared_plans_are_not_messages_between_agents() -> None:
-    """Plans that only plant and coordinator received count as planned, and not as sent."""
-    messages = [
-        replace(message, shared=message.tick != 2) if isinstance(message, Plan) else message for message in perfect(5)
-    ]
-    counts = summarise(runs.setup(HOVER), log_of(messages))["messages"]
-    assert (counts["planned"], counts["shared"], counts["sent"]) == (20, 16, 36)
-
-
 def test_lost_and_late_plans_are_counted() -> None:
     """Lost and late plans, fallbacks and failures of all reports are added up."""
     run = runs.setup(HOVER)
@@ -279,41 +221,6 @@ def rejected(by: str, offender: str, reason: Reason, count: int, sequence: int =
     )
 
 
-def test_rejections_add_up() -> None:
-    """Rejections of each process are added up by sender and reason, largest count first."""
-    notices = [
-        rejected("agent2", "agent1", "past", 2),
-        rejected("agent2", "plan/3", "malformed", 7, 1),
-        rejected("agent2", "agent1", "past", 3, 2),
-        rejected("recorder", "agent1", "past", 5),
-        replace(rejected("agent2", "agent1", "past", 4), incarnation=1),
-    ]
-    summary = summarise(runs.setup(HOVER), log_of([*perfect(5), *notices]))
-    assert summary["messages"]["rejected"] == 21
-    assert summary["rejections"] == [
-        {"by": "agent2", "sender": "agent1", "reason": "past", "count": 9},
-        {"by": "agent2", "sender": "plan/3", "reason": "malformed", "count": 7},
-        {"by": "recorder", "sender": "agent1", "reason": "past", "count": 5},
-    ]
-
-
-def test_a_cut_tick_loses_nothing() -> None:
-    """Reports missing at the end of a cut log do not count as lost plans."""
-    messages = [m for m in perfect(5) if not (m.kind in ("report", "control") and m.tick == 4)]
-    summary = summarise(runs.setup(HOVER), log_of(messages, cut="the log is incomplete"))
-    assert summary["messages"] == {
-        "planned": 20,
-        "shared": 20,
-        "sent": 36,
-        "delivered": 36,
-        "lost": 0,
-        "late": 0,
-        "rejected": 0,
-    }
-    assert (summary["outcome"], summary["exit_code"]) == ("unknown", None)
-    assert summary["log_cut"] == "the log is incomplete"
-
-
 def test_agents_that_left_receive_nothing() -> None:
     """Plans to an agent that takes no further step are not lost; its leaving is an event with its reason."""
     run = runs.setup(HOVER)
@@ -333,19 +240,6 @@ def test_agents_that_left_receive_nothing() -> None:
 
 
 REALTIME = ("clock.mode=realtime", "clock.speed=1", "clock.actuation=next_tick")
-
-
-def test_events_are_in_the_order_of_their_ticks() -> None:
-    """On a busy host a roster may reach the recorder ticks before an earlier event of the plant: ticks decide."""
-    run = runs.setup(
-        HOVER, "plant.motors.lag_s=0.05", "faults.event=[{at_s=0.1,do='degrade',target='uav1',efficiency=0.9}]"
-    )
-    off = replace(runs.roster(k=4, version=2), off=(3,), reason="uav3 motors off at t = 0.20 s")
-    actual = ActualInputs(
-        sender="plant", incarnation=0, sequence=1, tick=2, uavs=runs.ALL, inputs=run.hover.u.reshape(4, 4)
-    )
-    log = log_of([runs.roster(), runs.tick(0), off, actual, control(9)])
-    assert [(event["tick"], event["processes"]) for event in events(run, log, None)] == [(2, ["uav1"]), (4, ["uav3"])]
 
 
 def test_slack_cables_are_counted() -> None:
@@ -373,43 +267,6 @@ def test_slack_cables_are_counted() -> None:
     lines = [str(cell) for column in summary_table(summary).columns for cell in column.cells]
     assert "min tension 0.00 N, slack 2 times, at most 0.10 s, 1 slack at the end" in lines
     assert summarise(run, log_of([plant_state(run, 0)]))["cables"] is None
-
-
-def test_real_time_delivers_no_more_than_was_sent() -> None:
-    """In real time a plan counts as sent to each agent on the roster that takes a step at its tick or later."""
-    run = runs.setup(HOVER, *REALTIME, "agents.owned=[[1,2],[3,4]]")
-    # Agent 2 takes one step in four ticks and then uses all plans received meanwhile, also that of its own tick.
-    messages: list[Message] = [replace(runs.roster({1: 0, 2: 0}), agents=(1, 2), incarnations=(0, 0))]
-    messages += [runs.tick(k, members=(1, 2), answered=(1,)) for k in range(6)]
-    messages += [plan(run, 1, k) for k in range(6)] + [report(run, 1, k, delivered=int(k == 5)) for k in range(6)]
-    messages += [plan(run, 2, 4), report(run, 2, 0, delivered=1), report(run, 2, 4, delivered=4)]
-    summary = summarise(run, log_of(messages))
-    # Agent 1 sends those of ticks 0 to 4; that of tick 5 came after the last step of agent 2.
-    assert (summary["messages"]["sent"], summary["messages"]["delivered"]) == (5 + 1, 5 + 1)
-
-
-def test_a_newcomer_is_sent_nothing_of_the_past() -> None:
-    """In real time plans count as sent to an incarnation from the tick on at which it is on the roster."""
-    run = runs.setup(HOVER, *REALTIME, "agents.owned=[[1,2],[3,4]]")
-    messages: list[Message] = [runs.roster({1: 0}), runs.roster({1: 0, 2: 1}, k=3, version=2)]
-    messages += [runs.tick(k, members=(1,), version=1 + (k >= 3)) for k in range(6)]
-    messages += [plan(run, 1, k) for k in range(6)] + [report(run, 1, k, delivered=0) for k in range(6)]
-    messages.append(replace(report(run, 2, 5, delivered=3), incarnation=1))
-    assert summarise(run, log_of(messages))["messages"]["sent"] == 3
-
-
-@pytest.mark.parametrize(
-    ("answered", "overrun_ns", "worst_ms"),
-    [((1, 2, 3, 4), 0, 0.0), ((1, 2, 3), 0, None), ((1, 2, 3), 7_000_000, 7.0)],
-    ids=["none-missed", "never-came", "came-late"],
-)
-def test_how_late_plans_were(answered: tuple[int, ...], overrun_ns: int, worst_ms: float | None) -> None:
-    """The delay of a plan that never came is unknown, not 0."""
-    run = runs.setup(HOVER, *REALTIME)
-    messages: list[Message] = [runs.tick(0), replace(runs.tick(1, answered=answered), overrun_ns=overrun_ns)]
-    summary = summarise(run, log_of(messages))
-    assert summary["deadline"]["missed"] == 4 - len(answered)
-    assert summary["deadline"]["worst_ms"] == worst_ms
 
 
 def test_held_ticks_are_missed_deadlines() -> None:
@@ -473,9 +330,3 @@ def test_one_row_for_each_agent_and_tick() -> None:
     assert first["cost"] == second["cost"] > 0.0
     assert [second[f"force_{axis}_N"] for axis in "xyz"] == [0.5, -1.0, 4.4]
     assert [first[f"force_{axis}_N"] for axis in "xyz"] == [0.0, 0.0, 0.0]
-
-
-def test_a_log_of_another_team_has_no_flight() -> None:
-    """Plant states of another number of UAVs than the scenario's are left out."""
-    run, single = runs.setup(HOVER), runs.setup(HOVER, *SINGLE_UAV)
-    assert summarise(run, log_of([plant_state(single, 0)]))["ticks"] == 0

@@ -1,24 +1,21 @@
 """The recorder: what it lets into the log, and what it says of the rest."""
 
-import threading
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from protocol.admission.gate import Gate, Sample
+from protocol.admission.gate import Gate
 from protocol.network.bus import BusEvent
 from protocol.network.endpoints import Endpoints
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Bundle, Control, LinkChange, Measurement, Message, Presence, Record, Rejected, Relay
-from protocol.wire.node import Outbox
+from protocol.wire.messages import Control, LinkChange, Message, Presence, Rejected
 from tests.support import runs
 from tests.support.logs import HEADER, with_scenario
 from tests.support.messages import sample
@@ -129,30 +126,6 @@ def test_processes_that_were_unreachable_return(record: Recording) -> None:
     assert (end.outcome, end.reason) == ("aborted", "coordinator is gone")
 
 
-def test_a_pause_is_used_to_write(record: Recording, tmp_path: Path) -> None:
-    """After a pause without messages all earlier ones are in the file for readers, and recording goes on."""
-    said, seen = flight(5), []
-
-    def look() -> None:
-        seen.append(len(read_log(tmp_path / "run.mcap").messages))
-
-    messages = record(*said[:4], look, None, look, *said[4:])
-    assert seen == [0, 4]
-    assert [encode(message) for message in messages] == [encode(message) for message in said]
-
-
-def test_a_note_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fault note after a failure of the log raises no error; the recorder keeps the reason of the failure."""
-    monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
-    writer = LogWriter(tmp_path / "run.mcap", HEADER, period_ns=RUN.period_ns)
-    recorder = Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
-    writer.close()
-    recorder.note("agent1", "killed", "person")
-    assert recorder.error is not None
-    assert "the log is closed" in recorder.error
-    assert recorder.received == 0
-
-
 def test_refusals_are_on_record(record: Recording) -> None:
     """The recorder logs its own rejections, but not the refused messages."""
     said = flight(30)
@@ -175,57 +148,3 @@ def test_refusals_are_on_record(record: Recording) -> None:
         ("coordinator", "replayed"),
     }
     assert [notice.count for notice in notices] == [1] * len(wrong)
-
-
-def test_the_end_is_believed_when_it_comes(record: Recording) -> None:
-    """An end message that overtakes the last ticks ends the recording."""
-    said = flight(12)
-    messages = record(*said[:15], said[-1])
-    assert encode(messages[-1]) == encode(said[-1])
-
-
-def test_progress_follows_headers(recorder: Recorder) -> None:
-    """Tick, begin and newest state follow bundles and messages; old, garbled and absurd ones do not mislead."""
-    coordinator, plant = Outbox("coordinator", 0), Outbox("plant", 0)
-
-    def hear(out: Outbox, kind: type[Bundle], tick: int, *parts: Message, cut: int = 0) -> None:
-        keys, encoded = tuple(KEYS.end(KEYS.of(part)) for part in parts), tuple(map(encode, parts))
-        message = out.stamp(kind, tick=tick, keys=keys, parts=encoded)
-        data = encode(message)
-        for taken in recorder.gate.accept(KEYS.of(message), data[: len(data) - cut]):
-            assert isinstance(taken, Sample)
-            recorder.receive(taken)
-
-    hear(coordinator, Relay, 0, runs.tick(0))
-    hear(plant, Record, 0, sample(Measurement))
-    assert (recorder.tick, recorder.started_s, recorder.plant_state) == (0, None, None)
-    hear(coordinator, Relay, 1, runs.tick(1))
-    hear(plant, Record, 1, runs.plant_state(RUN, 0), sample(Measurement))
-    assert recorder.started_s is not None
-    for tick in (0, 10**6):  # past, beyond the end of the run
-        hear(coordinator, Relay, tick, runs.tick(tick))
-    hear(plant, Record, 2, runs.plant_state(RUN, 1), cut=100)
-    hear(plant, Record, 2, replace(runs.plant_state(RUN, 1), plan_ticks=(0,), x=np.zeros(24), u=np.zeros(4)))
-    assert recorder.tick == 1
-    assert recorder.plant_state is not None
-    assert encode(recorder.plant_state) == encode(runs.plant_state(RUN, 0))
-    assert recorder.received == 7
-    recorder.close()
-    assert recorder.error is None
-
-
-def test_each_notice_is_handed_over_once(recorder: Recorder) -> None:
-    """A notice that comes while earlier ones are shown is among them or among the next."""
-
-    def fail() -> None:
-        for i in range(1000):
-            recorder.note("agent1", str(i), "unknown")
-
-    notes = threading.Thread(target=fail)
-    notes.start()
-    shown: list[str] = []
-    while notes.is_alive():
-        shown += recorder.new_notices()
-    shown += recorder.new_notices()
-    assert shown == [f"fault: agent1 {i}" for i in range(1000)]
-    recorder.close()

@@ -1,12 +1,11 @@
 """The log: messages read back bit for bit, after any cut or damage, also by other programs."""
 
 import os
-import resource
 import signal
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,17 +17,15 @@ from mcap.writer import Writer
 from msgspec.structs import replace
 
 from protocol.wire.codec import encode
-from protocol.wire.messages import FaultNote, Message, Plan, Tick
+from protocol.wire.messages import Message, Plan, Tick
 from tests.support import runs
 from tests.support.messages import messages as any_message
-from tests.support.messages import sample
 from transport.log.parser import Parser
 from transport.log.run_log import ENCODING, LogError, RunLog, read_log
-from transport.log.writer import CHUNK_BYTES, CHUNK_S, LogWriter
+from transport.log.writer import CHUNK_BYTES, LogWriter
 
 HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}
 RECEIVED_NS = 1_700_000_000_000_000_000
-FULL_BYTES = 40_000  # one chunk fits, or a few
 
 
 def write(path: Path, messages: Sequence[Message], period_ns: int = 50_000_000) -> Path:
@@ -156,18 +153,6 @@ def test_a_cut_log_gives_what_is_whole(tmp_path: Path, whole: bytes, flight: lis
     assert counts[-1] == len(flight)
 
 
-def test_a_cut_log_says_how_far_it_goes(tmp_path: Path, whole: bytes, flight: list[Message]) -> None:
-    """The notice names the number of readable messages and the last tick, or that only the index is missing."""
-    path = tmp_path / "cut.mcap"
-    path.write_bytes(whole[: len(whole) // 2])
-    log = read_log(path)
-    assert 0 < len(log.messages) < len(flight)
-    last = max(entry.message.tick for entry in log.messages)
-    assert f"{len(log.messages)} messages are readable, up to tick {last}" in log.cut
-    path.write_bytes(whole[:-1])
-    assert "only its index is missing" in read_log(path).cut
-
-
 def test_damage_never_invents_a_message(tmp_path: Path, whole: bytes, flight: list[Message]) -> None:
     """With any byte changed, every message read was written, in order, and missing ones are reported."""
     rng, path, expected = np.random.default_rng(2), tmp_path / "damaged.mcap", bits(flight)
@@ -179,13 +164,6 @@ def test_damage_never_invents_a_message(tmp_path: Path, whole: bytes, flight: li
         rest = iter(expected)
         assert all(message in rest for message in read_bits(log))
         assert log.cut or len(log.messages) == len(expected)
-
-
-def test_zeros_at_the_end_are_no_records(tmp_path: Path, whole: bytes) -> None:
-    """Zeros that a file system leaves behind an unfinished file are ignored."""
-    path = tmp_path / "zeros.mcap"
-    path.write_bytes(whole[: len(whole) // 2] + bytes(100_000))
-    assert read_log(path).messages
 
 
 def test_a_killed_recorder_loses_a_chunk_at_most(tmp_path: Path, flight: list[Message]) -> None:
@@ -234,81 +212,6 @@ def test_the_end_of_a_run_is_on_disk_at_once(tmp_path: Path, flight: list[Messag
     writer.close()
     with pytest.raises(LogError, match="closed"):
         writer.write(flight[0], 0)
-
-
-def test_what_is_done_to_a_process_is_on_disk_at_once(tmp_path: Path, flight: list[Message]) -> None:
-    """The note of a fault, and all messages before it, can be read before the log is closed."""
-    path = tmp_path / "run.mcap"
-    with LogWriter(path, HEADER, period_ns=50_000_000) as writer:
-        writer.write(flight[0], 0)
-        assert not writer.is_up_to_date
-        writer.write(sample(FaultNote), 0)
-        assert writer.is_up_to_date
-        assert len(read_log(path).messages) == 2
-
-
-def test_nothing_waits_for_long(tmp_path: Path, flight: list[Message]) -> None:
-    """A chunk is written with the first message that arrives more than CHUNK_S after its first one, and on flush."""
-    path, age_ns = tmp_path / "run.mcap", round(CHUNK_S * 1e9)
-    with LogWriter(path, HEADER, period_ns=50_000_000) as writer:
-        for number, received_ns in enumerate((0, 1, age_ns, age_ns + 1, 2 * age_ns + 2)):
-            writer.write(flight[number], RECEIVED_NS + received_ns)
-            assert len(read_log(path).messages) == (0, 0, 0, 3, 4)[number]
-        writer.flush()
-        assert writer.is_up_to_date
-        assert read_bits(read_log(path)) == bits(flight[:5])
-
-
-def test_a_full_disk_leaves_what_fits(tmp_path: Path, flight: list[Message]) -> None:
-    """A failed write raises LogError; the file stays as it is and reads like a cut one."""
-    path = tmp_path / "run.mcap"
-    writer = LogWriter(path, HEADER, period_ns=50_000_000)
-
-    def write_all() -> None:
-        for message in flight * 3:
-            writer.write(message, 0)
-
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (FULL_BYTES, limits[1]))
-    try:
-        with pytest.raises(LogError, match=r"run\.mcap: cannot write the log \(File too large\)"):
-            write_all()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    with pytest.raises(LogError, match="closed"):
-        writer.write(flight[0], 0)
-    writer.flush()
-    writer.close()
-    assert path.stat().st_size <= FULL_BYTES
-    log = read_log(path)
-    assert "it stops before its end" in log.cut
-    assert log.messages
-    assert read_bits(log) == bits((flight * 3)[: len(log.messages)])
-
-
-DAMAGES: dict[str, Callable[[Path], object]] = {
-    "removed": lambda path: path.unlink(),
-    "replaced": lambda path: path.with_name("other").replace(path),
-    "cut": lambda path: os.truncate(path, 100),
-}
-
-
-@pytest.mark.parametrize("apart_ns", [1, 10**8])
-@pytest.mark.parametrize("what", DAMAGES)
-def test_a_log_that_goes_while_it_is_written(what: str, apart_ns: int, tmp_path: Path, flight: list[Message]) -> None:
-    """A file that was removed, replaced or cut is told in one line at the next chunk; later messages are dropped."""
-    path, said = tmp_path / "run.mcap", list[str]()
-    path.with_name("other").write_bytes(b"other")
-    writer = LogWriter(path, HEADER, period_ns=50_000_000, say=said.append)
-    writer.write(flight[0], 0)
-    DAMAGES[what](path)
-    for message in flight:
-        writer.write(message, apart_ns * message.sequence)
-    writer.close()
-    reason = "the file was cut" if what == "cut" else "the file was removed"
-    assert writer.lost == f"{path}: cannot write the log ({reason})"
-    assert said == [f"{writer.lost}: the run continues without recording"]
-    assert writer.is_up_to_date
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from protocol.scenario.setup import Setup
 from tests.support.results import here
 from tests.support.runs import ticks
 from transport.experiments import comparison
@@ -17,22 +16,18 @@ from transport.experiments.cases import Case, cases_of
 from transport.experiments.comparison import (
     AGENT,
     CENTRALIZED,
-    CLOSED_LOOP,
     GUSTS,
     MANEUVER,
     PAPER,
     STEPS,
-    STILL,
     TEAM,
     Cell,
     Load,
     PeriodRange,
     equal_periods,
-    measure_in_turns,
-    step_ms,
 )
 from transport.experiments.comparison_verdict import COST, Curve, cost_curves
-from transport.experiments.simulation import ERROR, NUMBERS, Result
+from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import estimate
 from transport.experiments.sweep import Swept
 
@@ -75,52 +70,6 @@ def test_periods_beyond_the_grid() -> None:
     assert sometimes.low_s == pytest.approx(0.1 * 0.5**0.5)
     assert math.isinf(sometimes.high_s)
     assert sometimes.is_open
-
-
-def test_all_are_measured_in_turns() -> None:
-    """Each repetition measures every candidate once, each right behind the reference; ratios are of these pairs."""
-    reference, printed = (comparison.setup_of(name, [MANEUVER]) for name in (CENTRALIZED, PAPER))
-    closed = comparison.setup_of(CLOSED_LOOP, [MANEUVER])
-    order: list[Setup] = []
-    finished: list[int] = []
-
-    def measured(setup: Setup) -> float:
-        order.append(setup)
-        slow = 10.0 if len(order) in (3, 4) else 1.0  # the machine is busy for one pair
-        return slow * (8.0 if setup is reference else 2.0)
-
-    cells = [Cell(controller=name, period_s=0.05, horizon=20) for name in (PAPER, CLOSED_LOOP)]
-    candidates = dict(zip(cells, (printed, closed), strict=True))
-    found = list(measure_in_turns(reference, candidates, 2, finished.append, measure=measured).values())
-    assert order == [reference, printed, reference, closed] * 2
-    assert finished == [1, 2]
-    assert [entry.step_ms for entry in found] == [[2.0, 2.0], [20.0, 2.0]]
-    assert [entry.ratios(AGENT) for entry in found] == [[0.25, 0.25]] * 2
-    assert found[0].ratios(TEAM) == [1.0, 1.0]
-    assert found[0].seconds_per_second(TEAM) == pytest.approx([4 * 2e-3 / 0.05] * 2)
-
-
-def test_a_step_takes_time() -> None:
-    """A step takes processor time; a run without a counted tick is refused."""
-    assert step_ms(comparison.setup_of(PAPER, [MANEUVER])) > 0.0
-    with pytest.raises(ValueError, match="expected a run of more than 3 ticks"):
-        step_ms(comparison.setup_of(PAPER, [ticks(2)]))
-
-
-@pytest.mark.slow
-def test_every_cell_can_be_run() -> None:
-    """Periods and horizons reach the scenarios, in still air and in gusts; without gusts there is still air alone."""
-    cells = comparison.cells_of(comparison.curves_of(0.05, 20))
-    points = comparison.experiment(cells, REFERENCE, 0.5).points
-    cases = cases_of(points, [MANEUVER], 1)
-    assert len(cases) == 2 * len(cells)
-    for case in cases:
-        labels, scenario = points[case.point].labels, case.scenario
-        assert scenario.controller.sampling_period_s == labels["period_s"]
-        assert scenario.controller.horizon == labels["horizon"]
-        assert scenario.plant.wind.gust_mps == (0.5 if labels["weather"] == GUSTS else 0.0,) * 3
-    assert {point.labels["weather"] for point in comparison.experiment(cells, REFERENCE, 0.0).points} == {STILL}
-    assert sum(point.baseline for point in points) == 2
 
 
 # Costs of three seeds of wind, by controller and period.
@@ -171,20 +120,6 @@ def test_between_periods_the_cost_is_a_power_of_the_period() -> None:
     assert found == pytest.approx([math.sqrt(4.0 * ratio) for ratio in (1.2, 1.1, 1.2)])
 
 
-def test_cost_of_an_interval() -> None:
-    """A range of periods gives the range of ratios, that of a period inside it included, with their confidence."""
-    single = paper_curve(seeds=1)
-    assert single.cost_range(PeriodRange(0.05, 0.05)) == pytest.approx((1.2, 1.2))
-    assert single.cost_range(PeriodRange(0.025, 0.1)) == pytest.approx((0.9, 4.0))
-    low, high = single.cost_range(PeriodRange(0.04, 0.06)) or (0.0, 0.0)
-    assert 0.9 < low < 1.2 < high < 4.0
-    mean = estimate([1.2, 1.1, 1.2])
-    assert mean is not None
-    assert mean.half_width is not None
-    expected = (mean.mean - mean.half_width, mean.mean + mean.half_width)
-    assert paper_curve().cost_range(PeriodRange(0.05, 0.05)) == pytest.approx(expected)
-
-
 def test_diverged_runs_are_not_compared() -> None:
     """Next to a period with a diverged run the cost is infinite; elsewhere the curve is unchanged."""
     curve = paper_curve(lambda case: "diverged" if at(case, PAPER, 0.1) and case.scenario.seed == 0 else "completed")
@@ -192,14 +127,6 @@ def test_diverged_runs_are_not_compared() -> None:
     assert curve.cost_range(PeriodRange(0.07, 0.08)) == (math.inf, math.inf)
     assert (curve.cost_range(PeriodRange(0.04, 0.06)) or (0.0, 0.0))[1] == math.inf
     assert curve.cost_ratios(0.05) == pytest.approx([1.2, 1.1, 1.2])
-
-
-def test_a_diverged_reference_takes_its_seed_away() -> None:
-    """A seed that the reference does not complete is left out; without any seed there is no ratio."""
-    curve = paper_curve(lambda case: "diverged" if at(case, CENTRALIZED, 0.05) and case.scenario.seed else "completed")
-    assert curve.cost_ratios(0.05) == pytest.approx([1.2])
-    curve = paper_curve(lambda case: ERROR if at(case, CENTRALIZED, 0.05) else "completed")
-    assert curve.cost_range(PeriodRange(0.05, 0.05)) is None
 
 
 @pytest.mark.slow

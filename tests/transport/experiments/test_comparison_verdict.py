@@ -7,7 +7,6 @@ import pytest
 from transport.experiments.comparison import (
     AGENT,
     CENTRALIZED,
-    GUSTS,
     PAPER,
     SECONDS,
     STEPS,
@@ -29,8 +28,6 @@ from transport.experiments.comparison_verdict import (
     Verdict,
     grade,
     lines,
-    periods_text,
-    statements,
     verdicts,
 )
 from transport.experiments.statistics import estimate
@@ -92,45 +89,6 @@ def test_a_range_beyond_the_grid_decides_little() -> None:
     assert made(None).text == "not compared"
 
 
-@pytest.mark.parametrize(
-    ("span", "text"),
-    [
-        (PeriodRange(0.05, 0.05), "50 ms"),
-        (PeriodRange(0.0195, 0.0214), "19.5 to 21.4 ms"),
-        (PeriodRange(0.08, math.inf), "80 ms and more"),
-        (PeriodRange(0.0, 0.02), "up to 20 ms"),
-        (PeriodRange(0.0, math.inf), "not determined"),
-    ],
-)
-def test_periods_as_text(span: PeriodRange, text: str) -> None:
-    """A range is given in ms; an end beyond the grid has no number."""
-    assert periods_text(span) == text
-
-
-def test_the_papers_statements() -> None:
-    """Each statement says in which weather it holds, with the measured grade."""
-    none = PeriodRange(math.inf, math.inf)
-    found = [
-        made(1.98),
-        made(1.08, 1.09, weather=GUSTS),
-        made(None, budget=TEAM, periods=none),
-        made(None, budget=TEAM, weather=GUSTS, periods=none),
-        made(1.39, budget=AGENT),
-        made(1.11, 1.18, budget=AGENT, weather=GUSTS),
-        made(0.95, 1.04, budget=AGENT, kept=SECONDS),
-        made(0.93, 0.97, budget=AGENT, kept=SECONDS, weather=GUSTS),
-    ]
-    assert statements(found) == [
-        '"slightly worse at the same rate": does not hold in still air (much worse), holds in gusts (slightly worse)',
-        '"slightly better at the same computation" (whole team, as many steps of horizon): '
-        "computes more wherever it completes",
-        '"slightly better at the same computation" (one agent, as many steps of horizon): '
-        "does not hold (worse in still air, worse in gusts)",
-        '"slightly better at the same computation" (one agent, as many seconds of horizon): '
-        "undetermined in still air (slightly better to slightly worse), holds in gusts (slightly better)",
-    ]
-
-
 def curve(controller: str, kept: str, costs: dict[float, float]) -> Curve:
     """A cost curve in still air from ratios by period; an infinite one is a run that diverged."""
     nodes = [
@@ -190,20 +148,3 @@ def test_verdicts_follow_from_curves_and_loads() -> None:
         "still air, paper's algorithm, same computation of one agent, as many steps of horizon: "
         "T_s 25 to 31.2 ms, cost x0.90 to x1.01: slightly better to slightly worse"
     )
-
-
-def test_a_diverging_team_has_no_computation() -> None:
-    """Periods with a diverged run are no periods of the same computation; without any other the verdict is diverged."""
-    costs = {0.1: math.inf, 0.05: 1.3, 0.025: 0.9}
-    _, team, agent = verdicts([curve(PAPER, STEPS, costs)], measured(*costs), REFERENCE)
-    assert team.text == "computes more wherever it completes"
-    assert agent.text == "slightly better to slightly worse"
-    diverged = verdicts([curve(PAPER, STEPS, dict.fromkeys(costs, math.inf))], measured(*costs), REFERENCE)
-    assert [(verdict.budget, verdict.text) for verdict in diverged] == [
-        (SAME_RATE, "diverged"),
-        (TEAM, "diverged"),
-        (AGENT, "diverged"),
-    ]
-    statement = '"slightly worse at the same rate": does not hold (diverged in still air)'
-    assert statements(diverged)[0] == statement
-    assert all("does not hold" in text for text in statements(diverged))

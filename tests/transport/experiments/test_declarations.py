@@ -16,7 +16,7 @@ from tests.support.runs import ticks
 from transport.cli.experiment import EXPERIMENTS
 from transport.experiments.cases import ExperimentError, Point, cases_of, is_random
 from transport.experiments.declaration import Experiment
-from transport.experiments.design_experiments import AS_IT_IS, PARTS, ablation, deaths, horizon, hover
+from transport.experiments.design_experiments import AS_IT_IS, PARTS, ablation, deaths, hover
 from transport.experiments.network_experiments import JITTER, NETWORKS
 
 TICKS = 6_000
@@ -128,21 +128,6 @@ def test_each_death_is_of_one_agent_for_good() -> None:
     assert points == deaths(own, 8, 0).points != deaths(own, 8, 1).points
 
 
-def test_horizons_weights_and_networks() -> None:
-    """Each horizon on each network, with each weight where the horizon ends with one, else with the cost-to-go."""
-    experiment = horizon(scenarios(*BOTH), [5, 10, 30], [1.0, 20.0], 0.2)
-    count = {name: sum(point.scenario == name for point in experiment.points) for name in BOTH}
-    assert count == {"paper": 2 * 4 * 3, "resilient": 2 * 4}
-    for case in cases_of(experiment.points, [], 3):
-        labels, scenario = experiment.points[case.point].labels, case.scenario
-        assert scenario.controller.horizon == labels["horizon"]
-        weight = scenario.controller.weights.terminal
-        assert labels["terminal"] == ("cost-to-go" if scenario.controller.terminal == "riccati" else weight)
-        assert scenario.links.delay_s == {"perfect": 0.0, "200 ms delay": 0.2}[str(labels["network"])]
-    baselines = [point.labels for point in experiment.points if point.baseline]
-    assert baselines == [{"network": "perfect", "horizon": 20, "terminal": end} for end in (5.0, "cost-to-go")]
-
-
 def test_only_the_last_hover_is_longer() -> None:
     """The last phase has the duration asked for, the others keep theirs; a maneuver without a last hover is refused."""
     experiment = hover(scenarios("paper", "centralized"), [60.0, 5.0])
@@ -176,27 +161,6 @@ def test_every_part_has_every_value(name: str) -> None:
     for part, values in parts(name).items():
         refused = {"true"} if (name, part) == ("paper", "preview") else set()
         assert len(set(PARTS[part][1]) - values - refused) == 1, part
-
-
-def test_settings_decide_what_can_be_changed() -> None:
-    """Settings that contradict each other are left out, and so is a value that is given anyway."""
-    open_loop = ("controller.prediction=open_loop", "controller.terminal=riccati")
-    assert parts("resilient", *open_loop)["terminal"] == set()
-    absolute = (
-        "controller.weights.penalised_input=absolute",
-        "controller.terminal=multiple",
-        "controller.preview=false",
-    )
-    assert parts("paper", *absolute)["terminal"] == set()
-    given = parts(
-        "resilient",
-        "controller.negotiation_iterations=2",
-        "clock.actuation=next_tick",
-        "controller.relaxation=auto",
-    )
-    assert given["negotiation iterations"] == {"1", "4"}
-    assert given["actuation"] == {"immediate"}
-    assert "0.25" not in given["relaxation"]
 
 
 REFUSED: list[tuple[str, dict[str, Any], str]] = [

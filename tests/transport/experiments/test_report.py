@@ -22,7 +22,6 @@ from transport.experiments.statistics import (
     WIDTH,
     WIDTH_OF_VARIANTS,
     PointStatistics,
-    means_in_words,
     statistics_of,
     table_of,
 )
@@ -70,19 +69,6 @@ def made(experiment: Experiment, results: Callable[[Point], list[Result]]) -> li
     return statistics_of(experiment.points, [results(point) for point in experiment.points], NUMBERS[1:])
 
 
-def test_conclusions_of_completed_runs() -> None:
-    """A sentence gives completed runs, the largest attitude and its point, and cost ratios to the baseline."""
-
-    def results(point: Point) -> list[Result]:
-        delay_s = float(point.labels["delay_s"])
-        return [completed(0.002 * (1.0 + delay_s), 1.0 + delay_s)]
-
-    assert conclusions(made(LATENCY, results))[1] == (
-        "resilient: completes all 3 points (3 of 3 runs); largest payload attitude 1.40 deg (400 ms); "
-        "cost x1.10 (100 ms), x1.40 (400 ms)"
-    )
-
-
 def test_conclusions_of_diverged_runs() -> None:
     """Diverged runs are named with their time, repetitions with the number of completed runs; errors are separate."""
 
@@ -97,16 +83,6 @@ def test_conclusions_of_diverged_runs() -> None:
     )
     broken = [Result(key="k", outcome=ERROR, reason="", numbers={})]
     assert conclusions(made(LATENCY, lambda _: broken))[0] == ("paper: 3 runs could not be simulated")
-
-
-def test_conclusions_of_many_diverged_runs() -> None:
-    """With more diverged points than fit a sentence, the earliest is named."""
-    matrix = EVERY[-1]
-    found = conclusions(made(matrix, lambda point: [diverged(9.5 if point.text == "100 ms and 30 % loss" else 12.0)]))[
-        0
-    ]
-    count = "completes 0 of 9 runs, 0 of 9 points without a diverged run"
-    assert found == f"paper: {count}; first diverged at 9.5 s (100 ms and 30 % loss)"
 
 
 MIXES: dict[str, Callable[[Point], list[Result]]] = {
@@ -153,9 +129,3 @@ def test_anything_can_be_reported(experiment: Experiment, mix: str, tmp_path: Pa
     text = console.export_text()
     assert "…" not in text
     assert max(len(line.rstrip()) for line in text.splitlines()) <= width
-
-
-def test_a_table_names_confidence_intervals_only_where_it_has_them() -> None:
-    """A point with a single completed run has none."""
-    titles = {mix: means_in_words(made(LATENCY, MIXES[mix])) for mix in MIXES}
-    assert {mix for mix, title in titles.items() if "95 %" in title} == {"repeated", "some diverged"}
