@@ -12,6 +12,7 @@ import pytest
 import transport
 from protocol.wire.messages import PlantState, Target
 from tests.support.commands import free_base, settings, start, wait_for
+from tests.system.test_viewer import bits, messages_until
 from transport.log.run_log import read_log
 
 # Definitions as published by ROS 2, without comments.
@@ -56,6 +57,25 @@ def subscribe(sdk: Any, topic: str, kind: str, definition: str, others: dict[str
     return sdk.ROS2Subscriber(
         topic, kind, heard.append, msg_definition=whole, type_hash=digest, domain_id=DOMAIN, router_port=sdk.port
     )
+
+
+class Publisher:
+    """Publisher of /target, by the other implementation."""
+
+    def __init__(self, sdk: Any, port: int) -> None:
+        whole, digest = described(POSE, POSE_DEFINITION, DEFINITIONS)
+        described_as = {"msg_definition": whole, "type_hash": digest, "domain_id": DOMAIN, "router_port": port}
+        self._publisher = sdk.ROS2Publisher("/target", POSE, **described_as)
+        self.close = self._publisher.close
+
+    def send(self, x: float, y: float, z: float, frame: str = "map") -> None:
+        """Publish a position."""
+        kinds = {name: self._publisher.session_mgr.store.types[name] for name in DEFINITIONS}
+        stamp = kinds["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+        point = kinds["geometry_msgs/msg/Point"](x=x, y=y, z=z)
+        turn = kinds["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+        pose = kinds["geometry_msgs/msg/Pose"](position=point, orientation=turn)
+        self._publisher.publish(header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=frame), pose=pose)
 
 
 def tokens(sdk: Any, subscriber: Any) -> list[str]:
@@ -122,21 +142,12 @@ def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
-    """Targets of the other implementation are announced; a flood with NaN is refused, counted and named."""
+    """Targets of the other implementation are announced; a flood with NaN is refused, named, and changes no bit."""
     hover = "maneuver.phase=[{name='hover',duration_s=600.0,displacement_m=[0,0,0]}]"
     run = start("run", "precise", *settings("clock.speed=1.0", hover), "--out", "run", "--no-figures", cwd=tmp_path)
     log = tmp_path / "run" / "run.mcap"
-    whole, digest = described(POSE, POSE_DEFINITION, DEFINITIONS)
-    described_as = {"msg_definition": whole, "type_hash": digest, "domain_id": DOMAIN, "router_port": sdk.port}
-    publisher = sdk.ROS2Publisher("/target", POSE, **described_as)
-
-    def send(x: float, y: float, z: float, frame: str = "map") -> None:
-        kinds = {name: publisher.session_mgr.store.types[name] for name in DEFINITIONS}
-        stamp = kinds["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-        point = kinds["geometry_msgs/msg/Point"](x=x, y=y, z=z)
-        turn = kinds["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
-        pose = kinds["geometry_msgs/msg/Pose"](position=point, orientation=turn)
-        publisher.publish(header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=frame), pose=pose)
+    publisher = Publisher(sdk, sdk.port)
+    send = publisher.send
 
     def targets() -> list[list[float]]:
         return [target.points[0].tolist() for target in read_log(log).of(Target)]
@@ -159,6 +170,8 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
             send(float("nan"), 0.0, 0.0)
         send(1.0, 0.0, 10.0, frame="odom")
         assert targets()[-1] == [0.5, 0.5, -10.5]
+        flooded = len(list(read_log(log).of(PlantState)))
+        assert wait_for(lambda: len(list(read_log(log).of(PlantState))) > flooded + 30)
         run.send_signal(signal.SIGINT)
         run.communicate(timeout=60)
         _, errors = bridge.communicate(timeout=60)
@@ -172,3 +185,9 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
     found = re.search(r"targets: (\d+) handed on, (\d+) replaced by a newer one", errors)
     assert found is not None, errors
     assert int(found[2]) > 150
+    whole = read_log(log)
+    script = (f"{{at_s={t.tick * 0.05!r},points_m={t.points.tolist()}}}" for t in whole.of(Target))
+    until = list(whole.of(PlantState))[-1].tick - 10
+    alone = messages_until(until, log.parent / "scenario.toml", f"maneuver.target=[{','.join(script)}]")
+    assert len(list(bits(alone))) == until * 5
+    assert sorted(bits(alone)) == sorted(bits(entry.message for entry in whole.messages if entry.message.tick < until))

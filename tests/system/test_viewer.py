@@ -165,19 +165,24 @@ def live_run(folder: Path, *settings_: str) -> Iterator[str]:
     """Run `resilient` with the viewer beside it, without end; yield the viewer's address."""
     arguments = ("--no-figures", "--view", "--port", "0", "--out", folder.name)
     process = start("run", "resilient", *settings(*settings_), *arguments, cwd=folder.parent)
-    output = ""
     try:
-        assert process.stderr is not None
-        while not (address := re.search(r"http://127\.0\.0\.1:\d+/\S+", output)):
-            line = process.stderr.readline()
-            assert line, output
-            output += line
-        yield address[0]
+        yield page_of(process)
     finally:
         process.send_signal(signal.SIGINT)
         result, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == INTERRUPTED, result + errors
     assert processes_of(folder.name) == {}
+
+
+def page_of(run: subprocess.Popen[str]) -> str:
+    """Return the address of the viewer that a run has begun."""
+    output = ""
+    assert run.stderr is not None
+    while not (address := re.search(r"http://127\.0\.0\.1:\d+/\S+", output)):
+        line = run.stderr.readline()
+        assert line, output
+        output += line
+    return address[0]
 
 
 def test_a_viewer_that_waits_ends_with_its_parent(tmp_path: Path) -> None:
