@@ -38,6 +38,7 @@ def fault(do: str, target: str) -> dict[str, Any]:
 
 CASES: dict[str, dict[str, Any]] = {
     "200 ms delay, 30 % loss": LATE,
+    "400 ms delay, 60 % loss": {"links.delay_s": 0.4, "links.loss": 0.6},
     "perfect network": {},
     "one agent for all UAVs": {"agents.owned": [[1, 2, 3]]},
     "5.5 m/s, 8.1 m/s², late": {**LATE, "maneuver.phase.2.speed_mps": 5.5},
