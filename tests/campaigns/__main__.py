@@ -1,7 +1,7 @@
 """Campaigns search for defects by many random runs: `python -m tests.campaigns NAME`, `make campaigns` for all.
 
   scenarios  mutates scenarios, validates and simulates them
-  signals    kills, freezes and interrupts every process of a run, also those of report, figures and viewer
+  signals    kills, freezes and interrupts every process of a run, also that of the report
 
 `python -m tests.campaigns.wire` sends bad messages, and `python -m tests.campaigns.soak` watches resources for long.
 Exit code 1 if any run has a problem; each run can be repeated by its number.

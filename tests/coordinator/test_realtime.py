@@ -7,7 +7,7 @@ import pytest
 
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control, Message, Plan, PlantState, Roster, Tick
-from tests.support.coordinator_clock import CONTINUE, MS, START_NS, S, gone, kinds, ready, started, tell
+from tests.support.coordinator_clock import CONTINUE, MS, START_NS, S, kinds, started, tell
 from tests.support.nodes import CoordinatorNode
 from tests.support.runs import ALL, plan, plant_state, setup, ticks
 
@@ -26,11 +26,6 @@ def realtime(*settings: str, length: int = 400) -> tuple[Setup, CoordinatorNode]
 def answers(run: Setup, k: int, agents: Sequence[int] = ALL) -> list[Message]:
     """Plans of tick k for the next."""
     return [plan(run, agent, k, delay=1) for agent in agents]
-
-
-def answers_now(run: Setup, k: int, agents: Sequence[int] = ALL) -> list[Message]:
-    """Plans of tick k that start at tick k, as in lockstep."""
-    return [plan(run, agent, k) for agent in agents]
 
 
 def due(k: int) -> int:
@@ -87,17 +82,6 @@ def test_the_coordinators_own_absence_restarts_the_timeouts(mode: tuple[str, ...
         node.poll(now_ns + 2 * MS)
         assert node.finished is None
         assert node.tick > 0
-
-
-def test_an_absence_is_excused_once_a_tick() -> None:
-    """A coordinator that is always late, for want of a processor, still finds the agents that are gone."""
-    run = setup(ticks(400), CONTINUE)
-    node = started(CoordinatorNode(run))
-    tell(node, answers_now(run, 0, (1, 2, 3)))
-    now_ns = START_NS
-    for sent in ([], ["roster 0", "tick 1"]):
-        now_ns += BARRIER_NS + S
-        assert kinds(node.poll(now_ns)) == sent
 
 
 def test_missed_deadlines_are_counted() -> None:
@@ -208,31 +192,3 @@ def test_a_frozen_plant_ends_the_run() -> None:
     assert (end.outcome, end.exit_code) == ("aborted", 4)
     assert end.reason == "plant has not answered since tick 0"
     assert due(1) + BARRIER_NS <= now_ns <= due(2) + BARRIER_NS
-
-
-def test_a_dead_agent_comes_back() -> None:
-    """A killed agent leaves at once; its next incarnation joins at the next tick, which does not wait for it."""
-    run, node = realtime(CONTINUE)
-    (left,) = tell(node, [gone("agent2")], due(0) + MS)
-    assert isinstance(left, Roster)
-    assert left.agents == (1, 3, 4)
-    assert tell(node, [ready("agent2", 2)], due(0) + 30 * MS) == []
-    joined, tick = node.poll(due(1))
-    assert isinstance(joined, Roster)
-    assert isinstance(tick, Tick)
-    assert (joined.incarnations, tick.members, tick.roster) == ((1, 2, 1, 1), ALL, joined.version)
-    tell(node, [plan(run, 2, 1, delay=1, incarnation=2)], due(1) + MS)
-    assert only_tick(node.poll(due(2))).answered == (2,)
-
-
-def test_the_end() -> None:
-    """The run ends a period after its last tick opened, when the plant state is here, even if plans are missing."""
-    run, node = realtime(length=3)
-    for k in (1, 2):
-        tell(node, [*answers(run, k - 1), plant_state(run, k - 1)], due(k) - MS)
-        node.poll(due(k))
-    tell(node, answers(run, 2, (1, 2, 3)), due(2) + MS)
-    assert node.poll(due(3)) == ()
-    (end,) = tell(node, [plant_state(run, 2)], due(3) + MS)
-    assert isinstance(end, Control)
-    assert (end.outcome, end.tick, end.exit_code) == ("completed", 2, 0)

@@ -1,9 +1,6 @@
 """Compiled models on disk: the cache may be missing, damaged or unwritable, and never changes a bit of a result."""
 
 import hashlib
-import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,10 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-import model
 from model.arrays import Array, ShapeError
 from model.compiled import Compiled, functions
-from model.compiler import cache_folder
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 
 N = 2
@@ -103,32 +98,6 @@ def test_folder_that_cannot_be_made_costs_only_time(
     monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(blocker / "cache"))
     assert_same_bits(fresh, functions(N))
     assert blocker.read_text(encoding="utf-8") == "not a folder"
-
-
-def test_cache_folder_follows_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Our own variable first, then the desktop's cache folder, then ~/.cache."""
-    monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path / "own"))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert cache_folder() == tmp_path / "own"
-    monkeypatch.delenv("PAYLOAD_TRANSPORT_CACHE")
-    assert cache_folder() == tmp_path / "xdg" / "payload-transport"
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    assert cache_folder() == tmp_path / "home" / ".cache" / "payload-transport"
-
-
-@pytest.mark.parametrize("module", ["compiled", "dynamics", "state", "rotations"])
-def test_changed_source_has_another_file(tmp_path: Path, module: str) -> None:
-    """Every module the expressions come from is part of the file's name: old equations are never loaded."""
-    (package,) = model.__path__
-    shutil.copytree(package, tmp_path / "model", ignore=shutil.ignore_patterns("__pycache__"))
-    # A process beside a copy of the package, whose source is changed: never the one being tested.
-    code = [sys.executable, "-c", "from model import compiled; print(compiled._cache_path(1, False).name)"]
-    before = subprocess.run(code, cwd=tmp_path, capture_output=True, check=True).stdout
-    with (tmp_path / "model" / f"{module}.py").open("a") as source:
-        source.write("# another version")
-    after = subprocess.run(code, cwd=tmp_path, capture_output=True, check=True).stdout
-    assert before != after
 
 
 def test_compiled_functions_take_exactly_their_arguments() -> None:

@@ -85,15 +85,3 @@ def test_further_mass_is_the_payloads(N: int) -> None:
     further = np.append(F, 0.3 * known.mass)
     for of, expected in ((model.derivative, Model(heavier).derivative), (model.tensions, Model(heavier).tensions)):
         assert deviation(of(x, u, forces=further), expected(x, u, forces=F)) < PAPER_TOLERANCE
-
-
-@pytest.mark.parametrize("N", [1, 4])
-def test_no_forces_are_zero_forces(N: int) -> None:
-    """Leaving the forces out is the same, bit for bit, as giving zeros."""
-    rng = np.random.default_rng(270 + N)
-    model = Model(random_system(rng, N))
-    x, u, none = random_state(rng, N), random_input(rng, N), np.zeros(3 + 3 * N)
-    assert model.derivative(x, u).tobytes() == model.derivative(x, u, forces=none).tobytes()
-    assert model.tensions(x, u).tobytes() == model.tensions(x, u, forces=none).tobytes()
-    assert model.linearise(x, u).A_c.tobytes() == model.linearise(x, u, forces=none).A_c.tobytes()
-    assert model.integrate(x, u, 0.05, 2)[0].tobytes() == model.integrate(x, u, 0.05, 2, forces=none)[0].tobytes()

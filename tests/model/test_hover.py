@@ -97,16 +97,6 @@ def test_one_vehicle_hovers_above_the_centre_of_mass() -> None:
     assert hover(system).u[0] == pytest.approx(3.0 * system.gravity, rel=FORCE_RATIO_TOLERANCE)
 
 
-def test_without_gravity_nothing_is_held() -> None:
-    """g = 0 is a legitimate system: no thrust, no tension, at rest."""
-    ring = ring_system(np.random.default_rng(2300), 4)
-    system = System(payload=ring.payload, uavs=ring.uavs, gravity=0.0)
-    at = hover(system)
-    assert not at.u.any()
-    assert not at.tensions.any()
-    assert not Model(system).derivative(at.x, at.u).any()
-
-
 def test_one_vehicle_off_axis_is_refused_with_the_imbalance() -> None:
     """A rod beside the centre of mass leaves a moment; the text has the largest part that no tension removes."""
     d, weight = 0.3, 3.0 * 9.81

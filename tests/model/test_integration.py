@@ -5,7 +5,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from model.arrays import Array
-from model.compiled import Compiled, functions
 from model.linearisation import Model
 from model.parameters import System
 from model.state import StateView
@@ -24,8 +23,6 @@ ORDER_SLACK = 0.9  # the next orders, 4 and 6, stay outside
 SHORT_STEP_S = 0.0125
 # One call of several steps against as many calls: the same operations, compiled in another order.
 SAME_ROUNDING = 1e-13
-# The estimate is a small difference of large sums: the same rounding is a larger part of it.
-SAME_ESTIMATE = 1e-6
 
 
 def exact(model: Model, x: Array, u: Array, duration_s: float, forces: Array | None = None) -> Array:
@@ -85,22 +82,6 @@ def test_estimate_bounds_the_error_and_falls_with_its_order(N: int) -> None:
         estimates.append(estimate)
     order = np.polyfit(np.log(durations), np.log(estimates), 1)[0]
     assert -ORDER_SLACK < order - NOMINAL_ORDER < ORDER_SLACK
-
-
-@pytest.mark.parametrize("N", range(1, 7))
-def test_several_steps_are_single_steps_in_a_row(N: int) -> None:
-    """k steps in one call end where k calls end, and report the largest error of any of them, of either sign."""
-    model, system, x, u = moving_system(N)
-    step = Compiled(functions(N)["step"])
-    end, worst = model.integrate(x, u, 0.25, 5)  # for N = 1 the fourth of five steps is the worst
-    estimates = []
-    for _ in range(5):
-        _, single = model.integrate(x, u, 0.05, 1)
-        x, estimate = step(x, u, system.vector(), np.zeros(3 + 3 * N), 0.05)
-        assert single == pytest.approx(np.abs(estimate).max(), rel=SAME_ESTIMATE)
-        estimates.append(single)
-    assert np.abs(end - x).max() < SAME_ROUNDING * np.abs(end).max()
-    assert worst == pytest.approx(max(estimates), rel=SAME_ESTIMATE)
 
 
 def test_forces_are_held_over_all_steps() -> None:

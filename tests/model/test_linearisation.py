@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from model import state
-from model.arrays import Array, ShapeError
+from model.arrays import Array
 from model.linearisation import Model
 from model.parameters import System
 from model.state import StateView
@@ -123,15 +123,6 @@ def test_velocities_are_those_of_the_centres_of_mass(N: int) -> None:
     assert deviation(model.velocities(x), expected) < OUTPUT_TOLERANCE
 
 
-@pytest.mark.parametrize("N", [1, 4, 8])
-def test_expansion_starts_at_the_point(N: int) -> None:
-    """The constant terms of paper (13) are f(x0, u0) and h(x0), the same numbers the other functions give."""
-    _, model, x, u = drawn(N)
-    linear = model.linearise(x, u)
-    assert deviation(linear.f, model.derivative(x, u)) < OUTPUT_TOLERANCE
-    assert deviation(linear.y, model.outputs(x)) < OUTPUT_TOLERANCE
-
-
 @pytest.mark.parametrize("N", range(1, 9))
 def test_outputs_by_hand(N: int) -> None:
     """y stacks r_i of paper (1), payload angles, yaw rates (paper, section V-A), payload position, velocity, (14)."""
@@ -141,22 +132,3 @@ def test_outputs_by_hand(N: int) -> None:
     payload = [view.r0_I, attitude(view.Theta0) @ view.v0_P]
     expected = np.concatenate([positions.reshape(-1), view.Theta0, view.omega_B[:, 2], *payload])
     assert deviation(model.outputs(x), expected) < OUTPUT_TOLERANCE
-
-
-def test_arguments_of_the_wrong_length_are_refused() -> None:
-    """A state of another number of UAVs is refused with the function's name and both lengths."""
-    _, model, x, u = drawn(2)
-    with pytest.raises(ShapeError, match="derivative: expected an argument of 36 numbers, got 24"):
-        model.derivative(x[:24], u)
-    with pytest.raises(ShapeError, match="linearise: expected an argument of 8 numbers, got 4"):
-        model.linearise(x, u[:4])
-
-
-def test_results_are_the_callers() -> None:
-    """A second evaluation does not write into arrays returned by the first (buffers are reused inside)."""
-    _, model, x, u = drawn(3)
-    first = model.linearise(x, u)
-    kept = [array.copy() for array in (first.f, first.A_c, first.B_c, first.y, first.C)]
-    model.linearise(x + 0.1, u + 1.0)
-    for array, copy in zip((first.f, first.A_c, first.B_c, first.y, first.C), kept, strict=True):
-        assert np.array_equal(array, copy)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from model import compiler, native
-from model.arrays import ShapeError
 from model.compiled import Compiled, compile_functions, functions
 from model.discretisation import _zero_order_hold, zero_order_hold
 from model.hover import hover
@@ -50,26 +49,6 @@ def test_zero_order_hold_is_its_twin(n: int, filled: float, growth: float) -> No
     for one, other in ((found.A, expected.A), (found.B, expected.B), (found.f_d, expected.f_d)):
         assert one.shape == other.shape
         assert np.abs(one - other).max() <= within * max(1.0, float(np.abs(other).max()))
-
-
-@needs_kernels
-@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
-def test_zero_order_hold_refuses_what_its_twin_refuses(bad: float) -> None:
-    """Numbers that have no finite exponential, in the same words."""
-    linear = linearisation(9, 2, 1.0, 1.0, seed=3)
-    linear.values[4 * 9 + 4] = bad
-    for hold in (zero_order_hold, _zero_order_hold):
-        with pytest.raises(ShapeError, match="A_c: expected finite numbers with a finite exponential, got growth"):
-            hold(linear, 0.05)
-
-
-@needs_kernels
-def test_kernels_refuse_arrays_they_cannot_read() -> None:
-    """A matrix that is not row-major, or not float64, is an error and not other numbers."""
-    bad: list[Any] = [np.zeros((4, 6))[:, ::2], np.zeros((3, 3), dtype=np.float32)]
-    for matrix in bad:
-        with pytest.raises(TypeError, match="row-major"):
-            native.at(matrix)
 
 
 def bits(built: dict[str, ca.Function], N: int) -> list[bytes]:

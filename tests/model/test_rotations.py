@@ -59,14 +59,6 @@ def test_euler_angles_reproduce_the_singular_matrix() -> None:
     assert np.abs(rotation(euler_angles(R)) - R).max() < SINGULAR_TOLERANCE
 
 
-def test_euler_angles_take_stacks_of_matrices() -> None:
-    """A stack of matrices, (2, 3, 3, 3), gives a stack of angles, each as if alone."""
-    rng = np.random.default_rng(1600)
-    Thetas = np.array([[random_attitude(rng) for _ in range(3)] for _ in range(2)])
-    R = np.array([[rotation(Theta) for Theta in row] for row in Thetas])
-    assert euler_angles(R) == pytest.approx(Thetas, abs=ANGLE_TOLERANCE)
-
-
 @pytest.mark.parametrize("draw", range(10))
 def test_euler_rates_are_those_of_the_turning_body(draw: int) -> None:
     """With Theta' = E omega, R' = R omega^x, paper (5), (6): omega has body components."""

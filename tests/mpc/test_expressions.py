@@ -102,23 +102,6 @@ def test_slopes_by_finite_differences(text: str) -> None:
     assert compiled.at(point).value[0] == pytest.approx(GOOD[text](x, u), abs=ROUNDING)
 
 
-def test_several_constraints_keep_their_order() -> None:
-    """Constraints on states and inputs are separated; each kind keeps the order it was written in."""
-    constraints = tuple(Constraint(expression=text, penalty=float(k + 1)) for k, text in enumerate(GOOD))
-    on_state, on_input = compile_constraints(constraints, paper_setup().system)
-    x, u = at_a_point()
-    states = [text for text in GOOD if read(text, SYMBOLS).on == "state"]
-    inputs = [text for text in GOOD if text not in states]
-    assert on_state.expressions.at(x).value == pytest.approx([GOOD[text](x, u) for text in states], abs=ROUNDING)
-    assert on_input.expressions.at(u).value == pytest.approx([GOOD[text](x, u) for text in inputs], abs=ROUNDING)
-    assert on_state.equality.tolist() == ["==" in text for text in states]
-    penalties = [np.nan if "==" in text else list(GOOD).index(text) + 1.0 for text in states]
-    assert on_state.penalty == pytest.approx(penalties, nan_ok=True), (
-        "equalities stay hard, inequalities have a penalty"
-    )
-    assert np.isnan(on_input.penalty).all(), "limits of the controller's own inputs are never softened"
-
-
 BAD = {
     "r0[2] <=": "cannot be read",
     "": "cannot be read",
@@ -170,15 +153,6 @@ def test_bad_text_is_refused(text: str) -> None:
         read(text, SYMBOLS)
     assert repr(text) in str(refused.value)
     assert BAD[text] in str(refused.value)
-
-
-def test_unknown_name_lists_every_known_one() -> None:
-    """The error for a misspelt name lists the known names, for the given number of UAVs."""
-    with pytest.raises(SettingsError) as refused:
-        read("r9[0] <= 1", Symbols.of(1))
-    known = str(refused.value).split("known: ")[1].split(", ")
-    names = ["r0", "v0", "Theta0", "omega0", "pi", "r1", "e1", "Omega1", "Theta1", "omega1", "thrust1", "tau1"]
-    assert known == sorted(names)
 
 
 @pytest.mark.parametrize(

@@ -41,22 +41,3 @@ def test_residuals_by_hand(name: str) -> None:
     found = residuals(PROGRAM, np.array(z), np.array(bound), np.array([row]))
     assert (found.stationarity, found.primal, found.complementarity) == pytest.approx(expected, abs=ROUNDING)
     assert found.worst == pytest.approx(max(expected), abs=ROUNDING)
-
-
-def test_objective_by_hand() -> None:
-    """1/2 z' H z + g' z at (1, 3) is 5 - 3."""
-    assert PROGRAM.objective(np.array([1.0, 3.0])) == 2.0
-
-
-def test_program_without_rows() -> None:
-    """A horizon of one step has no rates between steps and maybe no rows at all: the residuals still exist."""
-    bounded = QP(
-        H=PROGRAM.H,
-        g=PROGRAM.g,
-        lower=PROGRAM.lower,
-        upper=PROGRAM.upper,
-        A=np.zeros((0, 2)),
-        row_lower=np.zeros(0),
-        row_upper=np.zeros(0),
-    )
-    assert residuals(bounded, np.array([1.0, 0.0]), np.array([2.0, 0.0]), np.zeros(0)).worst == 0.0

@@ -4,12 +4,11 @@ from typing import Any
 
 import pytest
 
-from protocol.admission.gate import Gate, Sample
-from protocol.admission.plausibility import check_tick
+from protocol.admission.gate import Gate
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys
 from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Answer, LinkChange, Measurement, Plan, PlantState, Record, Rejected, Relay, Roster
+from protocol.wire.messages import Answer, LinkChange, Plan, Rejected, Relay
 from protocol.wire.node import Outbox
 from protocol.wire.rejections import Rejections
 from tests.support import runs
@@ -161,47 +160,6 @@ def test_bundles_are_opened() -> None:
         ("plan/4", "wrong_version"),
         ("coordinator", "wrong_sender"),
     ]
-
-
-def test_what_comes_next_depends_on_what_was_handled() -> None:
-    """The messages of a bundle are checked one after the other, each when the one before has been handled."""
-    newest = -1
-    receiver = Receiver("coordinator", check_moment=lambda message: check_tick(message, newest + 1, newest + 1))
-    states = [runs.plant_state(RUN, k) for k in (0, 1, 3)]
-    bundle = Outbox("plant", 0).stamp(
-        Record, tick=3, keys=["plant_state"] * 3, parts=[encode(state) for state in states]
-    )
-    for message in receiver.gate.accept(KEYS.of(bundle), encode(bundle)):
-        assert isinstance(message, PlantState)
-        assert receiver.gate.bundle is not None
-        newest = message.tick
-    assert newest == 1
-    assert receiver.gate.bundle is None
-    assert receiver.reasons() == [("plant", "future")]
-
-
-def test_unread_kinds_are_handed_over() -> None:
-    """A recorder gets messages of some kinds as they came, if under the key of their sender, and reads the others."""
-    receiver = Receiver("recorder", unread=[Answer.kind, Plan.kind, Measurement.kind, Record.kind])
-    said = answer(plan(3))
-    garbled = encode(said)[:-5]
-    (found,) = receiver.gate.accept(KEYS.of(said), encode(said))
-    assert isinstance(found, Sample)
-    assert (found.header.kind, found.header.tick, found.data) == ("answer", 3, encode(said))
-    assert list(receiver.gate.accept(f"{KEYS.prefix}/answer/3", encode(said))) == []
-    (roster,) = receiver.gate.accept(KEYS.of(runs.roster()), encode(runs.roster()))
-    assert isinstance(roster, Roster)
-    assert list(receiver.gate.accept(KEYS.of(said), garbled)) == []
-    assert receiver.reasons() == [("agent2", "wrong_sender"), ("answer/2", "malformed")]
-
-
-def test_without_a_run() -> None:
-    """Without its scenario, the messages of a log are checked for form, sender and order alone."""
-    gate = Gate("recorder", KEYS)
-    far = changed(plan(10**6), agent=200, sender="agent200", uavs=(1,))
-    assert len(list(gate.accept(KEYS.of(far), encode(far)))) == 1
-    assert list(gate.accept(KEYS.of(far), encode(far))) == []
-    assert [entry.reason for entry in gate.rejections] == ["replayed"]
 
 
 def test_sizes() -> None:

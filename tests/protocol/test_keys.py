@@ -79,19 +79,6 @@ def test_receivers(kind: type[Message], expected: set[str]) -> None:
     assert listeners(sample(kind)) == expected
 
 
-def test_each_key_of_plans_has_its_own() -> None:
-    """A shared plan is refused under the key of unshared ones and the reverse; neither key is another agent's."""
-    shared, unshared = sample(Plan), sample(Plan, shared=False)
-    KEYS.check_sender(KEYS.of(unshared), unshared)
-    for message, key in ((shared, KEYS.of(unshared)), (unshared, KEYS.of(shared))):
-        with pytest.raises(MessageError, match="plan of agent2 under the key"):
-            KEYS.check_sender(key, message)
-    with pytest.raises(MessageError, match="plan from agent1, expected it from agent2"):
-        KEYS.check_sender(KEYS.of(unshared), sample(Plan, shared=False, sender="agent1"))
-    may_say = {name for name in NAMES if any(matches(key, KEYS.of(unshared)) for key in KEYS.publications(name))}
-    assert may_say == {"agent2"}
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_no_message_arrives_twice(name: str) -> None:
     """At most one subscription of a process covers a key: on the network two would deliver twice."""
@@ -167,12 +154,6 @@ def test_strange_tokens_are_refused(end: str) -> None:
     with pytest.raises(MessageError, match="expected the key of a token") as caught:
         KEYS.token(f"{KEYS.prefix}/{end}")
     assert caught.value.reason == "malformed"
-
-
-@pytest.mark.parametrize("run", ["paper", "a", "A-1_b.c", "0", "x" * 80])
-def test_run_names(run: str) -> None:
-    """Letters, digits, underscore, dot and dash make a run name of up to 80 characters."""
-    assert Keys(run).prefix == f"transport/{run}"
 
 
 @pytest.mark.parametrize("run", ["", "a/b", "a b", "*", "a*", "**", "$*", "a#", "a?b", "\u00e4", "a\n", "x" * 81])

@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from protocol.scenario.link_sections import GilbertElliottSection
 from protocol.scenario.links import Link, LinkChanges, LinkError, link_change
 from protocol.wire.messages import LinkChange, MessageError
 from tests.support.runs import setup
@@ -84,23 +83,6 @@ def test_scripted_changes_stay_where_they_are() -> None:
     models = [found["agent2"].impairments(tick) for tick in (9, 10, 39, 40, 100)]
     assert [model.loss for model in models] == [0.0, 0.3, 0.3, 0.3, 0.3]
     assert [model.delay_s for model in models] == [0.0, 0.0, 0.0, 0.5, 0.5]
-
-
-def test_partial_keys() -> None:
-    """A burst chain, a rate or measured delays are changed alone and as a whole."""
-    found = told(
-        links("links={delay_s=0.1,loss=0.2,gilbert_elliott={enter=0.1,leave=0.3,loss=0.9}}"),
-        change(1, 1, gilbert_elliott={"enter": 0.0, "leave": 1.0}),
-        change(2, 2, rate_hz=5.0),
-        change(3, 3, distribution="empirical", samples="a.csv"),
-        change(4, 4, distribution="normal", jitter_s=0.1),
-    )["agent2"].impairments
-    assert found(0).gilbert_elliott == GilbertElliottSection(enter=0.1, leave=0.3, loss=0.9)
-    assert found(1).gilbert_elliott == GilbertElliottSection(enter=0.0, leave=1.0)
-    assert found(2).rate_hz == 5.0
-    assert (found(3).distribution, found(3).samples) == ("empirical", "a.csv")
-    assert (found(4).distribution, found(4).jitter_s) == ("normal", 0.1)
-    assert {(found(k).loss, found(k).delay_s) for k in range(5)} == {(0.2, 0.1)}
 
 
 WRONG = [

@@ -12,7 +12,7 @@ from model.arrays import Array
 from protocol.scenario.file import ScenarioError, read_scenario
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
-from protocol.scenario.team import FEWEST, MOST, given, resized, ring
+from protocol.scenario.team import FEWEST, given, resized, ring
 from tests.support.runs import PAPER, SCENARIOS
 
 SIZES = [*range(FEWEST, 17), 24]
@@ -126,21 +126,6 @@ def test_what_names_agents_that_are_gone_is_refused(tmp_path: Path) -> None:
     assert scenario_of(4, path).links.override[0].to == "agent4"
     with pytest.raises(ScenarioError, match=r"^--from paper: links\.override\.1\.to: expected one of .*, got 'agent4'"):
         scenario_of(3, path)
-
-
-@pytest.mark.parametrize("name", ["a b", "", "x" * 41])
-def test_a_name_that_cannot_be_is_refused(name: str) -> None:
-    """An invalid name is refused with its field."""
-    with pytest.raises(ScenarioError) as caught:
-        scenario_of(3, name=name)
-    assert caught.value.field == "name"
-
-
-def test_the_largest_team_is_the_largest_scenario() -> None:
-    """The largest team is the largest a scenario can have."""
-    assert len(scenario_of(MOST).owned) == MOST
-    with pytest.raises(ValueError, match="256"):
-        scenario_of(MOST + 1)
 
 
 def _toml(values: dict[str, str]) -> str:

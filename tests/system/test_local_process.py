@@ -47,9 +47,3 @@ def test_stopped_and_ended_processes_are_named(agent: subprocess.Popen[bytes], t
     ended = "agent2 of run mine has ended; transport fault restart agent2 starts it again"
     assert wait_for(lambda: why_silent(tmp_path, RUN, "agent2") == ended)
     assert why_silent(tmp_path, RUN, "plant") == "plant of run mine has ended, and the run ends"
-
-
-def test_other_runs_of_the_same_parent_do_not_count(agent: subprocess.Popen[bytes], tmp_path: Path) -> None:
-    """A process of another run with the same role is another process."""
-    other = LiveRun("other", RUN.endpoints, RUN.pid)
-    assert why_silent(tmp_path, other, "agent2").startswith("agent2 of run other has ended")

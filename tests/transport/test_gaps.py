@@ -5,13 +5,12 @@ from pathlib import Path
 
 import pytest
 import tomli_w
-from msgspec.structs import replace
 
 from protocol.wire.messages import FaultNote, Message, PlantState, Rejected
 from tests.support import runs
 from tests.support.logs import log_of
 from tests.support.troubles import FAULTS, RESILIENT
-from transport.log.run_folder import END_NOT_RECORDED, missing
+from transport.log.run_folder import missing
 from transport.log.run_log import read_log
 from transport.log.writer import LogWriter
 from transport.report.report import write_report
@@ -61,14 +60,6 @@ def test_a_plant_whose_messages_stop(flight: list[Message]) -> None:
     assert unended == "some messages of ticks 12 to 28 did not reach the recorder"
     # Ticks that a killed plant did not simulate are not missing.
     assert without(flight, lambda m: m.tick >= 12 or (isinstance(m, PlantState) and m.tick == 11)) == ""
-
-
-def test_an_end_that_was_not_heard(flight: list[Message]) -> None:
-    """If only the exit code of the coordinator tells that the run ended, the rest of the run is missing."""
-    for reason, expected in (("coordinator is gone", ""), (END_NOT_RECORDED, "the rest of the run after tick 11")):
-        control = replace(runs.end(11), sender="recorder", outcome="aborted", reason=reason, exit_code=4)
-        log = log_of([*(message for message in flight if message.tick < 12), control])
-        assert missing(log) == (f"{expected} did not reach the recorder" if expected else "")
 
 
 def test_the_summary_says_so(flight: list[Message], tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from model import state
-from protocol.wire.messages import Message, Plan, StepReport
+from protocol.wire.messages import Message, Plan
 from tests.support.logs import log_of
 from tests.support.runs import plant_states, recorded, setup
 from transport.analysis.metrics import summarise
@@ -56,14 +56,6 @@ def test_iterations_approach_the_centralized_optimum() -> None:
     assert 0.0 < excess[5] < 0.1 * excess[1]
 
 
-def test_every_exchange_is_a_plan_of_its_own() -> None:
-    """Each agent sends one plan per iteration, with a decreasing counter, and one report per tick."""
-    found = plans("controller.negotiation_iterations=3")
-    assert set(found) == {(k, agent, left) for k in range(TICKS) for agent in (1, 2, 3, 4) for left in (2, 1, 0)}
-    reports = [(m.tick, m.agent) for m in flight("controller.negotiation_iterations=3") if isinstance(m, StepReport)]
-    assert sorted(reports) == [(k, agent) for k in range(TICKS) for agent in (1, 2, 3, 4)]
-
-
 def test_the_plant_uses_only_the_last_plan() -> None:
     """The plant applies the last plan of a tick; earlier plans, which differ, are only for the other agents."""
     found = plans("controller.negotiation_iterations=2")
@@ -75,15 +67,6 @@ def test_the_plant_uses_only_the_last_plan() -> None:
             np.testing.assert_array_equal(flown, found[plant_state.tick, agent, 0].inputs[0])
             differ += not np.array_equal(flown, found[plant_state.tick, agent, 1].inputs[0])
     assert differ > 3 * TICKS
-
-
-def test_delayed_links_do_not_negotiate() -> None:
-    """Over links with any delay no plan arrives within its tick: a further iteration has no new information."""
-    found = plans("controller.negotiation_iterations=2", "links.delay_s=0.001")
-    for k in range(TICKS):
-        for agent in (1, 2, 3, 4):
-            first, last = found[k, agent, 1].inputs, found[k, agent, 0].inputs
-            np.testing.assert_allclose(last, first, rtol=0.0, atol=SAME_OPTIMUM)
 
 
 def test_lost_proposals() -> None:

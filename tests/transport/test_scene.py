@@ -15,12 +15,10 @@ from transport.scene.drawing import (
     Drawing,
     Lines,
     Mesh,
-    link_segments,
     payload_points,
     rotation_from_up,
-    simplified,
 )
-from transport.scene.history import LinkState, RunHistory
+from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
 
 # One step of order 5 over a sampling period against the plant's five, and rounding of the announced inputs.
@@ -28,9 +26,6 @@ STEP_M = 1e-7
 # Largest error of an agent's prediction over half a second, with small changes of the other plans.
 NEAR_M = 1e-2
 ROUNDING = 1e-9
-# Largest number left of 500 points of a circle of 1 m; 23 chords would be within NEAR_M.
-MOST_POINTS = 70
-
 DARK = "links.override=[{from='agent2',to='agent1',loss=1.0}]"
 LATE = "links.delay_s=0.2"
 
@@ -187,29 +182,6 @@ def test_rotation_from_up(direction: tuple[float, float, float]) -> None:
     np.testing.assert_allclose(R @ [0.0, 0.0, -1.0], np.array(direction) / np.linalg.norm(direction), atol=ROUNDING)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=ROUNDING)
     assert np.linalg.det(R) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("loss", [0.0, 0.3])
-def test_links_are_broken_by_their_loss(loss: float) -> None:
-    """The drawn share of half a link is 1 - loss."""
-    link = LinkState(sender=1, receiver=2, age_s=0.1, loss=loss)
-    pieces, colours = link_segments([link], np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), 0.05)
-    drawn = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1).sum()
-    assert drawn == pytest.approx(1.0 - loss)
-    assert pieces[..., 0].min() >= 1.0 - ROUNDING  # next to the receiver
-    assert len(colours) == len(pieces)
-
-
-def test_paths_take_few_points() -> None:
-    """A circle keeps its ends and enough points to stay within the tolerance, a straight path only its ends."""
-    straight = np.linspace([0.0, 0.0, 0.0], [1.0, 2.0, 0.0], 33)
-    np.testing.assert_array_equal(simplified(straight, NEAR_M), straight[[0, -1]])
-    angles = np.linspace(0.0, 2.0 * np.pi, 500)
-    circle = np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
-    left = simplified(circle, NEAR_M)
-    assert 8 <= len(left) <= MOST_POINTS
-    np.testing.assert_array_equal(left[[0, -1]], circle[[0, -1]])
-    assert np.linalg.norm(left[1:] + left[:-1], axis=1).min() / 2.0 > 1.0 - 2.0 * NEAR_M  # the middles of its pieces
 
 
 def test_contacts_with_the_ground(tmp_path: Path) -> None:

@@ -3,16 +3,14 @@
 import math
 from collections.abc import Iterable
 
-import numpy as np
 import pytest
 
 from model import state
 from model.arrays import Array
-from model.rotations import rotation
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import PlantState
 from tests.support import runs
-from tests.support.logs import SINGLE_UAV, log_of, plant_state
+from tests.support.logs import log_of, plant_state
 from transport.analysis.metrics import summarise
 from transport.analysis.series import AT_REST_M, Swing, series_of, swing_of
 
@@ -136,32 +134,6 @@ def test_only_the_end_of_the_run_counts() -> None:
     for k, expected_m in ((39, 0.0), (40, 1.0)):
         records = [plant_state(run, i, off) if i == k else plant_state(run, i) for i in range(TICKS)]
         assert swing_of(run, series_of(run, log_of(records))).largest_m == pytest.approx(expected_m, abs=1e-12)
-
-
-def test_holds_in_a_row_are_one() -> None:
-    """Two holds of 2.5 s at the end count as one of 5 s."""
-    half = "{name='hover',duration_s=2.5,displacement_m=[0,0,0]}"
-    run = runs.setup(HOLD.replace("{name='hover',duration_s=5.0,displacement_m=[0,0,0]}", f"{half},{half}"))
-    assert swinging(run).decays is False
-
-
-@pytest.mark.parametrize("phase", PHASES)
-def test_windows_are_as_long_as_the_rods_need(phase: float) -> None:
-    """On a rod of 6 m half a period is 2.46 s: the windows cover it, so that no phase looks like a decay."""
-    run = runs.setup(HOLD, SINGLE_UAV[0].replace("3.2", "6.0"), *SINGLE_UAV[1:])
-    assert swinging(run, phase=phase, omega=math.sqrt(9.81 / 6.0)).decays is False
-
-
-def test_velocity_in_the_inertial_frame() -> None:
-    """The velocity of a tilted and yawed payload is the same as of a level one."""
-    run, moving = runs.setup(HOLD), np.array([0.3, -0.2, 0.1])
-
-    def turned(x: Array, u: Array) -> None:
-        x[state.THETA0] = [0.1, -0.2, 1.0]
-        x[state.V0] = rotation(x[state.THETA0]).T @ moving
-
-    series = series_of(run, log_of([plant_state(run, 0), plant_state(run, 1, turned)]))
-    assert series.payload_velocity_I[1] == pytest.approx(moving, rel=1e-12)
 
 
 @pytest.mark.slow
