@@ -1,4 +1,4 @@
-"""Sampling clocks: when a tick opens, and which answers to it are late."""
+"""Sampling clocks, when a tick opens and which answers to it are late; and the roster of a run with its changes."""
 
 from collections.abc import Collection
 

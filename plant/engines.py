@@ -1,4 +1,4 @@
-"""The engine that a scenario names: found, built, and checked in all it returns."""
+"""Engines of the plant: their interface, rods, and the one that a scenario names, checked in all it returns."""
 
 import importlib
 import math
@@ -53,8 +53,10 @@ class Rods:
 class Physics(Protocol):
     """Integration of the ground truth: N UAVs, one payload, in the layout and the signs of `model.state`.
 
-    An engine with cables may have an attribute `tensions`, the least tension of each in the last interval, (N,), N.
-    Errors may be raised as any exception: the run then ends with its text.
+    An engine is called with the actual `System` of the plant and its section of the scenario. Wind, drag, noise, mass
+    errors and failures of UAVs are the plant's. An engine with cables may have an attribute `tensions`, the least
+    tension of each in the last interval, (N,), N. Errors may be raised as any exception: the run
+    then ends with its text.
     """
 
     def reset(self, x: Array) -> None:

@@ -1,8 +1,7 @@
 """The Zenoh bus: one session per process, one inbox, liveliness in and out.
 
 All arrivals (messages, tokens, requests, signals) pass through one queue in their order and are handled by the thread
-that calls `next`; Zenoh's threads only put them in. More than 300 lines: whatever arrives goes through the one queue
-here, and its order would be lost between two classes.
+that calls `next`; Zenoh's threads only put them in.
 """
 
 import json

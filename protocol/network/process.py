@@ -1,4 +1,4 @@
-"""A node as a process: network, signals, event loop, log lines, exit code."""
+"""A node as a process: its messages, alone or in bundles; signals, event loop, log lines, exit code."""
 
 import gc
 import json
@@ -56,7 +56,11 @@ def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put)
 
 
 class Exchange:
-    """Sends the messages of one process; in real time, each alone and at once."""
+    """Sends the messages of one process; in real time, each alone and at once.
+
+    In lockstep the coordinator waits for the plans of tick k before it opens tick k + 1, so that it can send them with
+    it. An agent then has one message to send and two to receive in a tick, whatever the size of the team.
+    """
 
     def __init__(self, keys: Keys, put: Put) -> None:
         self._keys, self._put = keys, put

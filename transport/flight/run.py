@@ -41,7 +41,10 @@ from transport.log.writer import LogWriter
 
 
 class FaultScript:
-    """Faults of the local processes of one run, noted by its recorder."""
+    """Faults of the local processes of one run, scripted or requested by the operator, noted by its recorder.
+
+    Processes kill or stop themselves at a scripted tick (`protocol.scenario.faults`); their parent brings them back.
+    """
 
     def __init__(self, setup: Setup, harness: Harness, recorder: Recorder) -> None:
         self._setup, self._harness, self._recorder = setup, harness, recorder
