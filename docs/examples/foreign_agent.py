@@ -27,7 +27,7 @@ MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.
 def pack(value):
     """Return an array as the protocol's extension type 1."""
     header = struct.pack("<4I", value.ndim, *value.shape, *[0] * (3 - value.ndim))
-    return msgpack.ExtType(1, header + value.astype("<f8").tobytes())
+    return msgpack.ExtType(1, header + np.ascontiguousarray(value, "<f8").tobytes())
 
 
 def unpack(_, data):
@@ -40,9 +40,8 @@ def messages(data):
     """Yield the messages in some bytes as lists: those of a bundle one by one, or the one there is."""
     kind, *fields = msgpack.unpackb(data[1:], ext_hook=unpack)
     if kind == "relay":
-        for key, part in zip(*fields[4:6], strict=True):
-            if key.startswith("plan/"):
-                yield from messages(part)
+        for part in fields[5]:
+            yield from messages(part)
     else:
         yield kind, *fields
 
@@ -92,7 +91,7 @@ def main(run, digest, agent, port, exchange="relayed"):
                     return
                 if kind == "plan":
                     plans[tick, fields[0]] = fields[5].mean(axis=0)  # e, Omega, Theta, omega of its UAVs
-                else:
+                elif kind == "measurement":
                     measured = tick, fields
             if measured is None or any((measured[0] - 1, a) not in plans for a in measured[1][2] if a != me):
                 continue  # nothing to answer, or plans of the tick before are still on their way

@@ -1,26 +1,26 @@
-"""A plant that shares no code with the others, made from Zenoh, msgpack, numpy, docs/protocol.md and docs/equations.md.
+"""A plant that shares no code with the project, made from Zenoh, numpy, docs/protocol.md and docs/equations.md.
 
 It reads the scenario of the run, integrates the equations of motion and answers each tick with measurements. Start it
 beside `transport run SCENARIO --external plant --set network.base_port=7447 --out runs/mine`, which prints the digest:
 
     python docs/examples/foreign_plant.py runs/mine/scenario.toml mine DIGEST 7447
 
-A plan is played on for as long as no newer one comes. Wind, noise, failures and links are left out.
+The agent beside it, foreign_agent.py, has its functions for messages. A plan is played on for as long as no newer one
+comes. Wind, noise, failures and links are left out.
 """
 
 import json
 import queue
-import struct
 import sys
 import time
 import tomllib
 from pathlib import Path
 
-import msgpack
 import numpy as np
 import zenoh
+from foreign_agent import VERSION, message, messages, pack
 
-VERSION, STEPS = 6, 5  # steps of integration in a sampling period
+STEPS = 5  # steps of integration in a sampling period
 
 
 class Bodies:
@@ -90,33 +90,6 @@ def rates(angles):
     return np.array([[1.0, sr * tp, cr * tp], [0.0, cr, -sr], [0.0, sr / cp, cr / cp]])
 
 
-def pack(value):
-    """Return an array as the protocol's extension type 1."""
-    header = struct.pack("<4I", value.ndim, *value.shape, *[0] * (3 - value.ndim))
-    return msgpack.ExtType(1, header + np.ascontiguousarray(value, "<f8").tobytes())
-
-
-def unpack(_, data):
-    """Return the array of an extension type 1."""
-    axes, *shape = struct.unpack_from("<4I", data)
-    return np.frombuffer(data, "<f8", offset=16).reshape(shape[:axes])
-
-
-def messages(data):
-    """Yield the messages in some bytes as lists: those of a bundle one by one, or the one there is."""
-    kind, *fields = msgpack.unpackb(data[1:], ext_hook=unpack)
-    if kind == "relay":
-        for part in fields[5]:
-            yield from messages(part)
-    else:
-        yield kind, *fields
-
-
-def message(kind, *fields):
-    """Return the bytes of a message."""
-    return bytes([VERSION]) + msgpack.packb([kind, *fields])
-
-
 class Plant:
     """State of the plant at tick k, what it has received, and what it answers."""
 
@@ -129,7 +102,6 @@ class Plant:
         self.u, self.plan_ticks = np.column_stack([weight, np.zeros((self.N, 3))]), [-1] * self.N
         self.k, self.measured, self.ticks, self.plans, self.answered = 0, -1, {}, {}, {}
         self.publish, self.count, self.records, self.kept = publish, 0, 0, []
-        self.relayed = scenario["clock"].get("exchange") != "direct"
 
     def take(self, kind, head, fields):
         """Take in a tick or a plan, and answer what can be answered."""
@@ -150,7 +122,7 @@ class Plant:
                 self.advance()
             else:
                 break
-        if self.kept:  # with relayed plans the record receives all in one message
+        if self.kept:  # the record receives all in one message
             keys, parts, tick = zip(*self.kept, strict=True)
             head = ["plant", 0, self.records, tick[-1]]
             self.publish("record", message("record", *head, list(keys), list(parts)))
@@ -183,12 +155,11 @@ class Plant:
         self.x, self.k = end, self.k + 1
 
     def send(self, key, kind, *fields):
-        """Publish a message of tick k; with relayed plans what is not for an agent goes to the record alone."""
+        """Publish a message of tick k; what is not for an agent goes to the record alone."""
         data = message(kind, "plant", 0, self.count, self.k, *fields)
         self.count += 1
-        if self.relayed:
-            self.kept.append((key, data, self.k))
-        if kind == "measurement" or not self.relayed:
+        self.kept.append((key, data, self.k))
+        if kind == "measurement":
             self.publish(key, data)
 
 
