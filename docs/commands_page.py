@@ -80,8 +80,7 @@ def _plain(value: object) -> str:
 
 def _range(parameter: TyperArgument | TyperOption) -> str:
     """Return the limits of a number as text; "" for none."""
-    holder = getattr(parameter, "type", parameter)  # limits were attributes of the type before Typer 0.29
-    low, high = getattr(holder, "min", None), getattr(holder, "max", None)
+    low, high = (getattr(parameter, end, None) for end in ("min", "max"))
     if low is None and high is None:
         return ""
     if low is None or high is None:

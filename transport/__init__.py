@@ -31,29 +31,25 @@ if TYPE_CHECKING:
     from transport.log.run_log import LogError as LogError
     from transport.viewer.server import ViewerError as ViewerError
 
-# Module of each name of the Python interface.
-_MODULES = {
-    "fly": "transport.interface.fly",
-    "load": "transport.interface.fly",
-    "active": "transport.interface.active",
-    "ActiveRun": "transport.interface.active",
-    "sweep": "transport.interface.sweep",
-    "margins": "transport.interface.margins",
-    "Margins": "transport.interface.margins",
-    "team": "transport.interface.scenario",
-    "Scenario": "transport.interface.scenario",
-    "Run": "transport.interface.run",
-    "RunSeries": "transport.interface.series",
-    "Sweep": "transport.interface.sweep",
-    "TransportError": "protocol.wire.errors",
-    "ArgumentError": "transport.interface.settings",
-    "ScenarioError": "protocol.scenario.errors",
-    "RunError": "transport.flight.run_files",
-    "HarnessError": "transport.flight.harness",
-    "ExperimentError": "transport.experiments.cases",
-    "LogError": "transport.log.run_log",
-    "ViewerError": "transport.viewer.server",
+# Names of the Python interface by module.
+_NAMES = {
+    "transport.interface.fly": ("fly", "load"),
+    "transport.interface.active": ("active", "ActiveRun"),
+    "transport.interface.sweep": ("sweep", "Sweep"),
+    "transport.interface.margins": ("margins", "Margins"),
+    "transport.interface.scenario": ("team", "Scenario"),
+    "transport.interface.run": ("Run",),
+    "transport.interface.series": ("RunSeries",),
+    "protocol.wire.errors": ("TransportError",),
+    "transport.interface.settings": ("ArgumentError",),
+    "protocol.scenario.errors": ("ScenarioError",),
+    "transport.flight.run_files": ("RunError",),
+    "transport.flight.harness": ("HarnessError",),
+    "transport.experiments.cases": ("ExperimentError",),
+    "transport.log.run_log": ("LogError",),
+    "transport.viewer.server": ("ViewerError",),
 }
+_MODULES = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = list(_MODULES)  # a type checker reads the imports above
 

@@ -1,16 +1,12 @@
 """Health of a process: its use of the host's resources, and the offset of its wall clock."""
 
+import resource
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import psutil
-
-try:
-    import resource
-except ImportError:  # not on every system
-    resource = None  # type: ignore[assignment]
 
 # Address space of a process with a session of Zenoh: 1.3 GB were measured, mostly reserved for its threads.
 _ADDRESS_SPACE = 2 * 2**30
@@ -78,8 +74,6 @@ def limit_problem(open_files: int) -> str:
 
     Zenoh ends a process that reaches such a limit.
     """
-    if resource is None:
-        return ""
     for name, limit, needed, unit, command in (
         ("open files", resource.RLIMIT_NOFILE, open_files, "", "ulimit -n"),
         ("address space", resource.RLIMIT_AS, _ADDRESS_SPACE, " bytes", "ulimit -v, in KiB"),
