@@ -24,6 +24,8 @@ ORDERS = 7
 _FLAT = ORDERS - 1
 # Degree of splines: the sixth derivative is continuous between way points; minimum snap.
 _DEGREE = 7
+# Distance of the knots of a smoothed table, s, their least number, and samples of the table between two of them.
+_KNOTS_S, _FEWEST_KNOTS, _PER_KNOT = 0.25, 2 * _DEGREE, 8
 # Points of a shape at which its largest speed is sought.
 _SAMPLES = 2000
 
@@ -47,6 +49,8 @@ class Curve:
         laps: Of circle and eight.
         points_I: Way points of a spline after its start at zero, (k, 3), m.
         times_s: Their times; None: s is proportional to the distance between way points.
+        table: Times since the start and displacements then, (k, 4), s and m, the path at constant speed between rows.
+            The curve is the spline from rest to rest that is closest to it, instead of a shape and its timing.
     """
 
     kind: ShapeKind | None
@@ -56,9 +60,13 @@ class Curve:
     laps: float = 1.0
     points_I: Sequence[Sequence[float]] = ()
     times_s: Sequence[float] | None = None
+    table: Sequence[Sequence[float]] = ()
 
     def path(self, t_s: Array, orders: int = ORDERS) -> Array:
         """Return the jets of the displacement since the start at times since then, (k,): (orders, k, 3), m, SI."""
+        if len(self.table):
+            inside = np.clip(t_s, 0.0, self.duration_s)
+            return np.array([self._smoothed(inside, order) / factorial(order) for order in range(orders)])
         return self._shape(self.covered(t_s, orders))
 
     def covered(self, t_s: Array, orders: int) -> Array:
@@ -107,6 +115,27 @@ class Curve:
         # Minimum snap with free ends; start and stop are those of s.
         ends = [(order, np.zeros(3)) for order in range((_DEGREE + 1) // 2, _DEGREE)]
         return make_interp_spline(s, points, k=_DEGREE, bc_type=(ends, ends))
+
+    @cached_property
+    def _smoothed(self) -> Any:
+        """Spline of the table: all its derivatives vanish at both ends, its last point is that of the table."""
+        from scipy.interpolate import BSpline
+        from scipy.linalg import solveh_banded
+
+        table, d = np.asarray(self.table, dtype=np.float64), _DEGREE
+        pieces = max(int(np.ceil(self.duration_s / _KNOTS_S)), _FEWEST_KNOTS)
+        inner = np.linspace(0.0, self.duration_s, pieces + 1)
+        knots = np.concatenate([np.zeros(d), inner, np.full(d, self.duration_s)])
+        t_s = np.linspace(0.0, self.duration_s, _PER_KNOT * pieces + 1)
+        places = np.column_stack([np.interp(t_s, table[:, 0], column) for column in table[:, 1:].T])
+        basis, points = BSpline.design_matrix(t_s, knots, d).tocsc(), np.zeros((pieces + d, 3))
+        points[-d:] = table[-1, 1:]
+        free = basis[:, d:-d]
+        # Sparse products and a banded solution do not depend on the number of threads.
+        squares = (free.T @ free).toarray()
+        bands = np.array([np.pad(np.diagonal(squares, -i), (0, i)) for i in range(d + 1)])
+        points[d:-d] = solveh_banded(bands, free.T @ (places - basis[:, -d:] @ points[-d:]), lower=True)
+        return BSpline(knots, points, d)
 
 
 def _started(t_s: Array, ramp_s: float, orders: int) -> Array:

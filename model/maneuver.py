@@ -35,7 +35,7 @@ class Phase:
         kind: "take_off" begins and "land" ends with the payload on the ground; both rise and sink with minimum jerk.
         way: Times since the start of the phase, s, and positions relative to it, m, (k, 4), from zeros to duration and
             displacement, at constant speed between rows. None: straight, by the profile.
-        curve: Of the kinds circle, eight and spline.
+        curve: Of the kinds circle, eight and spline, or of a smoothed table.
         formation: Rows of shares of the duration, rising, and from each on length and width of the team, along x and y,
             as multiples of those at hover, (k, 3); they change smoothly from row to row. None: as before the phase.
     """
@@ -266,7 +266,8 @@ class Maneuver:
             if curve is not None:
                 found += curve.path(t_s - begin)
             elif phase.displacement_I.any() or phase.way is not None:
-                raise ParameterError(f"phase {phase.name!r}: expected a smooth path, got {self.profile!r}")
+                expected = "expected a smooth path, that of profile 'smooth'"
+                raise ParameterError(f"phase {phase.name!r}: {expected}, got {self.profile!r}")
             begin += phase.duration_s
         found = self._led(t_s, found)
         if all(phase.formation is None for phase in self.phases):

@@ -205,7 +205,7 @@ class ManeuverSection(Section):
     by gains along the path. flat needs a smooth path within all limits, and closed_loop, along, riccati, preview"""
     profile: Profile = "ramp"
     """speed profile along a straight segment: constant speed, minimum jerk, a step, or smooth to the seventh
-    derivative"""
+    derivative. smooth also replaces tables by splines from rest to rest, which round corners within some 0.5 s"""
     press_m: NotNegative = 0.2
     """distance of the controllers' reference below the path of the payload while it stands on the ground
     ([equations.md](equations.md#on-the-ground)): the larger, the less of its weight the team holds"""

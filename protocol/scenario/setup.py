@@ -12,6 +12,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from model.arrays import Array, continued, frozen
+from model.curves import Curve
 from model.failure import failed_hover, with_released
 from model.flat import FlatReference, Track
 from model.hover import Hover, hover
@@ -406,19 +407,22 @@ def _uav(section: UavSection) -> Uav:
 
 
 def _maneuver(scenario: Scenario) -> Maneuver:
-    section = scenario.maneuver
-    phases = [
-        Phase(
-            name=p.name,
-            duration_s=p.duration_s,
-            displacement_I=p.displacement_m,
-            kind=p.kind,
-            way=p.way,
-            curve=p.curve(),
-            formation=p.formation,
+    section, phases = scenario.maneuver, []
+    for p in section.phase:
+        curve = p.curve()
+        if curve is None and p.way is not None and section.profile == "smooth":
+            curve = Curve(kind=None, duration_s=p.duration_s, ramp_s=0.0, table=p.way)
+        phases.append(
+            Phase(
+                name=p.name,
+                duration_s=p.duration_s,
+                displacement_I=p.displacement_m,
+                kind=p.kind,
+                way=p.way if curve is None else None,
+                curve=curve,
+                formation=p.formation,
+            )
         )
-        for p in section.phase
-    ]
     return Maneuver(start_I=section.start_m, phases=phases, profile=section.profile, press_m=section.press_m)
 
 
