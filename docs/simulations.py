@@ -6,7 +6,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import joblib
 import numpy as np
 from rich.console import Console
 from tables import ROOT, commit, place, put, table
@@ -136,7 +135,7 @@ def _results(runs: Sequence[Run]) -> tuple[str, Mapping[Run, Flown]]:
     with Results("pages", kept) as results:
         # Large teams and long runs first: no core is idle while the last of them ends.
         def simulated(missing: Sequence[Case]) -> Any:
-            return on_cores(sorted(missing, key=_effort, reverse=True), joblib.cpu_count())
+            return on_cores(sorted(missing, key=_effort, reverse=True))
 
         swept = sweep(experiment, cases, simulated, results, Console(stderr=True))
     swept.check()

@@ -1,7 +1,5 @@
 """The commands `transport log`: describe and export the log of a run."""
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -249,6 +247,8 @@ def export(
 
 
 def _export_tables(file: LogFile, out: Path, kinds: list[str], *, parquet: bool) -> list[dict[str, Any]]:
+    from transport.report.report import write_csv
+
     period_s = None if file.setup is None else file.setup.settings.sampling_period_s
     commands = RATE_NAMES if file.setup is not None and file.setup.system.commands_rates else INPUT_NAMES
     written: list[dict[str, Any]] = []
@@ -261,7 +261,8 @@ def _export_tables(file: LogFile, out: Path, kinds: list[str], *, parquet: bool)
             if parquet:
                 _write_parquet(rows, target, file)
             else:
-                _write_csv(rows, target)
+                values = ({k: int(v) if isinstance(v, bool) else v for k, v in row.items()} for row in rows)
+                write_csv(target, values, columns(rows))
             written.append({"file": str(target), "rows": len(rows)})
     except OSError as error:
         fail(f"--out: cannot write to {out} ({error.strerror or error})", EXIT_USAGE)
@@ -294,19 +295,6 @@ def _warn(file: LogFile) -> None:
         typer.echo(f"warning: {file.log.cut}", err=True)
     for sentence in lost(file):
         typer.echo(f"warning: lost: {sentence}", err=True)
-
-
-def _write_csv(rows: list[Row], path: Path) -> None:
-    from transport.report.report import write_whole
-
-    text = io.StringIO(newline="")
-    # Floats are written by repr: they read back as the same bits.
-    writer = csv.DictWriter(text, columns(rows), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(
-        {name: int(value) if isinstance(value, bool) else value for name, value in row.items()} for row in rows
-    )
-    write_whole(path, text.getvalue().encode())
 
 
 def _write_parquet(rows: list[Row], path: Path, file: LogFile) -> None:

@@ -1,6 +1,5 @@
 """The command `transport replay`: one agent of a recorded run again, as recorded or with other settings."""
 
-import csv
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,6 +24,7 @@ from transport.log.run_folder import RecordedRun, open_run
 from transport.log.run_log import LogError
 from transport.log.tables import INPUT_NAMES, RATE_NAMES
 from transport.report.figures import draw_replay
+from transport.report.report import write_csv
 
 # Smaller differences of inputs, N or N m, are rounding: other numbers on the way to the same decision.
 _ROUNDING = 1e-6
@@ -155,13 +155,11 @@ def _write(run: RecordedRun, comparison: Comparison, out: Path) -> list[Path]:
     try:
         out.mkdir(parents=True, exist_ok=True)
         table = out / "replay.csv"
-        with table.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            turning, unit = ("rate", "rad_s") if run.setup.system.commands_rates else ("moment", "Nm")
-            parts = [f"{what}_{part}_{of}" for part in _PARTS for what, of in (("thrust", "N"), (turning, unit))]
-            writer.writerow(["tick", "t_s", *parts, "differs"])
-            for tick, *apart, differs in comparison.rows:
-                writer.writerow([tick, tick * period_s, *apart, int(differs)])
+        turning, unit = ("rate", "rad_s") if run.setup.system.commands_rates else ("moment", "Nm")
+        parts = [f"{what}_{part}_{of}" for part in _PARTS for what, of in (("thrust", "N"), (turning, unit))]
+        columns = ["tick", "t_s", *parts, "differs"]
+        rows = ([tick, tick * period_s, *apart, int(differs)] for tick, *apart, differs in comparison.rows)
+        write_csv(table, (dict(zip(columns, row, strict=True)) for row in rows), columns)
     except OSError as error:
         fail(f"--out: cannot write to {out} ({error.strerror})", EXIT_USAGE)
     return [table] if comparison.first is None else [table, *draw_replay(run.setup, comparison, out)]

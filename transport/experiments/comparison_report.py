@@ -43,12 +43,12 @@ from transport.experiments.comparison_verdict import (
     verdicts,
 )
 from transport.experiments.simulation import NUMBERS, run_in_memory
-from transport.experiments.statistics import Estimate, csv_bytes, empty_table
+from transport.experiments.statistics import Estimate, empty_table
 from transport.experiments.sweep import Results, Simulate, Swept, sweep
 from transport.flight.header import machine
 from transport.report.column import column_panels, draw_legend, head, legend_height_in
 from transport.report.compare import Overlaid, fill_overlaid
-from transport.report.report import write_whole
+from transport.report.report import write_csv, write_whole
 from transport.report.style import CURVES, DIVERGED, MARKER, RC, REFERENCE, SMALL, label_decades, save
 
 WIDTH = 130
@@ -97,15 +97,16 @@ def compare(
     costs = cost_curves(curves, swept)
     judged = verdicts(costs, loads, reference)
     text = [*lines(judged), "", *statements(judged)]
-    written = {
-        "curves.csv": csv_bytes([_curve_row(curve, node, loads) for curve in costs for node in curve.nodes]),
-        "verdict.csv": csv_bytes([_verdict_row(verdict) for verdict in judged]),
-        "computation.csv": csv_bytes(list(_computation_rows(loads.values()))),
-        "verdict.txt": "\n".join([*text, "", f"machine: {machine()}", ""]).encode(),
+    tables = {
+        "curves.csv": [_curve_row(curve, node, loads) for curve in costs for node in curve.nodes],
+        "verdict.csv": [_verdict_row(verdict) for verdict in judged],
+        "computation.csv": list(_computation_rows(loads.values())),
     }
-    for name, content in written.items():
-        write_whole(folder / name, content)
-    files = [*(folder / name for name in written), swept.write_cases(folder)]
+    for name, rows in tables.items():
+        write_csv(folder / name, rows, list(rows[0]))
+    verdict = folder / "verdict.txt"
+    write_whole(verdict, "\n".join([*text, "", f"machine: {machine()}", ""]).encode())
+    files = [*(folder / name for name in tables), verdict, swept.write_cases(folder)]
     shown = list(_maneuver_runs(costs, judged, reference, experiment.points, cases))
     files += [*draw_costs(costs, loads, reference, folder), *draw_maneuver(shown, folder)]
     output = ["", *text, "", f"machine: {machine()}", *(f" {path}" for path in files)]

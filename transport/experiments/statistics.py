@@ -1,7 +1,5 @@
 """Statistics of repetitions, means with 95 % confidence intervals for each point of a sweep, and their tables."""
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -245,12 +243,3 @@ def _cell(m: PointStatistics, shown: _Column) -> str:
     if value.half_width is None or not shown.interval:
         return text
     return f"{text} ±{_number(shown.factor * value.half_width, shown.digits)}"
-
-
-def csv_bytes(rows: Sequence[dict[str, Any]], columns: Sequence[str] | None = None) -> bytes:
-    """Return rows as CSV; the columns are those of the first row unless given."""
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, columns or list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue().encode()

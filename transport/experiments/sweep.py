@@ -17,10 +17,10 @@ from transport.experiments.cases import Case, ExperimentError, refused
 from transport.experiments.declaration import Experiment
 from transport.experiments.figures import draw
 from transport.experiments.simulation import ERROR, NUMBERS, RESOURCES, Result
-from transport.experiments.statistics import PointStatistics, cases_rows, csv_bytes, points_rows, statistics_of
+from transport.experiments.statistics import PointStatistics, cases_rows, points_rows, statistics_of
 from transport.flight.header import machine
 from transport.flight.progress import ConsoleProgress
-from transport.report.report import write_whole
+from transport.report.report import write_csv, write_whole
 
 _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
 
@@ -150,14 +150,15 @@ class Swept:
         """Write tables and figure to a folder and return the files; the figure may show another view of the sweep."""
         files = [self.write_cases(folder), *draw(*(shown or (self.experiment, self.measured)), folder)]
         points = folder / "points.csv"
-        write_whole(points, csv_bytes(self.rows("points")))
+        rows = self.rows("points")
+        write_csv(points, rows, list(rows[0]))
         return [points, *files]
 
     def write_cases(self, folder: Path) -> Path:
         """Write a row for each run to cases.csv and return the file; floats are written without loss."""
         file = folder / "cases.csv"
         columns = ["scenario", *self.experiment.points[0].labels, "seed", "outcome", "reason", *self._numbers]
-        write_whole(file, csv_bytes(self.rows("runs"), columns))
+        write_csv(file, self.rows("runs"), columns)
         return file
 
     def check(self) -> None:

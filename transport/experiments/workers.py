@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 
+from protocol.scenario.budget import most_workers
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.experiments.cases import Case, ExperimentError, refused
 from transport.experiments.simulation import ERROR, Result, simulate
@@ -21,15 +22,19 @@ _ANSWER_S, _CHECK_S = 15.0, 0.5
 _ADDRESS = re.compile(r"[a-z]+://\S+")
 
 
-def on_cores(cases: Sequence[Case], jobs: int) -> Iterator[Result]:
-    """Simulate cases on this machine; one job is done in this process.
+def on_cores(cases: Sequence[Case], jobs: int | None = None) -> Iterator[Result]:
+    """Simulate cases on this machine, by default as many at a time as there are cores, and memory for.
+
+    One job is done in this process.
 
     Raises: ExperimentError: a worker process has died.
     """
-    if jobs == 1:
+    import joblib
+
+    most = jobs or min(joblib.cpu_count(), most_workers(case.scenario for case in cases))
+    if (jobs := min(len(cases), most)) <= 1:
         yield from map(simulate, cases)
         return
-    import joblib
     from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 

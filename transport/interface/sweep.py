@@ -1,23 +1,20 @@
 """Sweeps: a run for each combination of settings and each seed, on the cores of this machine or on a Dask cluster."""
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import joblib
 import numpy as np
 from rich.console import Console
 
-from protocol.scenario.budget import most_workers
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
 from transport.experiments.declaration import Axis, Experiment, axis, quantity
 from transport.experiments.figures import fill
-from transport.experiments.simulation import Result
 from transport.experiments.statistics import WIDTH, PointStatistics, means_in_words, table_of
 from transport.experiments.sweep import Results
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
@@ -246,10 +243,4 @@ def _simulator(workers: int | str | None) -> experiment_sweep.Simulate:
         return partial(on_cluster, address=workers)
     if workers is not None and (not isinstance(workers, int) or workers < 1):
         raise ArgumentError(f"workers: expected a number >= 1 or the address of a Dask cluster, got {workers!r}")
-
-    def on_this_machine(cases: Sequence[Case]) -> Iterator[Result]:
-        # By default as many workers as there are cores, and memory for.
-        jobs = workers or min(joblib.cpu_count(), most_workers(case.scenario for case in cases))
-        return on_cores(cases, min(jobs, len(cases)))
-
-    return on_this_machine
+    return partial(on_cores, jobs=workers)

@@ -4,7 +4,7 @@ import csv
 import io
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,7 +18,6 @@ from transport.analysis.metrics import summarise
 from transport.analysis.series import SWING_S, counted
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.log.run_folder import RecordedRun, open_run
-from transport.log.run_log import RunLog
 
 # Violations below this share of a constraint's range are within the solver's tolerance.
 HELD = 1e-6
@@ -52,7 +51,7 @@ def report_run(run: RecordedRun, *, figures: bool = True, forks: bool = False, p
     folder, setup, log = run.folder, run.setup, counted(run.setup, run.log)
     summary = summarise(setup, log)
     write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
-    _write_steps(folder / "steps.csv", setup, log)
+    write_csv(folder / "steps.csv", steps_rows(setup, log), steps_columns(setup))
     if figures:
         from transport.report.figures import draw  # loads matplotlib, 0.3 s that runs without figures save
 
@@ -220,12 +219,12 @@ def _text(value: float | None, form: str, sentence: str = "{}") -> str:
     return "-" if value is None else sentence.format(format(value, form))
 
 
-def _write_steps(path: Path, setup: Setup, log: RunLog) -> None:
+def write_csv(path: Path, rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> None:
+    """Write a table atomically; floats are written by repr, which reads back as the same bits."""
     with _atomic_file(path) as file, io.TextIOWrapper(file, encoding="utf-8", newline="") as text:
-        # Floats are written by repr, which reads back as the same bits.
-        writer = csv.DictWriter(text, steps_columns(setup), lineterminator="\n")
+        writer = csv.DictWriter(text, columns, lineterminator="\n")
         writer.writeheader()
-        writer.writerows(steps_rows(setup, log))
+        writer.writerows(rows)
 
 
 def write_whole(path: Path, content: bytes) -> None:
