@@ -31,6 +31,7 @@ from protocol.wire.messages import (
     Bundle,
     Control,
     Event,
+    Instant,
     Measurement,
     Message,
     Plan,
@@ -89,17 +90,16 @@ class _Bundled(Exchange):
         self._kept: list[tuple[str, bytes]] = []  # keys without the prefix of the run, encoded messages
         self._tick = 0  # of the newest message kept
 
-    def _keep(self, message: Message) -> bytes:
-        """Keep a message for the next bundle; return its bytes."""
-        data = encode(message)
-        self._kept.append((self._keys.end(self._keys.of(message)), data))
+    def _keep(self, message: Message) -> None:
+        """Keep a message for the next bundle."""
+        self._kept.append((self._keys.end(self._keys.of(message)), encode(message)))
         self._tick = message.tick
-        return data
 
-    def _take(self) -> dict[str, tuple[str, ...] | tuple[bytes, ...]]:
-        """Return the messages kept, as fields of a bundle, and forget them."""
-        kept, self._kept = self._kept, []
-        return {"keys": tuple([key for key, _ in kept]), "parts": tuple([data for _, data in kept])}
+    def _send_bundle(self, kind: type[Bundle], entries: list[tuple[str, bytes]], **fields: int) -> None:
+        """Send messages, as they are kept, in a bundle; forget those kept."""
+        keys, parts = zip(*entries, strict=True)
+        super().send(self._out.stamp(kind, tick=self._tick, keys=keys, parts=parts, **fields))
+        self._kept = []
 
 
 class _Agent(_Bundled):
@@ -116,23 +116,35 @@ class _Agent(_Bundled):
     def flush(self) -> None:
         if self._kept:
             agent = int(self._out.sender.removeprefix(AGENT))
-            super().send(self._out.stamp(Answer, tick=self._tick, agent=agent, **self._take()))
+            self._send_bundle(Answer, self._kept, agent=agent)
 
 
 class _Plant(_Bundled):
-    """Sends measurements to their agents at once; state and measurements to the record afterwards."""
+    """Sends the agents their measurements with the relayed plans; state and measurements to the record afterwards."""
+
+    def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
+        super().__init__(name, incarnation, keys, put)
+        self._shared: list[tuple[str, bytes]] = []  # accepted plans for the agents, that came since the last measurement
+
+    def received(self, event: Event, bundle: Bundle | None) -> None:
+        if isinstance(event, Plan) and event.shared and bundle is not None:
+            key = self._keys.end(self._keys.of(event))
+            self._shared.append((key, bundle.parts[bundle.keys.index(key)]))
 
     def send(self, message: Message) -> None:
-        if isinstance(message, Measurement):
-            self._put(self._keys.of(message), self._keep(message))
-        elif isinstance(message, PlantState | ActualInputs):
+        if isinstance(message, Measurement | PlantState | ActualInputs):
             self._keep(message)
         else:
             super().send(message)
 
     def flush(self) -> None:
-        if self._kept:
-            super().send(self._out.stamp(Record, tick=self._tick, **self._take()))
+        recorded = self._kept
+        measured = [entry for entry in recorded if entry[0].startswith(Measurement.kind)]
+        if measured:
+            self._send_bundle(Instant, self._shared + measured)
+            self._shared = []
+        if recorded:
+            self._send_bundle(Record, recorded)
 
 
 class _Coordinator(_Bundled):
@@ -175,7 +187,7 @@ class _Coordinator(_Bundled):
             self._keep(tick)
         else:
             self._tick = answers[-1].tick
-        super().send(self._out.stamp(Relay, tick=self._tick, **self._take()))
+        self._send_bundle(Relay, self._kept)
 
 
 # Handled events between garbage collections.

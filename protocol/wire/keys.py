@@ -3,7 +3,7 @@
 transport/{run}/{kind}                   messages with one key, such as tick; a link change has the key of the roster
 transport/{run}/{kind}/{agent}           measurement, plan, report
 transport/{run}/unshared/{agent}         plans that the other agents do not receive
-transport/{run}/answer/{agent}           bundle of an agent's plan and report; relay, record: other bundles
+transport/{run}/answer/{agent}           bundle of an agent's plan and report; relay, instant, record: other bundles
 transport/{run}/rejected/{name}          messages that any process refused
 transport/{run}/left/{name}              empty: the process has sent its last message
 transport/{run}/ask/{name}/{what}        queryable: every process answers requests, each under a key of its own
@@ -84,7 +84,7 @@ class Keys:
         for cls in (cls for cls in (*KINDS.values(), *BUNDLES.values()) if role in cls.route.receivers):
             if relayed is False and cls.kind in BUNDLES:
                 continue  # no process relays what is in them
-            if relayed and role == RECORDER and cls is Measurement:
+            if relayed and cls is Measurement:
                 continue  # bundles bring them
             # An agent receives what other processes send to it, and from the other agents everything they share.
             end = agent if role == AGENT and cls.route.sender != AGENT else "*"

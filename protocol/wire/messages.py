@@ -3,7 +3,7 @@
 Per tick: coordinator -> plant `Tick`; plant -> each agent `Measurement`; agent -> plant, coordinator and, when it is
 shared, the other agents `Plan`. For the record: plant `PlantState` and `ActualInputs`, agents `StepReport`, any process
 `Rejected`. Around them: coordinator `Roster`, `LinkChange`, `Target` and `Control`. In lockstep most of them travel in
-bundles: `Answer`, `Relay` and `Record`.
+bundles: `Answer`, `Relay`, `Instant` and `Record`.
 """
 
 from collections.abc import Callable, Mapping
@@ -379,10 +379,17 @@ class Answer(Bundle, tag="answer", frozen=True, kw_only=True):
 
 
 class Relay(Bundle, tag="relay", frozen=True, kw_only=True):
-    """Coordinator to all: the answers of a tick, and the tick after it once that is open."""
+    """Coordinator to plant and record: the answers of a tick, and the tick after it once that is open."""
 
-    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL)
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(PLANT, RECORDER, WATCHER))
     carries: ClassVar[tuple[type[Message], ...]] = (*_ANSWERS, Tick)
+
+
+class Instant(Bundle, tag="instant", frozen=True, kw_only=True):
+    """Plant to agents: the plans they share of a tick, as relayed to the plant, and the measurements of the next tick."""
+
+    route: ClassVar[Route] = Route(sender=PLANT, receivers=(AGENT,))
+    carries: ClassVar[tuple[type[Message], ...]] = (Plan, Measurement)
 
 
 class Record(Bundle, tag="record", frozen=True, kw_only=True):
