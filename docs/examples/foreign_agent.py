@@ -6,7 +6,7 @@ of the payload as high as the middle, and carries its share. Start all but agent
 
     python docs/examples/foreign_agent.py resilient DIGEST 3 7447
 
-In lockstep the coordinator relays the plans; for a run in real time add the word direct.
+In lockstep plans come with the measurement; for a run in real time add the word direct.
 """
 
 import json
@@ -36,11 +36,13 @@ def unpack(_, data):
     return np.frombuffer(data, "<f8", offset=16).reshape(shape[:axes])
 
 
-def messages(data):
-    """Yield the messages in some bytes as lists: those of a bundle one by one, or the one there is."""
+def messages(data, shared=None):
+    """Yield the messages in some bytes as lists, those of a bundle one by one; add its plans to a list, if given."""
     kind, *fields = msgpack.unpackb(data[1:], ext_hook=unpack)
-    if kind == "relay":
-        for part in fields[5]:
+    if kind in ("instant", "relay"):
+        for key, part in zip(*fields[4:6], strict=True):
+            if shared is not None and key.startswith("plan/"):
+                shared.append((key, part))
             yield from messages(part)
     else:
         yield kind, *fields
@@ -77,7 +79,7 @@ def main(run, digest, agent, port, exchange="relayed"):
             inbox.put(None)
 
     with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
-        keys = [f"{prefix}/{key}" for key in (f"measurement/{me}", "plan/*", "relay", "control")]
+        keys = [f"{prefix}/{key}" for key in (f"measurement/{me}", "plan/*", "instant", "control")]
         kept = [session.declare_subscriber(key, inbox.put) for key in keys]
         kept.append(session.liveliness().declare_subscriber(f"{prefix}/alive/**", watch, history=True))
         kept.append(session.liveliness().declare_token(f"{prefix}/alive/agent{me}/0/{digest}/{VERSION}"))
@@ -91,7 +93,7 @@ def main(run, digest, agent, port, exchange="relayed"):
                     return
                 if kind == "plan":
                     plans[tick, fields[0]] = fields[5].mean(axis=0)  # e, Omega, Theta, omega of its UAVs
-                elif kind == "measurement":
+                elif kind == "measurement" and fields[0] == me:
                     measured = tick, fields
             if measured is None or any((measured[0] - 1, a) not in plans for a in measured[1][2] if a != me):
                 continue  # nothing to answer, or plans of the tick before are still on their way

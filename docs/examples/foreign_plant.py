@@ -101,7 +101,7 @@ class Plant:
         weight = self.bodies.g * (self.bodies.m0 / self.N + self.bodies.m[:, 0])
         self.u, self.plan_ticks = np.column_stack([weight, np.zeros((self.N, 3))]), [-1] * self.N
         self.k, self.measured, self.ticks, self.plans, self.answered = 0, -1, {}, {}, {}
-        self.publish, self.count, self.records, self.kept = publish, 0, 0, []
+        self.publish, self.count, self.bundles, self.kept, self.shared = publish, 0, 0, [], []
 
     def take(self, kind, head, fields):
         """Take in a tick or a plan, and answer what can be answered."""
@@ -122,11 +122,19 @@ class Plant:
                 self.advance()
             else:
                 break
-        if self.kept:  # the record receives all in one message
-            keys, parts, tick = zip(*self.kept, strict=True)
-            head = ["plant", 0, self.records, tick[-1]]
-            self.publish("record", message("record", *head, list(keys), list(parts)))
-            self.records, self.kept = self.records + 1, []
+        measured = [entry for entry in self.kept if entry[0].startswith("measurement/")]
+        if measured:  # the agents receive plans of the tick before and measurements in one message
+            self.bundle("instant", self.shared + measured)
+            self.shared.clear()
+        if self.kept:
+            self.bundle("record", self.kept)
+            self.kept = []
+
+    def bundle(self, kind, entries):
+        """Publish messages in a bundle."""
+        keys, parts = zip(*entries, strict=True)
+        self.publish(kind, message(kind, "plant", 0, self.bundles, self.measured, list(keys), list(parts)))
+        self.bundles += 1
 
     def is_decided(self):
         """Return whether the plans of tick k are here: of its members, or of those that the next tick names."""
@@ -134,7 +142,7 @@ class Plant:
         return self.answered.get(self.k, set()) >= set(members if named is None else named)
 
     def measure(self):
-        """Publish the measurements of tick k."""
+        """Answer tick k with measurements."""
         members, answered, shared, roster, *_ = self.ticks[self.k]
         for agent in members:
             rows = [uav - 1 for uav in self.owned[agent - 1]]
@@ -144,7 +152,7 @@ class Plant:
         self.measured = self.k
 
     def advance(self):
-        """Integrate [k, k + 1) and publish state and inputs; a plan is played on until the next one."""
+        """Integrate [k, k + 1), with state and inputs for the record; a plan is played on until the next one."""
         for uav, (start, tick, inputs) in self.plans.items():
             if start <= self.k:
                 self.u[uav - 1] = inputs[min(self.k - start, len(inputs) - 1)]
@@ -155,12 +163,9 @@ class Plant:
         self.x, self.k = end, self.k + 1
 
     def send(self, key, kind, *fields):
-        """Publish a message of tick k; what is not for an agent goes to the record alone."""
-        data = message(kind, "plant", 0, self.count, self.k, *fields)
+        """Keep a message of tick k for the next bundle."""
+        self.kept.append((key, message(kind, "plant", 0, self.count, self.k, *fields)))
         self.count += 1
-        self.kept.append((key, data, self.k))
-        if kind == "measurement":
-            self.publish(key, data)
 
 
 def main(file, run, digest, port):
@@ -190,7 +195,7 @@ def main(file, run, digest, port):
             session.put(f"{prefix}/{key}", data, congestion_control=zenoh.CongestionControl.BLOCK)
 
         plant = Plant(scenario, publish)
-        keys = [f"{prefix}/{key}" for key in ("tick", "plan/*", "unshared/*", "relay", "control")]
+        keys = [f"{prefix}/{key}" for key in ("relay", "control")]
         kept = [session.declare_subscriber(key, inbox.put) for key in keys]
         kept.append(session.liveliness().declare_subscriber(f"{prefix}/alive/**", watch, history=True))
         kept.append(session.liveliness().declare_token(f"{prefix}/alive/plant/0/{digest}/{VERSION}"))
@@ -199,7 +204,7 @@ def main(file, run, digest, port):
         kept.append(session.liveliness().declare_token(f"{prefix}/ready/plant/0"))
         over = False
         while not over and (sample := inbox.get()) is not None:
-            for kind, *fields in messages(sample.payload.to_bytes()):
+            for kind, *fields in messages(sample.payload.to_bytes(), plant.shared):
                 over = over or kind == "control"
                 plant.take(kind, fields[:4], fields[4:])
             plant.work()

@@ -124,7 +124,7 @@ class _Plant(_Bundled):
 
     def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
         super().__init__(name, incarnation, keys, put)
-        self._shared: list[tuple[str, bytes]] = []  # accepted plans for the agents, that came since the last measurement
+        self._shared: list[tuple[str, bytes]] = []  # accepted plans for the agents since the last measurement
 
     def received(self, event: Event, bundle: Bundle | None) -> None:
         if isinstance(event, Plan) and event.shared and bundle is not None:

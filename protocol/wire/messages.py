@@ -386,7 +386,7 @@ class Relay(Bundle, tag="relay", frozen=True, kw_only=True):
 
 
 class Instant(Bundle, tag="instant", frozen=True, kw_only=True):
-    """Plant to agents: the plans they share of a tick, as relayed to the plant, and the measurements of the next tick."""
+    """Plant to agents: the shared plans of a tick, which the plant has from a relay, and the measurements of the next."""
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(AGENT,))
     carries: ClassVar[tuple[type[Message], ...]] = (Plan, Measurement)

@@ -14,7 +14,8 @@ from protocol.scenario.faults import Fault
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Answer, Bundle, Message, Plan, Presence, StepReport, agent_name
+from protocol.wire.messages import Answer, Bundle, Message, Plan, Presence, Relay, StepReport, agent_name
+from protocol.wire.node import Outbox
 from tests.support import logs, runs
 from tests.support.runs import ALL, INCARNATION, SHORT, setup
 from tests.support.wire import NodeReceiver, without_network
@@ -46,12 +47,12 @@ class Line:
         for message in messages:
             self.exchange.send(message)
 
-    def receive(self, *answers: Answer) -> None:
-        """Receive the plans of accepted answers."""
-        for answer in answers:
-            for data in answer.parts:
+    def receive(self, *bundles: Bundle) -> None:
+        """Receive the plans of bundles as accepted."""
+        for bundle in bundles:
+            for data in bundle.parts:
                 if isinstance(message := decode(data), Plan):
-                    self.exchange.received(message, answer)
+                    self.exchange.received(message, bundle)
 
 
 def said(key: str, data: bytes) -> str:
@@ -81,6 +82,28 @@ def answer(agent: int, k: int) -> Answer:
     made = decode(data)
     assert isinstance(made, Answer)
     return made
+
+
+def test_shared_plans_travel_with_the_next_measurements() -> None:
+    """The plant passes accepted, shared plans on unchanged, once, with measurements; those are for the record too."""
+    keys, plans = ("plan/1", "unshared/2", "plan/3"), (plan(1, 0), plan(2, 0, shared=False), plan(3, 0))
+    line, relay = (
+        Line("plant"),
+        Outbox("coordinator", 0).stamp(Relay, tick=0, keys=keys, parts=tuple(map(encode, plans))),
+    )
+    line.receive(relay)
+    line.exchange.settle()
+    assert line.sent() == []
+    line.send(*(replace(runs.measurement(RUN, agent, 1), sequence=agent) for agent in (1, 2)))
+    line.exchange.settle()
+    (key, data), recorded = line.taken()
+    assert said(key, data) == "instant 1 #0: plan/1 plan/3 measurement/1 measurement/2"
+    assert said(*recorded) == "record 1 #1: measurement/1 measurement/2"
+    instant = decode(data)
+    assert isinstance(instant, Bundle)
+    assert instant.parts[:2] == (relay.parts[0], relay.parts[2])
+    line.exchange.settle()
+    assert line.sent() == []
 
 
 def test_answers_are_sent_before_the_end() -> None:

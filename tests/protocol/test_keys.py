@@ -10,6 +10,7 @@ from protocol.wire.messages import (
     Answer,
     Control,
     FaultNote,
+    Instant,
     LinkChange,
     Measurement,
     Message,
@@ -43,6 +44,7 @@ OWNERS = {
     "rejected": "agent2",
     "answer": "agent2",
     "relay": "coordinator",
+    "instant": "plant",
     "record": "plant",
 }
 ALL_KINDS = KINDS | BUNDLES
@@ -70,7 +72,8 @@ def listeners(message: Message) -> set[str]:
         (PlantState, {"coordinator", "recorder"}),
         (ActualInputs, {"recorder"}),
         (Answer, {"coordinator"}),
-        (Relay, {"plant", "recorder", "agent1", "agent2", "agent12", "agent123"}),
+        (Relay, {"plant", "recorder"}),
+        (Instant, {"agent1", "agent2", "agent12", "agent123"}),
         (Record, {"coordinator", "recorder"}),
     ],
 )
@@ -112,6 +115,7 @@ def test_keys_are_as_documented() -> None:
         "rejected": "transport/run-1/rejected/agent2",
         "answer": "transport/run-1/answer/2",
         "relay": "transport/run-1/relay",
+        "instant": "transport/run-1/instant",
         "record": "transport/run-1/record",
     }
     assert {kind: KEYS.of(sample(ALL_KINDS[kind])) for kind in expected} == expected

@@ -85,7 +85,7 @@ def repeat(opened: zenoh.Session, keys: Keys, agent: int, rate_hz: float) -> int
     over: queue.SimpleQueue[object] = queue.SimpleQueue()
     plan = f"{keys.prefix}/{Plan.kind}/{agent}"
     kept = [
-        opened.declare_subscriber(f"{keys.prefix}/relay", heard.put),
+        opened.declare_subscriber(f"{keys.prefix}/instant", heard.put),
         opened.declare_subscriber(f"{keys.prefix}/control", over.put),
     ]
     data, sent, begun_s = _plan_in(heard.get(timeout=60.0), keys.end(plan)), 0, time.monotonic()
@@ -103,10 +103,10 @@ def repeat(opened: zenoh.Session, keys: Keys, agent: int, rate_hz: float) -> int
 
 
 def _plan_in(sample: zenoh.Sample, end: str) -> bytes:
-    """Return the plan under a key in a relay, or nothing."""
-    relay = decode(sample.payload.to_bytes())
-    assert isinstance(relay, Bundle)
-    return dict(zip(relay.keys, relay.parts, strict=True)).get(end, b"")
+    """Return the plan under a key in an instant, or nothing."""
+    instant = decode(sample.payload.to_bytes())
+    assert isinstance(instant, Bundle)
+    return dict(zip(instant.keys, instant.parts, strict=True)).get(end, b"")
 
 
 class Mesh:

@@ -17,6 +17,7 @@ from protocol.wire.messages import (
     Answer,
     Bundle,
     Control,
+    Instant,
     LinkChange,
     Measurement,
     Message,
@@ -344,7 +345,7 @@ class Garbage:
 
     def _bad_parts(self) -> tuple[str, bytes]:
         """Return a bundle of the next tick with bad messages in it."""
-        key, message = self._message(Answer, Relay, Record)
+        key, message = self._message(Answer, Relay, Instant, Record)
         bad = [self.sorts[self._one_of(self._single)]() for _ in range(int(self._rng.integers(4)))]
         if isinstance(message, Answer):  # it holds two messages, under different keys
             bad = list(dict(bad).items())[:2]
@@ -353,7 +354,7 @@ class Garbage:
 
     def _renumbered_bundle(self) -> tuple[str, bytes]:
         """Return a bundle of the next tick with messages of an old one, some left out, some twice."""
-        key, bundle = self._message(Answer, Relay, Record)
+        key, bundle = self._message(Answer, Relay, Instant, Record)
         assert isinstance(bundle, Bundle)
         kept = [int(i) for i in self._rng.integers(len(bundle.parts), size=int(self._rng.integers(4)))]
         if isinstance(bundle, Answer):

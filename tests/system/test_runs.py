@@ -46,7 +46,7 @@ BRIEF = ("maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-
 FORGED, RATE_HZ = 1000, 200
 FORGED_KEYS = (
     *("plan/2", "tick", "control", "plant_state", "measurement/3", "rejected/agent2"),
-    *("answer/2", "relay", "record"),
+    *("answer/2", "relay", "instant", "record"),
 )
 # Minimum number of repeated messages at each process.
 FLOODED = 20

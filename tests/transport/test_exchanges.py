@@ -84,7 +84,7 @@ def test_the_exchange_keeps_all_bits(changes: tuple[str, ...], tmp_path: Path) -
 
 
 def test_messages_of_a_tick(tmp_path: Path) -> None:
-    """In a tick an agent receives two messages and sends one, whatever the size of the team."""
+    """In a tick an agent receives one message and sends one, whatever the size of the team."""
     run, counts = run_of(), Counter[str]()
 
     def count(_: Wire, name: str, key: str, data: bytes) -> None:
@@ -94,8 +94,8 @@ def test_messages_of_a_tick(tmp_path: Path) -> None:
         assert Wire(run, witness, count).simulate().outcome == "completed"
     ticks = run.ticks
     for agent in run.agents:
-        found = {end: counts[f"agent{agent} {end}"] for end in ("measurement", "relay", "plan", "unshared")}
-        assert found == {"measurement": ticks, "relay": ticks + 1, "plan": 0, "unshared": 0}
+        found = {end: counts[f"agent{agent} {end}"] for end in ("instant", "measurement", "relay", "plan", "unshared")}
+        assert found == {"instant": ticks, "measurement": 0, "relay": 0, "plan": 0, "unshared": 0}
     assert counts["coordinator answer"] == len(run.agents) * ticks
     assert counts["recorder relay"] == ticks + 1
     assert counts["recorder record"] <= ticks + 1
