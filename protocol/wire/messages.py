@@ -386,7 +386,7 @@ class Relay(Bundle, tag="relay", frozen=True, kw_only=True):
 
 
 class Instant(Bundle, tag="instant", frozen=True, kw_only=True):
-    """Plant to agents: the shared plans of a tick, which the plant has from a relay, and the measurements of the next."""
+    """Plant to agents: the shared plans of a tick, from the relay, and the measurements of the next tick."""
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(AGENT,))
     carries: ClassVar[tuple[type[Message], ...]] = (Plan, Measurement)
