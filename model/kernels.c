@@ -8,6 +8,7 @@
 
 #include <math.h>
 #include <stddef.h>
+#include <stdint.h>
 #include <string.h>
 
 #define LANES 8
@@ -423,6 +424,7 @@ typedef struct {
     ptrdiff_t outputs, terms, inputs;         /* outputs of each kind */
     ptrdiff_t model_outputs, all_inputs, rank; /* lengths of y and u, rows of the root */
     ptrdiff_t pairs, angles;                  /* limited distances and angles, the user's rows behind theirs */
+    ptrdiff_t known;                          /* whether effects, Hessian and rows of angles are those of the QP before */
     double terminal;                          /* weight of the last step, as a multiple of Q */
     double separation, tilt;                  /* smallest distance, largest angle */
     const ptrdiff_t *begin, *index;           /* rows of C as lists */
@@ -446,6 +448,7 @@ typedef struct {
     double *rows, *row_lower, *row_upper;     /* rows of length `size` and bounds on them: result */
     double *S, *free;                         /* (outputs of all kinds, D), (steps, outputs): result */
     double *signals;                          /* (pairs or angles, D) and (steps, pairs), for the rows */
+    double *kept;                             /* effects on states, outputs and root, for the next QP */
     double *work;
 } problem;
 
@@ -470,25 +473,14 @@ void respond(const problem *p)
 ptrdiff_t condense_work(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t p, ptrdiff_t rank)
 {
     const ptrdiff_t w = padded(steps * m), longest = p > rank ? p : rank;
-    return (n + p + rank + 3 + m) * w + (m + 1) * padded(m) + steps * p + rank + 2 * (longest > n ? longest : n) + LANES;
+    return (3 + m) * w + (m + 1) * padded(m) + steps * p + rank + 2 * (longest > n ? longest : n) + LANES;
 }
 
-/* Hessian, both triangles equal to the bit, and gradient of the cost, doubled: 1/2 z' H z + g' z is its value.
-
-   A prediction is block-Toeplitz: G(k) = [S(k-1) .. S(0) 0 .. 0], S(a) the effect of a decision on the outputs a + 1
-   steps later. So block (i, j) of the Hessian is a sum of S(a)' Q S(b) along a - b = j - i; see mpc/program.py. */
-static void condense(const problem *c)
+/* Effects of the scaled decisions on states L, outputs and the root of the cost-to-go, [S(0) .. S(steps - 1)]. */
+static void effects(const problem *c, const ptrdiff_t *every, double *L, double *flat, double *reached)
 {
-    const ptrdiff_t steps = c->steps, n = c->n, m = c->m, D = steps * m, w = padded(D), margin = padded(m);
-    const ptrdiff_t p = c->outputs + c->terms + c->inputs, rank = c->rank, stride = c->size;
-    const ptrdiff_t longest = p > rank ? p : rank, most = longest > n ? longest : n;
-    double *L = c->work, *flat = L + n * w, *reached = flat + p * w, *row = reached + rank * w, *last = row + w;
-    double *gradient = last + w, *sums = gradient + w + margin, *errors = sums + m * (w + margin);
-    double *to_go = errors + steps * p, *value = to_go + rank;
-    ptrdiff_t *every = (ptrdiff_t *)(value + most);
-    for (ptrdiff_t i = 0; i < most; i++) every[i] = i;
-
-    /* Effect of the scaled decisions on states, outputs and the root of the cost-to-go, [S(0) .. S(steps - 1)]. */
+    const ptrdiff_t steps = c->steps, n = c->n, m = c->m, D = steps * m, w = padded(D);
+    const ptrdiff_t p = c->outputs + c->terms + c->inputs, rank = c->rank;
     memset(L, 0, (size_t)((n + p + rank) * w) * sizeof *L);
     for (ptrdiff_t i = 0; i < n; i++)
         for (ptrdiff_t a = 0; a < steps; a++)
@@ -506,27 +498,18 @@ static void condense(const problem *c)
                     c->feedback[c->answering[o] * D + a * m + k] * c->scale[k];
     for (ptrdiff_t o = 0; o < rank; o++) combine_row(n, every, c->root + o * n, L, w, w, reached + o * w);
     for (ptrdiff_t o = 0; o < p; o++) memcpy(c->S + o * D, flat + o * w, (size_t)D * sizeof *flat);
+}
 
-    /* Errors of the free response at steps 1 .. steps, times 2 Q. */
-    for (ptrdiff_t k = 0; k < steps; k++) {
-        const double *dx = c->dX + (k + 1) * n, *y_ref = c->y_ref + (k + 1) * c->model_outputs;
-        double *error = errors + k * p;
-        for (ptrdiff_t o = 0; o < c->outputs; o++) {
-            const ptrdiff_t at = c->chosen[o];
-            double sum = c->y[at];
-            for (ptrdiff_t e = c->begin[at]; e < c->begin[at + 1]; e++) sum += c->value[e] * dx[c->index[e]];
-            c->free[k * c->outputs + o] = sum;
-            error[o] = sum - y_ref[at];
-        }
-        for (ptrdiff_t o = 0; o < c->terms; o++) error[c->outputs + o] = c->at_x0[o] + dot(n, c->slope + o * n, dx);
-        for (ptrdiff_t o = 0; o < c->inputs; o++) {
-            const ptrdiff_t at = c->answering[o];
-            /* Step N_p has no input. */
-            error[c->outputs + c->terms + o] =
-                k + 1 < steps ? c->U[(k + 1) * c->all_inputs + at] - c->u_target[at] : 0.0;
-        }
-        for (ptrdiff_t o = 0; o < p; o++) error[o] *= 2.0 * c->Q[o] * (k + 1 < steps ? 1.0 : c->terminal);
-    }
+/* Hessian, both triangles equal to the bit; `work` is that of `condense`.
+
+   A prediction is block-Toeplitz: G(k) = [S(k-1) .. S(0) 0 .. 0], S(a) the effect of a decision on the outputs a + 1
+   steps later. So block (i, j) of the Hessian is a sum of S(a)' Q S(b) along a - b = j - i; see mpc/program.py. */
+static void hessian(const problem *c, const ptrdiff_t *every, const double *flat, const double *reached, double *value,
+                    double *work)
+{
+    const ptrdiff_t steps = c->steps, m = c->m, D = steps * m, w = padded(D), margin = padded(m), stride = c->size;
+    const ptrdiff_t p = c->outputs + c->terms + c->inputs, rank = c->rank;
+    double *row = work, *last = row + w, *sums = last + w;
 
     /* Running sums down the block diagonals, m rows of them at a time, moved to the right by one block each. */
     memset(sums, 0, (size_t)(m * (w + margin)) * sizeof *sums);
@@ -556,6 +539,45 @@ static void condense(const problem *c)
             const ptrdiff_t x = i * m + r;
             for (ptrdiff_t y = x + 1; y < D; y++) c->H[y * stride + x] = c->H[x * stride + y];
         }
+    }
+}
+
+/* Hessian and gradient of the cost, doubled: 1/2 z' H z + g' z is its value. Known effects and Hessian stay. */
+static void condense(const problem *c)
+{
+    const ptrdiff_t steps = c->steps, n = c->n, m = c->m, D = steps * m, w = padded(D), margin = padded(m);
+    const ptrdiff_t p = c->outputs + c->terms + c->inputs, rank = c->rank, stride = c->size;
+    const ptrdiff_t longest = p > rank ? p : rank, most = longest > n ? longest : n;
+    double *L = (double *)(((uintptr_t)c->kept + 8 * LANES - 1) & ~(uintptr_t)(8 * LANES - 1));
+    double *flat = L + n * w, *reached = flat + p * w;
+    double *gradient = c->work + 2 * w + m * (w + margin), *errors = gradient + w + margin;
+    double *to_go = errors + steps * p, *value = to_go + rank;
+    ptrdiff_t *every = (ptrdiff_t *)(value + most);
+    for (ptrdiff_t i = 0; i < most; i++) every[i] = i;
+    if (!c->known) {
+        effects(c, every, L, flat, reached);
+        hessian(c, every, flat, reached, value, c->work);
+    }
+
+    /* Errors of the free response at steps 1 .. steps, times 2 Q. */
+    for (ptrdiff_t k = 0; k < steps; k++) {
+        const double *dx = c->dX + (k + 1) * n, *y_ref = c->y_ref + (k + 1) * c->model_outputs;
+        double *error = errors + k * p;
+        for (ptrdiff_t o = 0; o < c->outputs; o++) {
+            const ptrdiff_t at = c->chosen[o];
+            double sum = c->y[at];
+            for (ptrdiff_t e = c->begin[at]; e < c->begin[at + 1]; e++) sum += c->value[e] * dx[c->index[e]];
+            c->free[k * c->outputs + o] = sum;
+            error[o] = sum - y_ref[at];
+        }
+        for (ptrdiff_t o = 0; o < c->terms; o++) error[c->outputs + o] = c->at_x0[o] + dot(n, c->slope + o * n, dx);
+        for (ptrdiff_t o = 0; o < c->inputs; o++) {
+            const ptrdiff_t at = c->answering[o];
+            /* Step N_p has no input. */
+            error[c->outputs + c->terms + o] =
+                k + 1 < steps ? c->U[(k + 1) * c->all_inputs + at] - c->u_target[at] : 0.0;
+        }
+        for (ptrdiff_t o = 0; o < p; o++) error[o] *= 2.0 * c->Q[o] * (k + 1 < steps ? 1.0 : c->terminal);
     }
 
     /* Gradient, the last decision first: G(k)' of an error is [S(k-1) .. S(0)]' of it. */
@@ -651,10 +673,12 @@ void fill(const problem *p)
     }
     if (p->angles) {
         const ptrdiff_t half = steps * p->angles;
-        for (ptrdiff_t a = 0; a < p->angles; a++)
+        for (ptrdiff_t a = 0; a < p->angles && !p->known; a++)
             for (ptrdiff_t j = 0; j < D; j++) p->signals[a * D + j] = p->effect[p->angle[a] * D + j] * p->scale[j % m];
-        toeplitz(steps, p->angles, m, p->signals, rows, p->size);
-        toeplitz(steps, p->angles, m, p->signals, rows + half * p->size, p->size);
+        if (!p->known) {
+            toeplitz(steps, p->angles, m, p->signals, rows, p->size);
+            toeplitz(steps, p->angles, m, p->signals, rows + half * p->size, p->size);
+        }
         for (ptrdiff_t k = 0; k < steps; k++)
             for (ptrdiff_t a = 0; a < p->angles; a++) {
                 const double angle = p->x0[p->angle[a]] + p->dX[(k + 1) * p->n + p->angle[a]];

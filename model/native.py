@@ -58,14 +58,14 @@ class Problem(ctypes.Structure):
 
     _fields_ = (
         *((name, _number) for name in ("steps", "n", "m", "size", "outputs", "terms", "inputs")),
-        *((name, _number) for name in ("model_outputs", "all_inputs", "rank", "pairs", "angles")),
+        *((name, _number) for name in ("model_outputs", "all_inputs", "rank", "pairs", "angles", "known")),
         *((name, _double) for name in ("terminal", "separation", "tilt")),
         *((name, _address) for name in ("begin", "index", "value", "chosen", "answering", "own", "pair", "angle")),
         *((name, _address) for name in ("A", "B", "f_d", "K", "x0", "u0", "uncorrected", "announced", "y", "y_ref")),
         *((name, _address) for name in ("slope", "at_x0", "u_target", "Q", "scale", "effort", "low", "high", "rate")),
         *((name, _address) for name in ("root", "error", "end_slope", "penalties", "effect", "feedback", "dX", "dU")),
         *((name, _address) for name in ("U", "U_free", "H", "g", "lower", "upper", "rows", "row_lower", "row_upper")),
-        *((name, _address) for name in ("S", "free", "signals", "work")),
+        *((name, _address) for name in ("S", "free", "signals", "kept", "work")),
     )
 
 

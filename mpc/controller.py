@@ -18,7 +18,7 @@ from model.obstacles import Obstacle
 from model.state import LARGEST
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear, Prediction, convolve, follow, free_response
+from mpc.prediction import Linear, Prediction, convolve, free_response
 from mpc.program import Program
 from mpc.qp import QP, Solution
 from mpc.regulation import Ahead, CostToGo, Regulation
@@ -171,16 +171,15 @@ class Controller:
         """
         if law is not None and law.along is not None:
             return self._along.course(self.model, linear, law, law.along)
-        prediction = self._program.predict(linear, discrete, U, law)
-        self._curvature = None
+        found, self._curvature = None, None
         if law is not None and self.settings.linearisation == "along":
-            self._follow(linear, discrete, prediction, law)
-        return prediction
+            found = self._trajectory(linear, law)
+        return self._program.predict(linear, discrete, U, law, found)
 
-    def _follow(self, linear: Linear, discrete: Discrete, prediction: Prediction, law: FeedbackLaw) -> None:
-        """Predict along the trajectory of the shared control law and the announced corrections, unless it is too steep.
+    def _trajectory(self, linear: Linear, law: FeedbackLaw) -> tuple[Array, Array] | None:
+        """Return states and inputs by the shared control law and the announced corrections, and keep their curvature.
 
-        Source: docs/equations.md (35a).
+        None if they are too steep. Source: docs/equations.md (35a).
         """
         model, n = self.model, self.model.system.n
         z0 = linear.x0 if linear.actual is None else np.concatenate([linear.x0, linear.actual])
@@ -188,9 +187,9 @@ class Controller:
         view = state.StateView(Z[:, :n])
         angles = np.concatenate([view.Theta0[:, None, :2], view.Theta[..., :2]], axis=1)
         if not np.abs(angles).max() < _STEEPEST or not np.isfinite(Z).all():
-            return
-        follow(prediction, discrete, linear.u0, self.own, law, Z, U[:, self.own] - linear.u0[self.own])
+            return None
         self._curvature = model.outputs_along(Z[:, :n]) - linear.model.y - (Z - z0) @ linear.model.C.T
+        return Z, U
 
     def condense(
         self,

@@ -97,13 +97,14 @@ def closed_loop(discrete: Discrete, u0: Array, own: Places, law: FeedbackLaw) ->
 
 
 def follow(
-    prediction: Prediction, discrete: Discrete, u0: Array, own: Places, law: FeedbackLaw, Z: Array, V: Array
+    prediction: Prediction, discrete: Discrete, u0: Array, own: Places, law: FeedbackLaw, Z: Array, U: Array
 ) -> None:
     """Change the free response of a `closed_loop` prediction so that it is exact along a trajectory.
 
-    The owned decision V, (N_p, m_own), which follows the shared control law, then leads to the states Z,
+    The owned ones of the inputs U, (N_p, m), which follow the shared control law, then lead to the states Z,
     (N_p + 1, n). Source: docs/equations.md (35a).
     """
+    V = U[:, own] - u0[own]
     B_others = discrete.B.copy()
     B_others[:, own] = 0.0
     response = native.free_response if native.AVAILABLE else free_response
@@ -111,7 +112,7 @@ def follow(
     prediction.dX_free[:] = Z - Z[0] - caused
     prediction.dU_free[:] = prediction.dX_free[:-1] @ law.K.T
     prediction.U_all[:] = law.uncorrected + law.c + prediction.dU_free
-    prediction.U_all[:, own] = u0[own]
+    prediction.U_all[:, own] = prediction.U_free[:] = u0[own]
 
 
 def respond(discrete: Discrete, own: Places, K: Array | None, drive: Array) -> tuple[Array, Array, Array, Array]:

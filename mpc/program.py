@@ -17,12 +17,12 @@ from model.state import input_indices
 from mpc.cost import Cost, UserCosts
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear, Prediction, closed_loop, convolve, open_loop, stacked
+from mpc.prediction import Linear, Prediction, closed_loop, convolve, follow, open_loop, stacked
 from mpc.qp import QP
 from mpc.regulation import CostToGo
 from mpc.rows import Rows
 
-_NONE = np.zeros(0, dtype=np.intp)
+_NONE, _NO_GAIN = np.zeros(0, dtype=np.intp), np.zeros((0, 0))
 
 
 class Program:
@@ -43,6 +43,7 @@ class Program:
         self._predicted: Prediction | None = None
         self._law: FeedbackLaw | None = None
         self._addresses: dict[str, tuple[np.ndarray, int]] = {}
+        self._renewed: set[str] = set()  # arrays that are others than in the QP before
         if native.AVAILABLE:
             self._allocate()
         self.form(cost, ())
@@ -54,24 +55,29 @@ class Program:
         # With the inputs of the other agents' UAVs as further outputs.
         self._Q_with_others = np.concatenate([self._Q, cost.R[self._responding]])
 
-    def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction:
-        """Predict the team over the horizon; arguments as those of `Controller.step`."""
-        if not native.AVAILABLE:
-            decision, u0 = self.decision, linear.u0
-            return (
-                open_loop(discrete, u0, decision.own, U)
-                if law is None
-                else closed_loop(discrete, u0, decision.own, law)
-            )
-        at, problem = native.at, self._problem
-        problem.A, problem.B, problem.f_d, problem.u0 = at(discrete.A), at(discrete.B), at(discrete.f_d), at(linear.u0)
-        if law is None:
-            problem.K, problem.uncorrected, problem.announced = 0, 0, at(U)
+    def predict(
+        self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None,
+        along: tuple[Array, Array] | None = None,
+    ) -> Prediction:  # fmt: skip
+        """Predict the team over the horizon; exactly along a trajectory of the law, states and inputs, if it is given.
+
+        Other arguments are those of `Controller.step`.
+        """
+        own, u0 = self.decision.own, linear.u0
+        if native.AVAILABLE:
+            at, kept, problem = native.at, self._kept, self._problem
+            problem.A, problem.B, problem.f_d = kept("A", discrete.A), kept("B", discrete.B), at(discrete.f_d)
+            problem.u0, problem.K = at(u0), kept("K", _NO_GAIN if law is None else law.K)
+            problem.uncorrected, problem.announced = (0, at(U)) if law is None else (at(law.uncorrected), at(law.c))
+            if along is None or not self._renewed.isdisjoint(("A", "B", "K")):
+                native.respond(problem)
+            found = self._predicted = self._open if law is None else self._closed
+            self._law = law
         else:
-            problem.K, problem.uncorrected, problem.announced = self._kept("K", law.K), at(law.uncorrected), at(law.c)
-        native.respond(problem)
-        self._predicted, self._law = (self._open if law is None else self._closed), law
-        return self._predicted
+            found = open_loop(discrete, u0, own, U) if law is None else closed_loop(discrete, u0, own, law)
+        if law is not None and along is not None:
+            follow(found, discrete, u0, own, law, *along)
+        return found
 
     def condense(
         self, linear: Linear, prediction: Prediction, y_ref: Array, law: FeedbackLaw | None, end: CostToGo | None
@@ -94,22 +100,24 @@ class Program:
         problem.answering, problem.Q = kept("answering", responding), kept("Q", Q)
         problem.slope, problem.at_x0, problem.x0 = kept("slope", slope), kept("at_x0", at_x0), at(linear.x0)
         if end is not None:
-            problem.rank, problem.root = len(end.root), kept("root", end.root)
-            problem.error, problem.end_slope = at(end.error), at(end.slope)
+            problem.rank, problem.error, problem.end_slope = len(end.root), at(end.error), at(end.slope)
+        problem.root = kept("root", _NO_GAIN if end is None else end.root)
         begin, problem.index = model.pattern.addresses
-        problem.begin, problem.value = begin + 8 * model.pattern.first_rows[-2], at(model.values)
+        problem.begin, problem.value = begin + 8 * model.pattern.first_rows[-2], kept("value", model.values)
         problem.model_outputs, problem.y, problem.y_ref = len(model.y), at(model.y), at(y_ref)
-        problem.u_target = kept("u_target", linear.u_target)
+        problem.u_target, problem.known = at(linear.u_target), not self._renewed
         native.fill(problem)
+        self._renewed.clear()
         qp = self._qp
         self._rows.fill_user(linear, prediction, qp.A, qp.row_lower, qp.row_upper)
         return qp
 
     def _kept(self, name: str, array: np.ndarray) -> int:
-        """Return the address of an array that is mostly that of the step before."""
+        """Return the address of an array that is mostly that of the step before, and note whether it is."""
         known = self._addresses.get(name)
         if known is None or known[0] is not array:
             known = self._addresses[name] = array, native.at(array)
+            self._renewed.add(name)
         return known[1]
 
     def relaxed(self, prediction: Prediction, law: FeedbackLaw, z: Array, w: float) -> tuple[Array, Array]:
@@ -187,6 +195,7 @@ class Program:
             "low": decision.lower, "high": decision.upper, "rate": decision.rate,
             "effect": effect, "feedback": feedback, "S": S, "dX": dX, "dU": dU, "U": U, "U_free": U_free,
             "H": H, "g": g, "lower": lower, "upper": upper, "rows": A, "row_lower": row_lower, "row_upper": row_upper,
+            "kept": empty((2 * n + len(S)) * (decision.size + 7) + 8),
             "free": empty((steps, weighted)), "signals": empty(steps * (m * max(pairs, angles) + pairs)),
         }  # fmt: skip
         sizes = {"steps": steps, "n": n, "m": m, "size": size, "outputs": weighted, "terms": terms, "all_inputs": m_all}
