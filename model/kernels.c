@@ -10,6 +10,9 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+#ifdef __FMA__
+#include <immintrin.h>
+#endif
 
 #define LANES 8
 typedef double lanes __attribute__((vector_size(8 * LANES), aligned(8)));
@@ -321,30 +324,45 @@ void predict(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t count, const p
     }
 }
 
-#ifdef FP_FAST_FMA
-#define ADDED(a, b, sum) __builtin_fma(a, b, sum)
+typedef double chains __attribute__((vector_size(32), aligned(8)));
+#define CHAINS(pointer) (*(const chains *)(pointer))
+#ifdef __FMA__ /* compilers for some processors would not fuse all of them */
+#define ADDED(a, b, sum) _mm256_fmadd_pd(a, b, sum)
 #else
 #define ADDED(a, b, sum) ((a) * (b) + (sum))
 #endif
 
-/* A row times a vector in four chains: the order of BLAS on processors with AVX2, as the results were first made so. */
-INLINE double chained(ptrdiff_t n, const double *a, const double *b)
+/* Some rows of a matrix times a vector, each in four chains: the order of BLAS on processors with AVX2, as the results
+   were first made so. Several rows hide the latency of additions. */
+INLINE void chained_rows(int count, ptrdiff_t n, const double *A, const double *b, double *to)
 {
-    double sum[4] = {0.0, 0.0, 0.0, 0.0};
+    chains sum[8];
+    for (int r = 0; r < count; r++) sum[r] = (chains){0.0};
     ptrdiff_t j = 0;
     for (; j + 4 <= n; j += 4)
-        for (int v = 0; v < 4; v++) sum[v] = ADDED(a[j + v], b[j + v], sum[v]);
-    double total = (sum[0] + sum[2]) + (sum[1] + sum[3]);
-    for (; j < n; j++) total += a[j] * b[j];
-    return total;
+        for (int r = 0; r < count; r++) sum[r] = ADDED(CHAINS(A + r * n + j), CHAINS(b + j), sum[r]);
+    for (int r = 0; r < count; r++) {
+        double total = (sum[r][0] + sum[r][2]) + (sum[r][1] + sum[r][3]);
+        for (ptrdiff_t i = j; i < n; i++) total += A[r * n + i] * b[i];
+        to[r] = total;
+    }
+}
+
+static void chained(ptrdiff_t rows, ptrdiff_t n, const double *A, const double *b, double *to)
+{
+    ptrdiff_t i = 0;
+    for (; i + 8 <= rows; i += 8) chained_rows(8, n, A + i * n, b, to + i);
+    for (; i < rows; i++) chained_rows(1, n, A + i * n, b, to + i);
 }
 
 /* Response from zero to a drive, dX(k + 1) = A dX(k) + W(k), (steps + 1, n). */
 void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *W, double *dX)
 {
     memset(dX, 0, (size_t)n * sizeof *dX);
-    for (ptrdiff_t k = 0; k < steps; k++)
-        for (ptrdiff_t i = 0; i < n; i++) dX[(k + 1) * n + i] = chained(n, A + i * n, dX + k * n) + W[k * n + i];
+    for (ptrdiff_t k = 0; k < steps; k++) {
+        chained(n, n, A, dX + k * n, dX + (k + 1) * n);
+        for (ptrdiff_t i = 0; i < n; i++) dX[(k + 1) * n + i] += W[k * n + i];
+    }
 }
 
 /* States Z, (steps + 1, n), and inputs U, (steps, m), under u = at_x0 + K (x - x0) within bounds; see mpc/tracking.py.
@@ -358,8 +376,9 @@ void rollout(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m,
     for (ptrdiff_t k = 0; k < steps; k++) {
         double *x = Z + k * n, *ahead = x + n, *u = U + k * m;
         for (ptrdiff_t i = 0; i < n; i++) ahead[i] = x[i] - Z[i];
+        chained(m, n, K, ahead, u);
         for (ptrdiff_t i = 0; i < m; i++) {
-            const double wanted = at_x0[k * m + i] + chained(n, K + i * n, ahead);
+            const double wanted = at_x0[k * m + i] + u[i];
             u[i] = wanted < lower[i] ? lower[i] : wanted > upper[i] ? upper[i] : wanted;
         }
         arg[0] = x, arg[1] = u, res[0] = ahead, res[1] = 0;

@@ -97,22 +97,27 @@ def closed_loop(discrete: Discrete, u0: Array, own: Places, law: FeedbackLaw) ->
 
 
 def follow(
-    prediction: Prediction, discrete: Discrete, u0: Array, own: Places, law: FeedbackLaw, Z: Array, U: Array
+    prediction: Prediction, A: Array, B: Array, u0: Array, own: Places, law: FeedbackLaw, Z: Array, U: Array
 ) -> None:
     """Change the free response of a `closed_loop` prediction so that it is exact along a trajectory.
 
     The owned ones of the inputs U, (N_p, m), which follow the shared control law, then lead to the states Z,
-    (N_p + 1, n). Source: docs/equations.md (35a).
+    (N_p + 1, n). A includes the others' feedback (`fed_back`). Source: docs/equations.md (35a).
     """
     V = U[:, own] - u0[own]
-    B_others = discrete.B.copy()
-    B_others[:, own] = 0.0
     response = native.free_response if native.AVAILABLE else free_response
-    caused = response(discrete.A + B_others @ law.K, V @ discrete.B[:, own].T)
+    caused = response(A, V @ B[:, own].T)
     prediction.dX_free[:] = Z - Z[0] - caused
     prediction.dU_free[:] = prediction.dX_free[:-1] @ law.K.T
     prediction.U_all[:] = law.uncorrected + law.c + prediction.dU_free
     prediction.U_all[:, own] = prediction.U_free[:] = u0[own]
+
+
+def fed_back(discrete: Discrete, own: Places, K: Array) -> Array:
+    """Return the state matrix with the feedback K, (m, n), of the others' inputs, (n, n)."""
+    B_others = discrete.B.copy()
+    B_others[:, own] = 0.0
+    return discrete.A + B_others @ K
 
 
 def respond(discrete: Discrete, own: Places, K: Array | None, drive: Array) -> tuple[Array, Array, Array, Array]:
@@ -124,7 +129,7 @@ def respond(discrete: Discrete, own: Places, K: Array | None, drive: Array) -> t
     """
     (n, _), steps, B_others = discrete.B.shape, len(drive), discrete.B.copy()
     B_others[:, own] = 0.0
-    A = discrete.A if K is None else discrete.A + B_others @ K
+    A = discrete.A if K is None else fed_back(discrete, own, K)
     dX = free_response(A, discrete.f_d + drive @ B_others.T)
     effect = np.empty((n, steps, len(own)))
     effect[:, 0] = discrete.B[:, own]

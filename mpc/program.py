@@ -17,7 +17,7 @@ from model.state import input_indices
 from mpc.cost import Cost, UserCosts
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear, Prediction, closed_loop, convolve, follow, open_loop, stacked
+from mpc.prediction import Linear, Prediction, closed_loop, convolve, fed_back, follow, open_loop, stacked
 from mpc.qp import QP
 from mpc.regulation import CostToGo
 from mpc.rows import Rows
@@ -44,6 +44,7 @@ class Program:
         self._law: FeedbackLaw | None = None
         self._addresses: dict[str, tuple[np.ndarray, int]] = {}
         self._renewed: set[str] = set()  # arrays that are others than in the QP before
+        self._fed_back: Array | None = None  # state matrix of the prediction before, if it was along a trajectory
         if native.AVAILABLE:
             self._allocate()
         self.form(cost, ())
@@ -63,20 +64,25 @@ class Program:
 
         Other arguments are those of `Controller.step`.
         """
-        own, u0 = self.decision.own, linear.u0
+        own, u0, is_new = self.decision.own, linear.u0, True
         if native.AVAILABLE:
             at, kept, problem = native.at, self._kept, self._problem
             problem.A, problem.B, problem.f_d = kept("A", discrete.A), kept("B", discrete.B), at(discrete.f_d)
             problem.u0, problem.K = at(u0), kept("K", _NO_GAIN if law is None else law.K)
             problem.uncorrected, problem.announced = (0, at(U)) if law is None else (at(law.uncorrected), at(law.c))
-            if along is None or not self._renewed.isdisjoint(("A", "B", "K")):
+            is_new = not self._renewed.isdisjoint(("A", "B", "K"))
+            if along is None or is_new:
                 native.respond(problem)
             found = self._predicted = self._open if law is None else self._closed
             self._law = law
         else:
             found = open_loop(discrete, u0, own, U) if law is None else closed_loop(discrete, u0, own, law)
-        if law is not None and along is not None:
-            follow(found, discrete, u0, own, law, *along)
+        if law is None or along is None:
+            self._fed_back = None
+        else:
+            if self._fed_back is None or is_new:
+                self._fed_back = fed_back(discrete, own, law.K)
+            follow(found, self._fed_back, discrete.B, u0, own, law, *along)
         return found
 
     def condense(
@@ -98,7 +104,9 @@ class Program:
         at, kept, problem, model = native.at, self._kept, self._problem, linear.model
         problem.terminal, problem.inputs, problem.rank = terminal, len(responding), 0
         problem.answering, problem.Q = kept("answering", responding), kept("Q", Q)
-        problem.slope, problem.at_x0, problem.x0 = kept("slope", slope), kept("at_x0", at_x0), at(linear.x0)
+        known = self._addresses.get("slope")
+        slope = known[0] if known is not None and np.array_equal(known[0], slope) else slope  # those of linear terms
+        problem.slope, problem.at_x0, problem.x0 = kept("slope", slope), at(at_x0), at(linear.x0)
         if end is not None:
             problem.rank, problem.error, problem.end_slope = len(end.root), at(end.error), at(end.slope)
         problem.root = kept("root", _NO_GAIN if end is None else end.root)

@@ -1,6 +1,6 @@
 """Prediction and QP against the paper's stacked matrices, and the compiled kernels against the matrix products."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -90,17 +90,18 @@ CASES: list[tuple[int, tuple[int, ...], dict[str, Any]]] = [
     (4, (0, 1, 2, 3), {"horizon": 5, **ALL_ROWS, **LQ}),
     (4, (1, 3), {"horizon": 9, "motor_lag_s": 0.03, **ALL_ROWS, **LQ}),
     (3, (0,), {"horizon": 6, "prediction": "closed_loop", "motor_lag_s": 0.03}),
+    (4, (1,), {"horizon": 8, "linearisation": "along", **LQ}),
 ]
 
 
 def problem(
-    case: tuple[int, tuple[int, ...], dict[str, Any]], seed: int = 1
+    case: tuple[int, tuple[int, ...], dict[str, Any]], seed: int = 1, one: Controller | None = None
 ) -> tuple[Controller, Prediction, QP, FeedbackLaw | None, QP]:
     """Return controller, prediction and QP by the kernels, control law, and the QP by the matrix products."""
     N, owned, options = case
     setup, settings = paper_setup() if N == 4 else ring_setup(N), ControllerSettings(**options)
     at, rng = situation(setup, settings, seed), np.random.default_rng(seed)
-    one = Controller(setup.model, setup.hover, settings, owned)
+    one = one or Controller(setup.model, setup.hover, settings, owned)
     x = np.concatenate([at.x, 1.01 * at.u]) if settings.motor_lag_s else at.x
     X_ref = setup.x + 0.1 * rng.standard_normal((settings.horizon + 1, len(setup.x)))
     law = one.law(x, X_ref[:-1], 0.1 * rng.standard_normal(at.U.shape))
@@ -131,6 +132,22 @@ def test_kernels_are_the_matrix_products(
     expected = problem(case)[1]
     for name in ("effect", "dX_free", "U_free", "U_all", "feedback", "dU_free"):
         assert close(getattr(prediction, name), getattr(expected, name), CANCELLED), name
+
+
+@needs_kernels
+@pytest.mark.parametrize("rows", [{}, ALL_ROWS], ids=["linear terms", "all rows"])
+def test_what_is_known_of_the_step_before_changes_no_bit(rows: dict[str, Any]) -> None:
+    """Along the control law, effects and Hessian are those at hover: kept, they are the ones of a new controller."""
+    terms = {"cost": (CostTerm(expression="omega1[0]", weight=0.1),)}
+    case = 4, (0, 2), {"horizon": 7, "linearisation": "along", **LQ, **terms, **rows}
+    one = problem(case)[0]
+    for seed in (2, 3):
+        (_, kept, qp, *_), (_, new, expected, *_) = problem(case, seed, one), problem(case, seed)
+        for field in fields(QP):
+            assert np.array_equal(getattr(qp, field.name), getattr(expected, field.name)), field.name
+        for field in fields(Prediction):
+            assert np.array_equal(getattr(kept, field.name), getattr(new, field.name)), field.name
+        assert one._program._problem.known == (not rows)
 
 
 @needs_kernels
