@@ -32,7 +32,7 @@ OTHER = ("clock.actuation=next_tick", "controller.prediction=closed_loop")
 SETTINGS = ("controller.horizon=5", runs.ticks(60))
 
 # Bad messages before each delivery, and their minimum number in total.
-PER_DELIVERY, FEWEST = 24, 20_000
+PER_DELIVERY, FEWEST = 32, 20_000
 
 # Memory after thousands of messages: the allocator's reserve and a few hundred examples.
 LEFT_BEHIND_BYTES, MOST_BYTES = 20_000, 2_000_000
