@@ -8,6 +8,7 @@ The other agents act by the shared control law from their own estimates. Where a
 error of the estimate acts on it through the gain of that law, and so do the errors of their own estimates.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -28,8 +29,8 @@ Feedback = Callable[[int], Array]
 # Standard deviations before the first measurement, about the reference: r0, v0, Theta0, omega0; e, Omega, Theta, omega.
 _PAYLOAD = (0.3, 0.2, 0.06, 0.1)
 _UAV = (0.06, 0.1, 0.1, 0.2)
-# Those of the accelerations that the model lacks, white, m/s^2 and rad/s^2.
-_ACCELERATION = 0.01
+# Those of the accelerations that the model lacks, white, m/s^2 and rad/s^2: at most, and beside unknown forces.
+_ACCELERATION, _BESIDE_FORCES = 0.01, 1e-3
 # Smallest standard deviations assumed of sensors, in the order of the sensors: errors of the model show in them.
 _FLOOR = (1e-3, 5e-3, 1e-3, 2e-3, 0.1)
 # Horizontal forces on the payload over its weight, its mass error over its mass, horizontal and equal forces on the
@@ -42,7 +43,36 @@ _DRAG = [5, 6]
 UNKNOWN_LAG_S = 0.03
 # Correlation of the changes on payload and UAVs: the same air moves all of them.
 _SAME_AIR = 0.8
+# Correlation of the errors of two agents: they share all measurements but the newest.
+_SHARED = 0.6
 
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Level:
+    """How the variance of what the model lacks follows the innovations, as a share of its largest.
+
+    Innovations are white if the level is right; their slow part is larger if it is too low, smaller if it is too high.
+
+    Attributes:
+        first, least: Level at the beginning, and the smallest.
+        white: Squared slow part, in units of that of white innovations, at which the level stays.
+        predicted: Whether entries count as much as the prediction, not the sensor, errs.
+        rate: Change of the level's logarithm in a tick per excess of the slow part, which is cut at `most`.
+        time_s: Time over which the slow part is taken.
+    """
+
+    first: float
+    least: float
+    white: float
+    predicted: bool
+    rate: float
+    most: float = 3.0
+    time_s: float = 1.0
+
+
+# A model without unknown forces is exact until innovations deny it. Wind must be found quickly while it blows.
+_EXACT = _Level(first=1e-4, least=1e-6, white=1.15, predicted=False, rate=0.2)
+_WIND = _Level(first=1.0, least=1e-4, white=0.5, predicted=True, rate=0.1)
 
 # Ticks in a row, with nothing but own measurements, whose gain is that of the last correction with more: of the newest
 # ticks, the others' are on their way. A tick that has them has its own covariance and gain. Without external forces.
@@ -75,6 +105,8 @@ class Belief:
             drag of payload and each UAV (2), kg/s; or none.
         u: Inputs until the tick, (m,).
         found: The covariance, or its computation.
+        slow: Slow part of the innovations in units of their deviations, (15 N,).
+        level: Variance of what the model lacks, as a share of its largest.
         own: Gain of own measurements from the last correction that had a gain of its own, (n + forces, own), and ticks
             since then; None before the first.
     """
@@ -83,6 +115,8 @@ class Belief:
     forces: Array
     u: Array
     found: Covariance | Callable[[], Covariance]
+    slow: Array
+    level: float
     own: tuple[Array, int] | None = None
 
     @property
@@ -91,6 +125,26 @@ class Belief:
         if not isinstance(self.found, Covariance):
             self.found = self.found()
         return self.found
+
+
+# Numbers that tell what an agent knows of the payload: estimate, upper triangle of its covariance, surprise.
+POSE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+_PLACES, _UPPER = np.r_[state.R0, state.THETA0], np.triu_indices(len(POSE))
+TOLD = (*POSE, *(f"covariance_{POSE[i]}_{POSE[j]}" for i, j in zip(*_UPPER, strict=True)), "surprise", "measurements")
+
+
+def told(belief: Belief) -> Array:
+    """Return the numbers named by `TOLD`."""
+    found = belief.covariance
+    P = found.P[np.ix_(_PLACES, _PLACES)]
+    return np.concatenate([belief.x[_PLACES], P[_UPPER], found.surprise])
+
+
+def understood(numbers: Array) -> tuple[Array, Array]:
+    """Return estimates of the payload's pose, (k, 6), and their covariances, (k, 6, 6), from rows of such numbers."""
+    P = np.empty((len(numbers), len(POSE), len(POSE)))
+    P[:, _UPPER[0], _UPPER[1]] = P[:, _UPPER[1], _UPPER[0]] = numbers[:, len(POSE) : -2]
+    return numbers[:, : len(POSE)], P
 
 
 @lru_cache
@@ -109,7 +163,7 @@ class KalmanFilter:
 
     Attributes:
         ages: Of the sensors' quantities, ticks.
-        Q: Covariance of what the model lacks, per period, in the coordinates of a belief.
+        Q: Largest covariance of what the model lacks, per period, in the coordinates of a belief.
     """
 
     def __init__(self, setup: Setup, feedback: Feedback, owned: Sequence[int] = ()) -> None:
@@ -141,9 +195,11 @@ class KalmanFilter:
         moving = [*range(3, 6), *range(9, 12)]
         rates[moving] = 1.0
         rates[state.PAYLOAD :].reshape(N, 10)[:, [2, 3, 7, 8, 9]] = 1.0
-        steps = (self._period_s * _ACCELERATION) ** 2 * rates
-        self.Q = np.diag(np.concatenate([steps, np.zeros(self._inputs + forces)]))
+        self._level = _WIND if forces else _EXACT
+        steps = np.diag(np.concatenate([self._period_s**2 * rates, np.zeros(self._inputs + forces)]))
+        self.Q, self._beside = _ACCELERATION**2 * steps, np.zeros_like(steps)
         if forces:
+            self.Q, self._beside = self._beside, _BESIDE_FORCES**2 * steps
             together = np.eye(forces)
             together[[0, 1, 3, 4], [3, 4, 0, 1]] = _SAME_AIR
             change = np.sqrt(self._period_s) * weights * _FORCE_CHANGE
@@ -157,7 +213,8 @@ class KalmanFilter:
         """Return the belief before any measurement, about a state."""
         T, L = self.basis(x)
         found = Covariance(P=self._P0, T=T, L=L)
-        return Belief(x=x, forces=np.zeros(self._spread.shape[1]), u=self._u_hover, found=found)
+        forces, slow = np.zeros(self._spread.shape[1]), np.zeros(state.SENSED * self._N)
+        return Belief(x=x, forces=forces, u=self._u_hover, found=found, slow=slow, level=self._level.first)
 
     def forces(self, belief: Belief) -> Array | None:
         """Return the estimated forces and mass error as `Model` takes them, (4 + 3 N,); None if not estimated."""
@@ -212,6 +269,10 @@ class KalmanFilter:
         T[self._rows, self._columns] = blocks
         return T, L
 
+    def lacking(self, level: float) -> Array:
+        """Return the covariance of what the model lacks, per period, at a level of it."""
+        return level * self.Q + self._beside
+
     def predict(
         self,
         belief: Belief,
@@ -241,7 +302,7 @@ class KalmanFilter:
             return self._propagated(belief, model, ahead, u, K, by_law, by_fail_safe)
 
         own = None if belief.own is None else (belief.own[0], belief.own[1] + 1)
-        return Belief(x=ahead, forces=belief.forces, u=u, found=found, own=own)
+        return replace(belief, x=ahead, u=u, found=found, own=own)
 
     def _propagated(
         self,
@@ -264,15 +325,16 @@ class KalmanFilter:
         T_ahead, L = self.basis(ahead)
         moved, s = discrete.A @ T, T.shape[1]
         pushed = np.zeros((len(T), 0)) if forces is None else self._pushed(model, x, actual, forces, discrete.A)
-        Q = self.Q.copy()
+        Q = self.lacking(belief.level)
         if forces is not None:
             lagging = L.T @ discrete.B * (UNKNOWN_LAG_S / self._period_s * (u - belief.u))
             Q[:s, :s] += lagging @ lagging.T
         if K is not None:
             B, closed = discrete.B, by_law | by_fail_safe
-            moved = moved + B[:, closed] @ (K[closed] @ T)
+            apart = np.where(by_law, 1.0 - _SHARED, 1.0)
+            moved = moved + (B * apart)[:, closed] @ (K[closed] @ T)
             effect, K_T = L.T @ B[:, by_law], K[by_law] @ T
-            Q[:s, :s] += effect @ (K_T @ P[:s, :s] @ K_T.T) @ effect.T
+            Q[:s, :s] += (1.0 - _SHARED**2) * effect @ (K_T @ P[:s, :s] @ K_T.T) @ effect.T
         A = np.eye(len(P))
         A[:s, :s], A[:s, s:] = L.T @ moved, L.T @ pushed
         P = A @ P @ A.T + Q
@@ -342,6 +404,7 @@ class KalmanFilter:
             G, s = solved[:, :-1].T, before.T.shape[1]
             xi = G @ error
             step = np.concatenate([before.T @ xi[:s], xi[s:]])
+            belief = self._with_level(belief, within, error, S.diagonal(), R)
             later = self._joseph(before, G, H, R, (float(error @ solved[:, -1]), len(error)))
             rows = np.flatnonzero(self._is_own[within])
             if len(rows) == state.SENSED * len(self._owned) > 0:
@@ -349,6 +412,18 @@ class KalmanFilter:
                 own = np.vstack([before.T @ of_own[:s], of_own[s:]]), 0
         x = self.moved(belief.x, step[: len(belief.x)])
         return replace(belief, x=x, forces=belief.forces + step[len(belief.x) :], found=later, own=own)
+
+    def _with_level(
+        self, belief: Belief, within: npt.NDArray[np.intp], error: Array, variance: Array, R: Array
+    ) -> Belief:
+        """Return the belief with the level that follows from innovations of some measurements. Source: (63b)."""
+        of, slow = self._level, belief.slow.copy()
+        kept = math.exp(-self._period_s / of.time_s)
+        slow[within] = kept * slow[within] + error * np.sqrt((1.0 - kept**2) / variance)
+        weights = 1.0 - R / variance if of.predicted else np.ones(len(R))
+        excess = float(weights @ (slow[within] ** 2 - of.white) / weights.sum())
+        level = belief.level * math.exp(of.rate * min(max(excess, -1.0), of.most))
+        return replace(belief, slow=slow, level=min(max(level, of.least), 1.0))
 
     @staticmethod
     def _joseph(before: Covariance, G: Array, H: Array, R: Array, surprise: tuple[float, int]) -> Covariance:

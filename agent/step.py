@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.estimator import STEPS
-from agent.kalman import Belief
+from agent.kalman import TOLD, Belief, told
 from agent.sharing import Sharing
 from agent.team_estimate import Known, TeamEstimate
 from model import motors
@@ -24,11 +24,13 @@ from mpc.controller import Controller, Linear, StepResult
 from mpc.feedback import FeedbackLaw
 from mpc.regulation import CostToGo
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import STAGES, Message, Plan, StepReport
+from protocol.wire.messages import STAGES, Message, Note, Plan, StepReport
 from protocol.wire.node import Outbox
 
 # Stages counted as computation (not waiting or publishing), before the negotiation and in each of its iterations.
 _PREPARATION, _ITERATION = ("estimate", "linearise", "discretise"), ("condense", "solve")
+# Time between the notes of a Kalman filter, s.
+_NOTED_S = 1.0
 
 
 @dataclass(slots=True, kw_only=True)
@@ -175,8 +177,9 @@ class Planner:
         step.times_ns["publish"] = publish_ns
         step.times_ns["total"] = sum(step.times_ns[stage] for stage in (*_PREPARATION, *_ITERATION))
         report = self._report(step, result, out)
+        notes = self._notes(k, out)
         self._idle_since_ns = self._stopwatch()
-        return [plan, report]
+        return [*notes, plan, report]
 
     def end(self, tick: int, out: Outbox) -> list[Message]:  # noqa: ARG002
         """Return nothing: this controller has nothing to end with the run."""
@@ -219,6 +222,12 @@ class Planner:
         for stage, (begun, done) in zip(_ITERATION, pairwise(watch), strict=True):
             step.times_ns[stage] += done - begun
         return result
+
+    def _notes(self, k: int, out: Outbox) -> list[Message]:
+        """Return what a Kalman filter knows of the payload, once in a while: the covariance of each tick is work."""
+        if self.belief is None or k == 0 or k % max(1, round(_NOTED_S / self._setup.settings.sampling_period_s)):
+            return []
+        return [out.stamp(Note, tick=k, agent=self._agent, problem="", names=TOLD, values=told(self.belief))]
 
     def _report(self, step: Step, result: StepResult, out: Outbox) -> StepReport:
         k, solution, team = step.known.measurement.tick, result.solution, self._team

@@ -267,7 +267,7 @@ class StepReport(Message, tag="report", frozen=True, kw_only=True):
 
 
 class Note(Message, tag="note", frozen=True, kw_only=True):
-    """Agent to the record: numbers that a controller of the user has for the log, or why its step has failed."""
+    """Agent to the record: numbers of the user's controller or of the Kalman filter, or why a step has failed."""
 
     route: ClassVar[Route] = Route(sender=AGENT, receivers=(RECORDER, WATCHER), each="agent")
     shapes: ClassVar[Mapping[str, ShapeOf]] = {"values": lambda message: (len(message.names),)}

@@ -9,7 +9,7 @@ from msgspec import structs
 
 from agent.announced import AnnouncedInputs
 from agent.estimator import STEPS, StateEstimator
-from agent.kalman import UNKNOWN_LAG_S, Belief, KalmanFilter
+from agent.kalman import TOLD, UNKNOWN_LAG_S, Belief, KalmanFilter, told, understood
 from model import state
 from model.arrays import Array
 from protocol.scenario.setup import Setup
@@ -23,6 +23,7 @@ SAME_DEVIATION = 0.05
 SAME_MEAN = 0.2  # through the gains, in standard deviations
 SMALL = 0.1  # share of the first doubt: corrections small enough to be linear
 HALF = 0.5  # share of it at which the first corrections are linear enough for an honest covariance
+EXACT = 1e-3  # level below which a model counts as exact
 FOUND_M = 0.02  # standard deviation of the payload's position after half a second
 # 99.8 % band of the mean over 48 of a squared error with 52 degrees of freedom, over 52, as if ticks were
 # independent; they are correlated over a second, so this is the band of about ten of them.
@@ -135,7 +136,7 @@ def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
         belief = kalman.correct(belief, model, [(uav, sensors, Z[k][uav]) for uav, sensors in every])
         A = np.eye(len(P))
         A[:r] = kalman.basis(step(z))[1].T @ jacobian(step, z)
-        Q = kalman.Q.copy()
+        Q = kalman.lacking(belief.level)
         if forces == "true":
             # Each input may act as late as the unknown lag.
             late = np.diag(UNKNOWN_LAG_S / PERIOD_S * (U[k + 1] - U[k]))
@@ -193,3 +194,34 @@ def test_newest_ticks_are_nearly_as_exact_as_with_their_own_gains(monkeypatch: p
     assert np.sqrt((found**2).mean()) < 1.1 * np.sqrt((best**2).mean()) + 1e-3
     trace = [np.trace(beliefs[-1].covariance.P[:3, :3]) for beliefs in (quick, exact)]
     assert trace[1] < trace[0] < 1.2 * trace[1]
+
+
+def test_level_of_what_the_model_lacks_follows_the_innovations() -> None:
+    """White innovations keep a model exact; those of a payload that falls faster than the model says deny it."""
+    run, X, U, _ = moving(5, SMALL)
+    rng = np.random.default_rng(5)
+    for pull_N, exact in ((0.0, True), (3.0, False)):
+        kalman = KalmanFilter(run, lambda _: np.zeros((run.system.m, run.system.n)))
+        x, belief = X[0], kalman.first(X[0])
+        forces = np.zeros(3 + 3 * run.system.N)
+        forces[2] = pull_N
+        none = np.zeros(run.system.m, dtype=bool)
+        for k in range(60):
+            ahead, _ = run.model.integrate(belief.x, U[0], PERIOD_S, STEPS)
+            x, _ = run.model.integrate(x, U[0], PERIOD_S, STEPS, forces=forces)
+            sense = run.model.sense(x, U[0], forces=forces)[0].reshape(-1, state.SENSED)
+            z = sense + np.repeat(run.sensors.noise, 3) * rng.standard_normal(sense.shape)
+            belief = kalman.predict(belief, run.model, k, ahead, U[0], none, none)
+            belief = kalman.correct(belief, run.model, [(uav, range(5), z[uav]) for uav in range(4)])
+        assert (belief.level < EXACT) is exact
+        assert np.trace(kalman.lacking(belief.level)) == belief.level * np.trace(kalman.Q)
+
+
+def test_pose_and_covariance_are_told_in_full() -> None:
+    """What an agent tells of the payload is its pose, the covariance of that, and the surprise of the last tick."""
+    beliefs, _ = filtered(in_time(1, 1), 1, 3)
+    pose, P = understood(told(beliefs[-1])[None])
+    places = [0, 1, 2, 6, 7, 8]
+    np.testing.assert_array_equal(pose[0], beliefs[-1].x[places])
+    np.testing.assert_array_equal(P[0], beliefs[-1].covariance.P[np.ix_(places, places)])
+    assert len(TOLD) == len(told(beliefs[-1]))

@@ -8,10 +8,11 @@ import numpy as np
 import tomli_w
 from msgspec.structs import replace
 
+from agent.kalman import TOLD
 from model import state
 from model.arrays import Array
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, Plan, PlantState, StepReport, agent_name
+from protocol.wire.messages import Message, Note, Plan, PlantState, StepReport, agent_name
 from tests.support import runs
 from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
@@ -98,6 +99,17 @@ def plant_state(run: Setup, k: int, change: Callable[[Array, Array], None] = lam
     u = run.hover.u.copy()
     change(x, u)
     return replace(runs.plant_state(run, k), x=x, u=u)
+
+
+def noted(run: Setup, agent: int, tick: int) -> Note:
+    """Return a Kalman filter's note that errs by its standard deviation of 0.1 in each entry of the payload's pose."""
+    estimate = run.hover.x[[0, 1, 2, 6, 7, 8]] + 0.1
+    estimate[:3] += run.maneuver.path(np.array([tick * run.settings.sampling_period_s]))[0][0]
+    values = np.concatenate([estimate, 0.01 * np.eye(6)[np.triu_indices(6)], [30.0, 15.0]])
+    return Note(
+        sender=f"agent{agent}", incarnation=0, sequence=tick, tick=tick, agent=agent, problem="", names=TOLD,
+        values=values,
+    )  # fmt: skip
 
 
 def with_scenario(header: Mapping[str, str], run: Setup) -> dict[str, str]:

@@ -11,7 +11,7 @@ from model.arrays import Array
 from model.failure import released_state
 from protocol.wire.messages import ActualInputs, Control, Message, Outcome, Reason, Rejected, StepReport
 from tests.support import runs
-from tests.support.logs import SINGLE_UAV, log_of, plan, plant_state, report
+from tests.support.logs import SINGLE_UAV, log_of, noted, plan, plant_state, report
 from transport.analysis.metrics import rest_of_tick_ms, summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
@@ -39,6 +39,18 @@ def perfect(ticks: int) -> list[Message]:
         messages += [report(run, agent, k) for agent in run.agents]
         messages.append(plant_state(run, k))
     return [*messages, control(ticks - 1)]
+
+
+def test_estimates_against_their_covariance() -> None:
+    """Errors of one standard deviation in six entries have a NEES of 6; without notes there is no estimate."""
+    run = runs.setup(runs.SHORT)
+    flown = [*perfect(10), noted(run, 1, 4), noted(run, 2, 8), noted(run, 2, 400)]  # of the last no state is known
+    found = summarise(run, log_of(flown))["estimate"]
+    assert found["nees"] == pytest.approx(6.0)
+    assert found["nis"] == pytest.approx(2.0)
+    assert found["position_rms_m"] == pytest.approx(0.1 * np.sqrt(3.0))
+    assert found["attitude_rms_deg"] == pytest.approx(np.degrees(0.1 * np.sqrt(3.0)))
+    assert summarise(run, log_of(perfect(10)))["estimate"] is None
 
 
 def test_cost_of_a_displaced_team() -> None:

@@ -27,6 +27,7 @@ from protocol.wire.messages import (
     Tick,
 )
 from protocol.wire.names import agent_name
+from transport.analysis.estimates import consistency
 from transport.analysis.series import Series, series_of, swing_of
 from transport.log.run_log import RunLog
 
@@ -53,6 +54,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         **_durations(setup, log, series),
         **_flight(setup, series),
         "cables": _cables(setup, log),
+        "estimate": consistency(series, log),
         "agent_step_ms": _step_times(reports),
         "rest_of_tick_ms": _percentiles(rest_of_tick_ms(setup, log).values()),
         "deadline": _deadline(setup, log),

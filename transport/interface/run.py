@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from transport.interface.figure import RunFigure
     from transport.interface.viewing import RunViewer
 
-FigureName = Literal["performance", "inputs", "trajectories", "timing"]
+FigureName = Literal["performance", "inputs", "trajectories", "timing", "estimate"]
 TableName = Literal["series", "steps"]
 
 # Width of the printed summary, characters.
@@ -107,7 +107,7 @@ class Run:
 
     @public
     def plot(self, figure: FigureName = "performance") -> "RunFigure":
-        """Return a figure of the report: "performance", "inputs", "trajectories" or "timing".
+        """Return a figure of the report: "performance", "inputs", "trajectories", "timing" or "estimate".
 
         It is a matplotlib figure: a notebook shows it, `savefig("name.png")` writes it, its axes can be changed.
 

@@ -16,6 +16,7 @@ from model.state import INPUTS
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import with_targets
 from protocol.wire.messages import STAGES, StepReport, Target
+from transport.analysis.estimates import estimates_of
 from transport.analysis.metrics import rest_of_tick_ms
 from transport.analysis.replay import Comparison
 from transport.analysis.series import SWING_S, Series, series_of, swing_of
@@ -35,7 +36,7 @@ from transport.report.style import (
 from transport.scene.drawing import UAV_COLOURS, uav_style
 
 # Names of the figures of a run.
-FIGURES = ("performance", "inputs", "trajectories", "timing")
+FIGURES = ("performance", "inputs", "trajectories", "timing", "estimate")
 # Of these, the ones whose files are cropped, since the size of the drawing depends on the maneuver.
 CROPPED = ("trajectories",)
 # Number of figures that a forked process draws.
@@ -95,6 +96,8 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
             draw_inputs(figure, setup, log, series)
         case "trajectories":
             draw_trajectories(figure, setup, series)
+        case "estimate":
+            return _draw_estimate(figure, setup, log, series)
         case _:
             return draw_timing(figure, setup, log)
     return True
@@ -128,6 +131,32 @@ def _draw_performance(figure: Figure, setup: Setup, log: RunLog, series: Series)
     for panel, title in zip(panels, titles, strict=False):
         head(panel, title)
     finish(figure, panels, setup, float(t[-1]) + setup.settings.sampling_period_s, marks)
+
+
+def _draw_estimate(figure: Figure, setup: Setup, log: RunLog, series: Series) -> bool:
+    """Draw the payload's pose, an agent's estimate of it and three standard deviations; False without a Kalman filter.
+
+    Positions are those from the reference.
+    """
+    found = estimates_of(series, log)
+    if found is None:
+        return False
+    marks, agent = marks_of(setup, log), int(found.agents.min())
+    own = found.agents == agent
+    rows, t = found.rows[own], series.times_s
+    panels = column_panels(figure, [_INPUT_IN] * 6, marks)
+    true = np.hstack([series.payload_error_I, series.attitude_deg])
+    pose, deviations = found.pose[own].copy(), 3.0 * found.deviations[own]
+    pose[:, :3] -= series.payload_reference_I[rows]
+    pose[:, 3:], deviations[:, 3:] = np.degrees(pose[:, 3:]), np.degrees(deviations[:, 3:])
+    titles = (*(f"payload error {axis} (m)" for axis in ("x", "y", "z (down)")), *(f"payload {a} (deg)" for a in _AXES))
+    for i, (panel, title) in enumerate(zip(panels, titles, strict=True)):
+        panel.plot(t, true[:, i], color="#000000", label="true", linewidth=1.2)
+        style: dict[str, Any] = {"fmt": "o", "markersize": 2.0, "elinewidth": 0.8, "color": COMPONENTS[1]}
+        panel.errorbar(t[rows], pose[:, i], deviations[:, i], label=f"agent {agent}, 3 sigma", **style)
+        head(panel, title, legend=i == 0)
+    finish(figure, panels, setup, float(t[-1]) + setup.settings.sampling_period_s, marks)
+    return True
 
 
 def _plot(

@@ -127,6 +127,7 @@ def _lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("payload swing", _swing(payload)),
         *([("targets", _reached(summary["targets"]))] if summary.get("targets") else []),
         *([("cables", _slack(summary["cables"]))] if summary.get("cables") else []),
+        *([("estimate", _estimate(summary["estimate"]))] if summary.get("estimate") else []),
         ("separation", _text(summary["separation_min_m"], ".3f", "min {} m")),
         *([("clearance", _clearances(clear))] if (clear := summary.get("clearance_min_m")) else []),
         ("limits", _constraints(summary["constraint_violation_max"])),
@@ -168,6 +169,14 @@ def _slack(cables: Mapping[str, Any]) -> str:
         return f"{text}, never slack"
     end = f"{left} slack at the end" if left else "all taut again"
     return f"{text}, slack {times} time{'s' * (times > 1)}, at most {cables['slack_longest_s']:.2f} s, {end}"
+
+
+def _estimate(estimate: Mapping[str, Any]) -> str:
+    low, high = estimate["nees_band"]
+    return (
+        f"payload rms {estimate['position_rms_m']:.3f} m, {estimate['attitude_rms_deg']:.2f} deg; NEES "
+        f"{estimate['nees']:.1f} of 6 (95 %: {low:.1f} to {high:.1f}), NIS {_text(estimate['nis'], '.2f')} of 1"
+    )
 
 
 def _constraints(violation: float | None) -> str:
