@@ -20,7 +20,7 @@ run: $(VENV)/.installed ## set up and run the paper's maneuver (SCENARIO=name fo
 test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (4 minutes on two processors)
 	@$(BIN)/python -m pytest $(WORKERS) -m "not slow"
 
-test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, two minutes in real time
+test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, a minute in real time
 	@$(BIN)/python -m pytest $(WORKERS) -m "slow and not pages and not firmware"
 
 test-pages: $(VENV)/.installed-test ## run the commands of README (playground), docs/getting-started.md and the notebooks

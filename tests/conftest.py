@@ -23,7 +23,7 @@ hypothesis.settings.load_profile("workers")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put long files first, of which workers take one at a time: a long one at the end would leave a worker idle.
 
-    The soak test is the very first: it mostly waits for two minutes, which leaves processor time for style and types.
+    The soak test is the very first: it mostly waits for a minute, which leaves processor time for style and types.
     """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
 

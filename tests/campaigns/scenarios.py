@@ -13,12 +13,10 @@ import json
 import os
 import random
 import resource
-import select
 import signal
 import threading
 import tomllib
 import traceback
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -41,7 +39,7 @@ TICKS = 5
 LARGEST_BYTES = 1024**3
 SILENCE_S = 10.0  # of processor time
 _ADDRESS_BYTES = 6 * 1024**3  # stops a scenario before it stops the host
-_ASLEEP_S = 30.0  # of wall-clock time without processor time: waits for something that does not come
+_ASLEEP_S = 120.0  # of wall-clock time: waits for something that does not come, also on a busy host
 
 REFUSED, ENDED, FLOWN = "refused", "ended early", "simulated"
 PROBLEMS = ("traceback", "no clear line", "over 1 GB", "silent")
@@ -59,32 +57,29 @@ def attempt(content: bytes, folder: Path, ticks: int = TICKS) -> tuple[str, str,
     child = os.fork()
     if child == 0:
         os.close(reads)
-        code = 1
         with contextlib.suppress(BaseException):
             _limit()
-            _tell(writes, *_outcome(path, ticks, lambda most: _tell(writes, "", "", most)))
-            code = 0
-        os._exit(code)
+            outcome, text, most_bytes = _outcome(path, ticks)
+            os.write(writes, json.dumps([outcome, text[:2000], most_bytes]).encode())
+        os._exit(0)
     os.close(writes)
-    told, asleep = _read(reads, child)
+    with os.fdopen(reads, "rb") as told:
+        line = told.read()
     _, status, used = os.wait4(child, 0)
-    lines = told.decode(errors="replace").splitlines()
-    outcome, text, most_bytes = json.loads(lines[-1]) if lines else ("", "", LARGEST_BYTES)
+    outcome, text, most_bytes = json.loads(line or b'["traceback", "no result", 0]')
     if os.WIFSIGNALED(status):
-        number = os.WTERMSIG(status)
-        silent = asleep or number == signal.SIGPROF
-        outcome, text = ("silent", text) if silent else ("traceback", signal.Signals(number).name)
-    elif os.WEXITSTATUS(status) or not outcome:
-        outcome, text = "traceback", f"exit code {os.WEXITSTATUS(status)}"
+        number = signal.Signals(os.WTERMSIG(status))
+        outcome, text = "silent" if number in (signal.SIGPROF, signal.SIGALRM) else "traceback", number.name
     peak = used.ru_maxrss * 1024
-    if peak > most_bytes:
+    if outcome not in ("silent", "traceback") and peak > most_bytes:
         outcome, text = "over 1 GB", f"{peak / 1e6:,.0f} MB, expected at most {most_bytes / 1e6:,.0f} MB"
     return outcome, text, peak, used.ru_utime + used.ru_stime
 
 
 def _limit() -> None:
-    """Limit memory and processor time of this process; a limit of the latter ends it with SIGPROF."""
+    """Limit memory and time of this process; the latter ends it with SIGPROF or SIGALRM."""
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_BYTES, _ADDRESS_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     null = os.open(os.devnull, os.O_RDWR)
@@ -96,38 +91,11 @@ def _limit() -> None:
 def _sign() -> None:
     """Start the time of silence anew."""
     signal.setitimer(signal.ITIMER_PROF, SILENCE_S)
+    signal.setitimer(signal.ITIMER_REAL, _ASLEEP_S)
 
 
-def _tell(descriptor: int, outcome: str, text: str, most_bytes: float) -> None:
-    """Tell the parent an outcome, or an empty one before it is known, and the most memory it may take, bytes."""
-    os.write(descriptor, json.dumps([outcome, text[:2000], most_bytes]).encode() + b"\n")
-
-
-def _read(descriptor: int, child: int) -> tuple[bytes, bool]:
-    """Return all that the child says, and whether it had to be killed because it slept."""
-    told, used = b"", -1
-    try:
-        while True:
-            if select.select([descriptor], [], [], _ASLEEP_S)[0]:
-                some = os.read(descriptor, 65_536)
-                if not some:
-                    return told, False
-                told += some
-            elif used == (used := _cpu_ticks(child)):  # on a busy host a process may need long for little
-                os.kill(child, signal.SIGKILL)
-                return told, True
-    finally:
-        os.close(descriptor)
-
-
-def _cpu_ticks(process: int) -> int:
-    """Return the processor time of a process, clock ticks."""
-    after_name = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return int(after_name[11]) + int(after_name[12])
-
-
-def _outcome(path: Path, ticks: int, allow: Callable[[float], None]) -> tuple[str, str, float]:
-    """Return outcome, text, and the most memory that it may take, bytes; `allow` is told the latter before."""
+def _outcome(path: Path, ticks: int) -> tuple[str, str, float]:
+    """Return outcome, text, and the most memory that it may take, bytes."""
     try:
         refusal = _refusal(path)
         if refusal is not None:
@@ -136,7 +104,6 @@ def _outcome(path: Path, ticks: int, allow: Callable[[float], None]) -> tuple[st
         _sign()
         scenario = read_scenario(path)
         most_bytes = max(LARGEST_BYTES, estimate(scenario).worker_bytes)
-        allow(most_bytes)
         return *_simulated(Setup.of(scenario, str(path)), ticks), most_bytes
     except BaseException:  # noqa: BLE001  # any error here is a result
         return "traceback", traceback.format_exc(), LARGEST_BYTES

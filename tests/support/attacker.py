@@ -6,7 +6,7 @@ import queue
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,13 @@ from typing import Any
 import zenoh
 
 from protocol.wire.codec import decode
-from protocol.wire.keys import Keys, matches
-from protocol.wire.messages import Bundle, MessageError, Plan
+from protocol.wire.keys import Keys
+from protocol.wire.messages import Bundle, Plan
 from tests.support.garbage import Garbage
 from transport.analysis.steps import WALL_CLOCK
+
+# Messages at a time, and time between, s: below the rate at which receivers slow a sender down for good.
+BURST, PAUSE_S = 200, 0.01
 
 _REMOTE, _BLOCK = zenoh.Locality.REMOTE, zenoh.CongestionControl.BLOCK
 
@@ -145,116 +148,35 @@ def intruding(
 
 
 def bombard(
-    mesh: Mesh,
-    source: Garbage,
-    process: "subprocess.Popen[str]",
-    awaited: set[str],
-    *,
-    shots: int,
-    until_tick: int,
-    burst: int,
-    pause_s: float,
-    timeout_s: float,
-) -> Iterator[tuple[str, str, bytes]]:
-    """Send bad messages to a run, and yield sort, key and bytes of each.
+    mesh: Mesh, source: Garbage, process: "subprocess.Popen[str]", awaited: set[str], *, shots: int, until_tick: int
+) -> Iterator[str]:
+    """Send bad messages to a run until a tick, or its end, and yield the sort of each.
 
     Args:
         mesh: Session with connections to all processes.
         source: Generator of the messages.
-        process: The run; its end ends the attack.
+        process: The run.
         awaited: Keys under which messages must have come before the first shot: they prove the connections.
-        shots: Number of messages.
+        shots: Number of messages at most.
         until_tick: Tick of the run that ends the attack.
-        burst: Number of messages at a time.
-        pause_s: Time between bursts, s.
-        timeout_s: Time that ends the attack, s.
     """
-    sent, known, until = 0, set[str](), time.monotonic() + timeout_s
-    while source.tick < until_tick and time.monotonic() < until and process.poll() is None and sent < shots:
+    sent, known = 0, set[str]()
+    while source.tick < until_tick and process.poll() is None and sent < shots:
         for key, data in mesh.heard():
             source.heard(key, data)
             known.add(key)
-        if source.tick < 1 or not awaited <= known:
-            time.sleep(0.01)
-            continue
-        for _ in range(min(burst, shots - sent)):
-            sort, key, data = source.next()
-            mesh.put(key, data)
-            sent += 1
-            yield sort, key, data
-        time.sleep(pause_s)
+        if source.tick >= 1 and awaited <= known:
+            for _ in range(min(BURST, shots - sent)):
+                sort, key, data = source.next()
+                mesh.put(key, data)
+                sent += 1
+                yield sort
+        time.sleep(PAUSE_S)
 
 
-class Deliveries:
-    """Counts of bad messages by the processes that they reach.
-
-    Args:
-        keys: Keys of the run.
-        names: Processes that the intruder is connected to.
-        relayed: Whether plans are relayed.
-        may_send: Key expressions that the intruder has the right to; all by default.
-
-    Attributes:
-        single: Messages at each process that it counts as one refusal.
-        bundles: Bundles at each process, of which it counts every message by itself, if it reads them.
-    """
-
-    # Messages in a bundle: plan and report of four agents, and a tick.
-    MOST_PARTS = 9
-
-    def __init__(
-        self, keys: Keys, names: Sequence[str], *, relayed: bool, may_send: Sequence[str] | None = None
-    ) -> None:
-        self.single, self.bundles = dict.fromkeys(names, 0), dict.fromkeys(names, 0)
-        self._hears = {name: keys.subscriptions(name, relayed=relayed) for name in names}
-        self._may_send = may_send
-        self._reached: dict[str, list[str]] = {}  # processes, by key
-
-    @property
-    def total(self) -> int:
-        """All messages, each counted once for every process it reached."""
-        return sum(self.single.values()) + sum(self.bundles.values())
-
-    def add(self, key: str, data: bytes) -> None:
-        """Count a message that was sent."""
-        if key not in self._reached:
-            passes = self._may_send is None or any(matches(expression, key) for expression in self._may_send)
-            self._reached[key] = [
-                name
-                for name, expressions in self._hears.items()
-                if passes and any(matches(expression, key) for expression in expressions)
-            ]
-        counts = self.bundles if self._reached[key] and _is_bundle(data) else self.single
-        for name in self._reached[key]:
-            counts[name] += 1
-
-    def accepted(self, refused: Mapping[str, int]) -> dict[str, tuple[int, int, int]]:
-        """Return the processes that have not counted every message as refused, or more than they received.
-
-        Args:
-            refused: Refusals that each process counted.
-        Returns: Refusals counted, single messages and bundles received, of these processes.
-        """
-        return {
-            name: (refused[name], single, self.bundles[name])
-            for name, single in self.single.items()
-            if not 0 <= refused[name] - single <= self.MOST_PARTS * self.bundles[name]
-        }
-
-
-def _is_bundle(data: bytes) -> bool:
-    """Return whether bytes can be read as a bundle."""
-    try:
-        return isinstance(decode(data), Bundle)
-    except MessageError:
-        return False
-
-
-def proofs_of_connection(keys: Keys, agents: Sequence[int], *, relayed: bool) -> set[str]:
+def proofs_of_connection(keys: Keys, agents: Sequence[int]) -> set[str]:
     """Return keys of messages that coordinator, plant and every agent publish at every tick."""
-    ends = ("relay", "record") if relayed else ("tick", "plant_state")
-    each = "answer" if relayed else "plan"
-    return {f"{keys.prefix}/{end}" for end in (*ends, *(f"{each}/{agent}" for agent in agents))}
+    return {f"{keys.prefix}/{end}" for end in ("relay", "record", *(f"answer/{agent}" for agent in agents))}
 
 
 def table(folder: Path) -> list[dict[str, str]]:

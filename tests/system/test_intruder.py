@@ -11,8 +11,9 @@ MESSAGES, FEWEST, TICKS = 4000, 1000, 240
 
 @pytest.mark.slow
 def test_an_intruder(tmp_path: Path) -> None:
-    """A part of the campaign of hostile messages: the steps are those without them, and every process counts each."""
+    """A part of the campaign of hostile messages: the steps are those without them, and every process counts some."""
     result = campaign("open", MESSAGES, 20240611, tmp_path, ticks=TICKS)
     assert result.findings == []
     assert result.sent.total() >= FEWEST
-    assert result.received > result.sent.total()
+    assert set(result.refused) >= {"coordinator", "plant", "agent1", "agent2", "agent3", "agent4"}
+    assert result.refused.total() > result.sent.total()
