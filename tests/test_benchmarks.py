@@ -1,26 +1,17 @@
 """Benchmarks without processes: equal solutions, all rows. No time is judged."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import pytest
 
-from benchmarks import __main__ as command
 from benchmarks import estimates, parts, solvers, step
-from benchmarks.effort import FULL, QUICK, Effort
-from benchmarks.page import BenchmarkError, Table, check, write
+from benchmarks.effort import QUICK
 from benchmarks.runs import programs, setup
 from benchmarks.solvers import SOLVERS, TIGHT, Solver
 from mpc.qp import QP
 from tests.support.tables import first_cells, numbers, silent
 
-DOCUMENT = "".join(
-    f"{before}\n<!-- bench: {name} -->\nold\n<!-- end of bench: {name} -->\n{after}"
-    for before, name, after in (("a", "parts", ""), ("b", "step", "c\n"))
-)
-FAILED, INTERRUPTED = 1, 130
 ACTIVE_SETS = ("this project's", "quadprog")
 
 
@@ -72,57 +63,6 @@ def test_parts_have_their_rows() -> None:
     plants = [f"plant, one period, {uavs} UAVs" for uavs in QUICK.teams]
     assert first_cells(table) == [*plants, "plan to bytes", "bytes to plan", "bytes to plan, all checks"]
     assert min(numbers(table, "median")) > 0.0
-
-
-def test_only_what_was_measured_is_written(tmp_path: Path) -> None:
-    """A section is replaced between its markers, twice with the same result; the rest of the document stays."""
-    document = tmp_path / "page.md"
-    document.write_text(DOCUMENT)
-    for _ in range(2):
-        write(document, {"step": r"new \1 |"})
-        before, _, after = DOCUMENT.rpartition("old")
-        assert document.read_text() == rf"{before}new \1 |{after}"
-    assert list(tmp_path.iterdir()) == [document]
-
-
-def test_a_document_without_the_section_is_refused(tmp_path: Path) -> None:
-    """The error names document and section; the project's own document has all sections."""
-    document = tmp_path / "page.md"
-    document.write_text(DOCUMENT)
-    with pytest.raises(SystemExit, match=r"page\.md: expected the markers of 'bench: loop'"):
-        check(document, ["parts", "loop"])
-    with pytest.raises(SystemExit, match=r"none\.md: no such file"):
-        check(tmp_path / "none.md", ["parts"])
-    check(command.DOCUMENT, list(command.SECTIONS))
-
-
-def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """The command writes after all measurements; interrupted or failed it leaves the document unchanged."""
-    document = tmp_path / "page.md"
-    document.write_text(DOCUMENT)
-    efforts = []
-
-    def measured(effort: Effort, _: Callable[[str], None]) -> list[Table]:
-        efforts.append(effort)
-        return [Table(text="what", columns=("a", "b"), rows=[("1", "2")])]
-
-    def failing(error: BaseException) -> Callable[[Effort, Callable[[str], None]], list[Table]]:
-        def measure(_: Effort, __: Callable[[str], None]) -> list[Table]:
-            raise error
-
-        return measure
-
-    for error, code, said in ((KeyboardInterrupt(), INTERRUPTED, "interrupted"), (BenchmarkError("no"), FAILED, "no")):
-        monkeypatch.setattr(command, "SECTIONS", {"parts": measured, "step": failing(error)})
-        assert command.main(["--document", str(document)]) == code
-        assert f"benchmarks: {said}" in capsys.readouterr().err
-        assert document.read_text() == DOCUMENT
-    assert command.main(["--quick", "--only", "parts"]) == 0
-    assert "| 1 | 2 |" in capsys.readouterr().out
-    assert document.read_text() == DOCUMENT
-    assert command.main(["--only", "parts", "--document", str(document)]) == 0
-    assert "what\n\n| a | b |\n|---|---|\n| 1 | 2 |\n\n*" in document.read_text()
-    assert efforts == [FULL, FULL, QUICK, FULL]
 
 
 def test_estimates_are_compared_with_the_truth(capsys: pytest.CaptureFixture[str]) -> None:

@@ -75,18 +75,6 @@ def test_shift_and_hold(age: int, delay: int) -> None:
 
 
 @pytest.mark.parametrize("age", range(STEPS + 3))
-def test_held(age: int) -> None:
-    """A held plan counts by its input for the present tick only; a correction that has ended is zero."""
-    plan = labelled(1, 7)
-    inputs = announced(plan, alignment="held")
-    U = inputs.sequence(7 + age, STEPS, before=8 + age)
-    np.testing.assert_array_equal(rows(1, U), np.tile(plan.inputs[min(age, STEPS - 1)], (STEPS, 1)))
-    c = inputs.corrections(7 + age, STEPS, before=8 + age)
-    expected = plan.corrections[age] if age < STEPS else np.zeros(8)
-    np.testing.assert_array_equal(rows(1, c), np.tile(expected, (STEPS, 1)))
-
-
-@pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_corrections_end(age: int, delay: int) -> None:
     """Corrections to the shared control law are shifted like inputs but zero after their end, and before any plan."""
@@ -96,34 +84,6 @@ def test_corrections_end(age: int, delay: int) -> None:
     np.testing.assert_array_equal(rows(2, c), np.zeros((STEPS, 4)))
     left = plan.corrections[age:]
     np.testing.assert_array_equal(rows(1, c), np.vstack([left, np.zeros((STEPS - len(left), 8))]))
-
-
-def test_early_plans_wait() -> None:
-    """A plan of tick k that is here before tick k + 1 is not used before: the network's speed has no effect."""
-    early, older = labelled(1, 5), labelled(1, 4)
-    inputs = announced(older, early)
-    assert inputs.newest(1, before=5) is older
-    assert inputs.newest(1, before=6) is early
-    np.testing.assert_array_equal(inputs.sequence(5, STEPS, before=5), announced(older).sequence(5, STEPS, before=5))
-    np.testing.assert_array_equal(inputs.at(5, before=5), announced(older).at(5, before=5))
-    np.testing.assert_array_equal(rows(1, inputs.corrections(5, 1, before=5))[0], older.corrections[1])
-    np.testing.assert_array_equal(rows(1, inputs.sequence(6, STEPS, before=6))[0], early.inputs[1])
-
-
-def test_order_of_arrival_does_not_matter() -> None:
-    """Any order of arrival, repeated arrivals included, gives the same inputs bit for bit."""
-    rng = np.random.default_rng(3)
-    plans = [labelled(agent, k, delay=delay) for agent, delay in ((1, 0), (2, 1)) for k in range(0, 12, agent)]
-    in_order = announced(*plans)
-    for _ in range(20):
-        order = rng.permutation(len(plans)).tolist() + rng.integers(len(plans), size=5).tolist()
-        shuffled = announced(*[plans[i] for i in order])
-        for k in range(15):
-            np.testing.assert_array_equal(shuffled.sequence(k, STEPS, before=k), in_order.sequence(k, STEPS, before=k))
-            np.testing.assert_array_equal(shuffled.at(k, before=k + 1), in_order.at(k, before=k + 1))
-            np.testing.assert_array_equal(
-                shuffled.corrections(k, STEPS, before=k), in_order.corrections(k, STEPS, before=k)
-            )
 
 
 def test_in_force_is_the_newest_that_had_started() -> None:

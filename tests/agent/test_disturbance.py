@@ -124,16 +124,6 @@ def test_what_pushes_uavs_up_or_down_is_the_payloads() -> None:
     assert np.abs(np.delete(last, 2)).max() < GAIN_ERROR * 4.0
 
 
-@pytest.mark.parametrize(("kept", "found"), [(lambda k: k % 3 != 0, True), (lambda k: k % 2 == 0, False)])
-def test_lost_measurements(kept: Callable[[int], bool], found: bool) -> None:
-    """Only a period with measurements at both ends changes the estimate."""
-    last = estimates(flight(tuple(HEAVY_IN_WIND)), lambda k: k + 1, lambda k: k if kept(k) else None)[-1]
-    # One period of three counts: 3 s are 2.5 time constants.
-    expected = (1.0 - np.exp(-TICKS / 3 * PERIOD_S / TIME_CONSTANT_S)) * HEAVY_IN_WIND if found else NOTHING
-    assert np.abs(last - expected).max() < 1.5 * GAIN_ERROR * np.abs(HEAVY_IN_WIND).max()
-    assert last.any() == found
-
-
 @pytest.mark.parametrize("wrong", [1e3, 1e150, np.nan])
 def test_wrong_predictions_are_no_forces(wrong: float) -> None:
     """An implausible prediction error changes no bit of the estimate; a plausible one changes it."""

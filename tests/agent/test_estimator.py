@@ -154,14 +154,6 @@ def test_motors_that_lag(delay: int) -> None:
     assert left < 1e-9
 
 
-def test_wrong_first_guess() -> None:
-    """Wrong initial states of the others are corrected by the first plans received."""
-    plant_state = flight(FOUR, 0.05)
-    found = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
-    assert np.abs(found[0] - plant_state.X[0]).max() > 0.04
-    assert_close(found, plant_state, range(1, TICKS + 1), ONE_PERIOD)
-
-
 @pytest.mark.parametrize("delay", [2, 5, 10])
 def test_delay_without_disturbance(delay: int) -> None:
     """With correct announced inputs the estimate is the true state for any delay."""
@@ -197,22 +189,6 @@ def test_missed_measurements() -> None:
     found = estimates(plant_state, arriving(plant_state, lambda k: k + 1, steps=10), missed)
     assert not set(missed) & set(found)
     assert_close(found, plant_state, sorted(found), TEN_PERIODS)
-
-
-def test_joining_late() -> None:
-    """A process that joins at a later tick starts from the reference state of that tick."""
-    run = setup(FOUR)
-    asked: list[int] = []
-
-    def planned(k: int) -> Array:
-        asked.append(k)
-        return run.initial_state() + 1e-3 * k
-
-    estimator = StateEstimator(run.model, planned, PERIOD_S)
-    found = estimated(estimator, measurement(run, 1, 50), AnnouncedInputs(run.owned, run.hover.u))
-    assert asked == [50]
-    np.testing.assert_array_equal(found[24:], run.initial_state()[24:] + 0.05)
-    np.testing.assert_array_equal(found[:24], run.initial_state()[:24])
 
 
 LATE = 8  # ticks of delay in the flights under the shared law: 0.4 s

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
 from model import state
 from model.arrays import Array
@@ -61,48 +60,6 @@ def test_answers_a_measurement_once(run: Setup, node: AgentNode) -> None:
     np.testing.assert_array_equal(made.uav_states, run.initial_state()[None, state.uav_slice(0)])
     assert tell(node, measurement(run, 1, 0)) == []
     assert refused(node) == [("plant", "past", 1)]
-
-
-def test_waits_only_for_whom_the_clock_waited(run: Setup, node: AgentNode) -> None:
-    """An agent that did not answer tick k - 1 in time is not waited for at tick k."""
-    step(run, node, 0)
-    tell(node, plan(run, 2, 0), plan(run, 4, 0))
-    made, report = answer(tell(node, measurement(run, 1, 1, answered=(1, 2, 4))))
-    assert made.tick == 1
-    assert report.peers == OTHERS
-    assert report.plan_ages == (1, -1, 1)
-    assert report.delivered == 2
-
-
-def test_a_plan_that_counts_is_waited_for() -> None:
-    """The plan of an agent that answered and then left is waited for: the coordinator relays it."""
-    run = setup(SHORT_HORIZON)
-    node = AgentNode(run, 1)
-    tell(node, roster())
-    step(run, node, 0)
-    assert tell(node, measurement(run, 1, 1), plan(run, 2, 0), plan(run, 3, 0)) == []
-    assert tell(node, roster({1: 1, 2: 1, 3: 1}, k=1, version=2), Presence("agent4", 1, alive=False)) == []
-    made, report = answer(tell(node, plan(run, 4, 0)))
-    assert (made.tick, report.delivered) == (1, 3)
-
-
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        ({"incarnation": 0}, "wrong_incarnation"),
-        ({"tick": 2, "start_tick": 2}, "future"),
-        ({"inputs": np.full((5, 4), 1e9)}, "outside_limits"),
-    ],
-)
-def test_refused_plans(run: Setup, node: AgentNode, changes: dict[str, object], reason: str) -> None:
-    """An implausible plan is refused and counted, and does not end the wait."""
-    step(run, node, 0)
-    forged = replace(plan(run, 2, 0), **changes)
-    assert tell(node, forged) == []
-    assert refused(node) == [(forged.sender, reason, 1)]
-    assert tell(node, plan(run, 3, 0), plan(run, 4, 0), measurement(run, 1, 1)) == []
-    _, report = answer(tell(node, plan(run, 2, 0)))
-    assert report.delivered == 3
 
 
 def test_report(run: Setup, node: AgentNode) -> None:

@@ -12,7 +12,6 @@ from tests.support.runs import measurement, plan, roster, setup
 S, MS = 10**9, 10**6  # ns
 START_NS = 3 * S  # a steady clock starts anywhere
 REALTIME = ("controller.horizon=5", "clock.mode=realtime")
-OTHERS = (2, 3, 4)
 
 
 def realtime(*settings: str, speed: float = 1.0) -> tuple[Setup, AgentNode]:
@@ -52,34 +51,6 @@ def test_does_not_wait() -> None:
     made, report = answer(node, START_NS + 50 * MS)
     assert (made.tick, made.start_tick) == (1, 2)
     assert (report.plan_ages, report.measurement_age) == ((1, -1, -1), 0)
-
-
-def test_everything_that_is_here_counts() -> None:
-    """A plan received after the measurement but before the agent is free is used."""
-    run, node = realtime()
-    tell(node, [measurement(run, 1, 4), *[plan(run, agent, 3, delay=1) for agent in OTHERS]], START_NS)
-    _, report = answer(node, START_NS + MS)
-    assert report.plan_ages == report.state_ages == (1, 1, 1)
-    assert (report.delivered, report.late, report.lost) == (3, 0, 0)
-
-
-def test_others_may_be_ahead() -> None:
-    """Plans of later ticks are kept until the agent reaches them."""
-    run, node = realtime()
-    ahead = [plan(run, 2, 7, delay=1), plan(run, 3, 5, delay=1), plan(run, 4, 3, delay=1)]
-    tell(node, [measurement(run, 1, 4), *ahead], START_NS)
-    ages = []
-    for k in (4, 5, 6, 7, 8):
-        tell(node, [measurement(run, 1, k)] if k > 4 else [], START_NS)
-        _, report = answer(node, START_NS)
-        ages.append((report.plan_ages, report.state_ages, report.delivered))
-    assert ages == [
-        ((-1, -1, 1), (-1, -1, 1), 1),
-        ((-1, -1, 2), (-1, 0, 2), 1),  # the state at this very tick is known, the plan is for later
-        ((-1, 1, 3), (-1, 1, 3), 0),
-        ((-1, 2, 4), (0, 2, 4), 1),
-        ((1, 3, 5), (1, 3, 5), 0),
-    ]
 
 
 @pytest.mark.parametrize(("speed", "held_ms"), [(1.0, 120), (2.0, 60), (0.5, 240)])

@@ -7,8 +7,6 @@ from tests.support.coordinator_clock import (
     CONTINUE,
     MS,
     START_NS,
-    TIMEOUT_S,
-    S,
     answers,
     coordinator,
     gone,
@@ -19,29 +17,7 @@ from tests.support.coordinator_clock import (
 )
 from tests.support.runs import ALL, plan, setup
 
-BARRIER_NS = round(TIMEOUT_S * S)
 PACED = "clock.speed=1"
-
-
-def test_a_tick_names_the_agents_that_answered() -> None:
-    """Tick k + 1 names the agents whose plans of k count, and the roster in force."""
-    node = started(coordinator(CONTINUE))
-    tell(node, answers(0, (1, 4)))
-    roster, tick = node.poll(START_NS + BARRIER_NS)
-    assert isinstance(roster, Roster)
-    assert (roster.version, roster.agents, roster.incarnations) == (2, (1, 4), (1, 1))
-    assert roster.reason == "agent2, agent3 did not answer tick 0 in time at t = 0.00 s"
-    assert isinstance(tick, Tick)
-    assert (tick.tick, tick.members, tick.answered, tick.roster) == (1, (1, 4), (1, 4), 2)
-
-
-def test_the_answer_of_an_agent_that_left_still_counts() -> None:
-    """An agent that answered and then left is named among the answers: its plan may be used."""
-    node = started(coordinator(CONTINUE))
-    tell(node, [*answers(0, (1, 2)), gone("agent2"), *answers(0, (3,))])
-    (tick,) = tell(node, answers(0, (4,)))
-    assert isinstance(tick, Tick)
-    assert (tick.members, tick.answered) == ((1, 3, 4), (1, 2, 3, 4))
 
 
 @pytest.mark.parametrize(("speed", "period_ns"), [(1.0, 50 * MS), (2.0, 25 * MS), (0.5, 100 * MS)])
@@ -66,16 +42,6 @@ def test_polling_at_wake_always_does_something() -> None:
             assert wake is not None
             assert node.poll(wake - 1) == ()
             assert len(node.poll(wake)) > 0
-
-
-@pytest.mark.parametrize("incarnations", [(0, 1), (0, 1, 4), (2, 1), (4, 0, 3)])
-def test_newest_incarnation_takes_part(incarnations: tuple[int, ...]) -> None:
-    """The newest of several incarnations of an agent is on the roster, in any order of their tokens."""
-    node = coordinator()
-    tell(node, [ready("agent2", incarnation) for incarnation in incarnations])
-    roster, _ = tell(node, [ready(name) for name in ("plant", "agent1", "agent3", "agent4")])
-    assert isinstance(roster, Roster)
-    assert roster.incarnations == (1, max(incarnations), 1, 1)
 
 
 def test_a_restarted_agent_joins_at_the_next_tick() -> None:

@@ -14,7 +14,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_DIVERGED
 from protocol.wire.messages import Control, Message
 from tests.support.nodes import PlantNode
-from tests.support.runs import ALL, SHORT, integrated, plan, plant_states, recorded, reproducible, roster, setup, tick
+from tests.support.runs import SHORT, integrated, plant_states, recorded, reproducible, setup
 from transport.flight.memory import simulate
 
 # An engine of a person: another integrator of the same equations, to its tolerance.
@@ -36,8 +36,6 @@ class Own:
 """
 # Both integrate to 1e-9 a period; the controllers answer the difference.
 AGREEMENT = 1e-6
-FAILED = 0.01  # m, m/s or rad, by which any state of a hover changes when a UAV has failed
-
 # What is wrong with an engine: its `advance` and `state`, and the text of the run's end.
 FAILURES = {
     "raises": (
@@ -94,17 +92,6 @@ def ended(run: Setup) -> Control:
     return simulate(run)
 
 
-def hovering(run: Setup, ticks: int) -> Array:
-    """Return the states of the plant, (ticks, n), while every agent plans hover."""
-    node = PlantNode(run)
-    messages = list(node.receive(roster(), 0))
-    for k in range(ticks):
-        messages += node.receive(tick(k), 0)
-        for agent in ALL:
-            messages += node.receive(plan(run, agent, k), 0)
-    return states(messages)
-
-
 def states(messages: list[Message]) -> Array:
     """Plant states, (ticks, n)."""
     return np.array([plant_state.x for plant_state in plant_states(messages)])
@@ -135,26 +122,6 @@ def test_an_engine_of_a_person_flies(tmp_path: Path, monkeypatch: pytest.MonkeyP
     # And once more: the same bits.
     assert list(map(reproducible, own))[-1] == list(map(reproducible, recorded(run)))[-1]
     assert states(own).tobytes() == states(recorded(run)).tobytes()
-
-
-def test_a_failed_uav_in_an_engine_of_a_person(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The plant hands over other bodies and states at a release: the class knows nothing of failures."""
-    module(tmp_path, monkeypatch, "mine_fails", OWN)
-    for do in ("motor_off", "release"):
-        fault = f"faults.event=[{{at_s=0.3,do='{do}',target='uav3'}}]"
-        own, here = (hovering(setup(fault, f"plant.engine={e}"), 12) for e in ("mine_fails:Own", "rods"))
-        assert np.abs(own - here).max() < AGREEMENT
-        assert np.abs(here[-1] - here[0]).max() > FAILED
-
-
-def test_the_version_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A class without a version has a hash of its file, which changes with it."""
-    found = []
-    for reset in ("self.x = x", "self.x = x.copy()"):
-        module(tmp_path, monkeypatch, "mine_versioned", broken(reset=reset))
-        found.append(engine_version("mine_versioned:Mine"))
-    assert len(set(found)) == 2
-    assert all(len(text) == 12 for text in found)
 
 
 def test_a_changed_file_is_imported_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

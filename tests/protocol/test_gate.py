@@ -8,7 +8,7 @@ from protocol.admission.gate import Gate
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys
 from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Answer, LinkChange, Plan, Rejected, Relay
+from protocol.wire.messages import Answer, LinkChange, Plan, Relay
 from protocol.wire.node import Outbox
 from protocol.wire.rejections import Rejections
 from tests.support import runs
@@ -160,16 +160,6 @@ def test_bundles_are_opened() -> None:
         ("plan/4", "wrong_version"),
         ("coordinator", "wrong_sender"),
     ]
-
-
-def test_sizes() -> None:
-    """The largest message of a run passes, and a bound that grows with it refuses larger ones."""
-    small, large = setup("controller.horizon=5").shape, setup("controller.horizon=50").shape
-    assert small.max_bytes < large.max_bytes
-    every = [
-        encode(part) for agent in RUN.agents for part in (plan(1, agent=agent), sample(Rejected, example="x" * 1000))
-    ]
-    assert sum(map(len, every)) < RUN.shape.max_bytes
 
 
 def past(text: str = "over") -> MessageError:

@@ -45,31 +45,6 @@ def losses(found: dict[str, Link], tick: int) -> list[float]:
     return [one.impairments(tick).loss for one in found.values()]
 
 
-def test_from_its_tick_on() -> None:
-    """A change applies to messages sent from its tick on; keys that it does not give stay as they were."""
-    found = told(links("links={delay_s=0.1,loss=0.2}"), change(1, 10, loss=0.5))
-    assert losses(found, 9) == [0.2, 0.2, 0.0]
-    assert losses(found, 10) == losses(found, 999) == [0.5, 0.5, 0.0]
-    assert found["agent2"].impairments(10).delay_s == 0.1
-
-
-@pytest.mark.parametrize(
-    ("ends", "expected"),
-    [
-        ({}, [0.5, 0.5, 0.0]),
-        ({"source": "agent2"}, [0.5, 0.0, 0.0]),
-        ({"target": "agent1"}, [0.5, 0.5, 0.0]),
-        ({"target": "agent2"}, [0.0, 0.0, 0.0]),
-        ({"source": "plant"}, [0.0, 0.0, 0.5]),
-        ({"source": "plant", "target": "agent1"}, [0.0, 0.0, 0.5]),
-        ({"target": "plant"}, [0.0, 0.0, 0.0]),
-    ],
-)
-def test_which_links(ends: dict[str, str], expected: list[float]) -> None:
-    """A change applies to the links it names; to those of the plant only by name."""
-    assert losses(told(links(), change(1, 0, loss=0.5, **ends)), 0) == expected
-
-
 def test_told_again() -> None:
     """All changes are repeated for a process that joins: known ones, by number, have no effect."""
     once = change(1, 5, loss=0.5)

@@ -21,7 +21,7 @@ SHORT = [
 NEAR_M, LEVEL_DEG = 0.15, 2.0
 
 
-@pytest.mark.parametrize("vehicle", READY)
+@pytest.mark.parametrize("vehicle", ["x500", "racing", pytest.param("crazyflie", marks=pytest.mark.slow)])
 def test_ready_vehicles_fly(vehicle: str) -> None:
     """Each vehicle carries its load on a short leg, with its motors and rotors, within its limits."""
     scenario = transport.Scenario("resilient").resized(3, vehicle=vehicle, load_kg=READY[vehicle])

@@ -16,9 +16,7 @@ from protocol.wire.keys import Keys, matches
 from protocol.wire.messages import (
     Answer,
     Bundle,
-    Control,
     Instant,
-    LinkChange,
     Measurement,
     Message,
     Plan,
@@ -29,7 +27,6 @@ from protocol.wire.messages import (
     Roster,
     StepReport,
     Tick,
-    agent_name,
 )
 from tests.support.runs import INCARNATION
 
@@ -100,24 +97,21 @@ class Garbage:
             "another version": self._other_version,
             "another kind": self._other_kind,
             "strange fields": self._strange_fields,
-            "number of fields": self._number_of_fields,
             "not finite": self._not_finite,
             "deep": self._deep,
             "replayed": self._replayed,
             "past": self._past,
             "future": self._future,
-            "far future": self._far_future,
             "another incarnation": self._other_incarnation,
             "another key": self._other_key,
             "another sender": self._other_sender,
             "absurd": self._absurd,
-            "unheard-of": self._unheard_of,
         }
         self._single = [sort for sort in self.sorts if sort != "oversized"]
         if setup.scenario.clock.relayed:
             self.sorts |= {"bad parts": self._bad_parts, "renumbered bundle": self._renumbered_bundle}
         if name == "recorder":  # whose readers know neither tick nor tokens: other bits may be a later message
-            for sort in ("flipped bits", "future", "far future", "another incarnation"):
+            for sort in ("flipped bits", "future", "another incarnation"):
                 del self.sorts[sort]
             self._single = [sort for sort in self._single if sort in self.sorts]
 
@@ -222,11 +216,6 @@ class Garbage:
             values[int(self._rng.integers(len(values)))] = self._one_of(VALUES)
         return key, self._packed(values)
 
-    def _number_of_fields(self) -> tuple[str, bytes]:
-        key, data = self._old()
-        values = self._wire(data)
-        return key, self._packed(self._one_of([values[:-1], [*values, 0], values[:1], [values], [], values[1:]]))
-
     def _not_finite(self) -> tuple[str, bytes]:
         key, message = self._message(Measurement, Plan, PlantState, StepReport)
         values = self._wire(encode(self._new(message, tick=self.tick + 1)))
@@ -259,26 +248,6 @@ class Garbage:
         tick = self.tick + self._far + int(self._rng.integers(100))
         start = {"start_tick": tick} if isinstance(message, Plan) else {}
         return key, encode(self._new(message, tick=tick, **start))
-
-    def _far_future(self) -> tuple[str, bytes]:
-        """Return a message of the coordinator with the largest allowed numbers or a tick far ahead."""
-        if not self._delivered:
-            raise UnheardError
-        tick = self._one_of([2**48, 2**40, self.tick + self._far, self._setup.ticks])
-        head: dict[str, Any] = {
-            "sender": "coordinator",
-            "incarnation": self._incarnation,
-            "sequence": 2**47,
-            "tick": tick,
-        }
-        said: list[Message] = [
-            Control(outcome="aborted", reason="because", exit_code=4, **head),
-            Roster(version=2**40, agents=(2,), incarnations=(2**48,), off=(), released=(), reason="because", **head),
-            LinkChange(number=1, source="", target="", settings='{"loss": 1.0}', **head),
-        ]
-        message = self._one_of(said)
-        key = self._keys.of(message)
-        return (key, encode(message)) if key in self._keys_here else self._noise()
 
     def _other_incarnation(self) -> tuple[str, bytes]:
         key, message = self._message()
@@ -361,13 +330,3 @@ class Garbage:
             kept = sorted(set(kept))  # it cannot have a key twice
         keys, parts = [bundle.keys[i] for i in kept], [bundle.parts[i] for i in kept]
         return key, encode(self._new(bundle, tick=self.tick + 1, keys=keys, parts=parts))
-
-    def _unheard_of(self) -> tuple[str, bytes]:
-        """Return a well-formed message of an unknown agent, or of a kind that this receiver does not expect."""
-        key, message = self._message(Plan, Measurement, StepReport)
-        head: dict[str, Any] = {"sender": "agent9", "incarnation": self._incarnation, "sequence": 0, "tick": 0}
-        notice = Rejected(offender="x", reason="past", count=1, example="", **head)
-        if isinstance(message, Measurement):
-            return key, encode(self._new(message, tick=self.tick + 1, agent=9))
-        stranger = self._new(message, agent=9, sender=agent_name(9), tick=self.tick + 1)
-        return self._one_of([(self._keys.of(stranger), encode(stranger)), (key, encode(notice))])

@@ -207,17 +207,3 @@ def test_rights_to_put() -> None:
     assert f"{KEYS.prefix}/plan/2" in may_put[agent_name(2)]
     unshared = KEYS.of(sample(Plan, shared=False))
     assert [name for name, keys in may_put.items() if unshared in keys] == [agent_name(2)]
-
-
-def test_no_agent_may_listen_to_unshared_plans() -> None:
-    """Only plant, coordinator, recorder and observers may subscribe to plans that are not shared."""
-    rules = access_control(TEAM, KEYS.prefix, "cert_common_names")
-    by_id = {rule["id"]: rule for rule in rules["rules"]}
-    may_listen = set()
-    for policy in rules["policies"]:
-        (name,) = policy["subjects"]
-        own = [by_id[rule] for rule in policy["rules"] if "ingress" in by_id[rule]["flows"]]
-        keys = {key for rule in own if "declare_subscriber" in rule["messages"] for key in rule["key_exprs"]}
-        if keys & {f"{KEYS.prefix}/unshared/*", f"{KEYS.prefix}/**"}:
-            may_listen.add(name)
-    assert may_listen == {"coordinator", "plant", "recorder", WATCHER, OPERATOR, ROUTER}

@@ -40,16 +40,18 @@ def test_scenario_that_cannot_be_is_refused_in_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_missing_file_is_refused(tmp_path: Path) -> None:
+def test_missing_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A missing scenario file is named."""
-    result = transport("run", "nowhere.toml", cwd=tmp_path)
-    assert (result.returncode, result.stderr) == (SCENARIO, "transport: nowhere.toml: no such file\n")
+    monkeypatch.chdir(tmp_path)
+    result = here("run", "nowhere.toml")
+    assert (result.exit_code, result.stderr) == (SCENARIO, "transport: nowhere.toml: no such file\n")
 
 
-def test_agent_that_is_not_in_the_scenario_is_refused(tmp_path: Path) -> None:
+def test_agent_that_is_not_in_the_scenario_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`--id 9` of four agents is a usage error."""
-    result = transport("agent", "--id", "9", cwd=tmp_path)
-    assert (result.returncode, result.stderr) == (
+    monkeypatch.chdir(tmp_path)
+    result = here("agent", "--id", "9")
+    assert (result.exit_code, result.stderr) == (
         USAGE,
         "transport: --id: expected an agent from 1 to 4 of scenario paper, got 9\n",
     )

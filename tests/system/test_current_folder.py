@@ -11,9 +11,7 @@ from tests.support.commands import PATIENCE_S, SHORT, settings
 TRAP = 'raise RuntimeError("imported from the current folder")\n'
 
 
-@pytest.fixture(
-    params=["model.py", *(pytest.param(name, marks=pytest.mark.slow) for name in ("agent/__init__.py", "protocol.py"))]
-)
+@pytest.fixture(params=["model.py", pytest.param("agent/__init__.py", marks=pytest.mark.slow)])
 def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """Return a folder with a file named like one of our packages."""
     file = tmp_path / request.param
@@ -28,6 +26,7 @@ def imported(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
 
+@pytest.mark.slow
 def test_a_run_does_not_import_from_the_current_folder(folder: Path) -> None:
     """The installed command completes a run, with every child process started in that folder."""
     words = ["run", "paper", *settings(SHORT), "--out", "out", "--no-figures"]

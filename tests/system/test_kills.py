@@ -96,7 +96,7 @@ def test_a_process_stopped_before_the_run_is_named(tmp_path: Path) -> None:
     assert processes_of("join") == {}
 
 
-@pytest.mark.parametrize("victim", ["coordinator", "plant", pytest.param("agent1", marks=pytest.mark.slow), "agent4"])
+@pytest.mark.parametrize("victim", ["coordinator", "agent4", pytest.param("plant", marks=pytest.mark.slow)])
 def test_a_killed_process_ends_the_run_in_order(victim: str, tmp_path: Path) -> None:
     """SIGKILL of any process: exit code 4, the victim named, the log complete up to then, no process left."""
     run = f"kill-{victim}"
@@ -198,6 +198,7 @@ def test_limits_that_are_too_low(limit: str, text: str, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_run_in_a_forked_process_is_refused(tmp_path: Path) -> None:
     """The threads of the network do not survive a fork: the second run is refused in words, at once."""
     result = subprocess.run(

@@ -63,6 +63,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     return folder, run_json(folder, "paper", *settings(SHORT))
 
 
+@pytest.mark.slow
 def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]) -> None:
     """Section V: four agents, plant and coordinator complete 25 s; attitude within 2.5 deg, separation kept."""
     folder, summary = paper

@@ -15,8 +15,8 @@ from deploy.keys import KeysError
 from deploy.render import RenderError, command, render
 from protocol.network.endpoints import process_names
 from protocol.scenario.file import read_scenario
-from tests.support.commands import transport
 from tests.support.keyrings import keyring
+from tests.support.results import here
 from tests.support.runs import setup
 from transport.cli.main import app
 
@@ -168,13 +168,14 @@ def test_refused_renderings(tmp_path: Path) -> None:
         render(RUN, open_to_all, None, tmp_path / "out")
 
 
-def test_commands(tmp_path: Path) -> None:
+def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The two commands of docs/deploy.md make keys and folders, and refuse a missing inventory."""
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "hosts.toml").write_text(MESH)
-    made = transport("deploy", "keys", "--hosts", "hosts.toml", "--out", "keys", cwd=tmp_path)
-    assert made.returncode == 0, made.stderr
-    rendered = transport("deploy", "render", "--hosts", "hosts.toml", "--keys", "keys", "--out", "out", cwd=tmp_path)
-    assert rendered.returncode == 0, rendered.stderr
+    made = here("deploy", "keys", "--hosts", "hosts.toml", "--out", "keys")
+    assert made.exit_code == 0, made.stderr
+    rendered = here("deploy", "render", "--hosts", "hosts.toml", "--keys", "keys", "--out", "out")
+    assert rendered.exit_code == 0, rendered.stderr
     assert (tmp_path / "out" / "remote" / "install.sh").exists()
     checked = subprocess.run(
         ["openssl", "verify", "-verify_ip", "192.0.2.10", "-CAfile", "keys/ca.pem", "keys/agent1.pem"],
@@ -184,8 +185,8 @@ def test_commands(tmp_path: Path) -> None:
         check=False,
     )
     assert checked.returncode == 0, checked.stderr
-    again = transport("deploy", "render", "--hosts", "none.toml", "--keys", "keys", "--out", "x", cwd=tmp_path)
-    assert (again.returncode, again.stderr) == (2, "transport: none.toml: cannot be read (No such file or directory)\n")
+    again = here("deploy", "render", "--hosts", "none.toml", "--keys", "keys", "--out", "x")
+    assert (again.exit_code, again.stderr) == (2, "transport: none.toml: cannot be read (No such file or directory)\n")
 
 
 def test_a_large_run_is_rendered_on_purpose(tmp_path: Path) -> None:

@@ -48,6 +48,7 @@ def test_equal_reports(recorded: tuple[Path, dict[str, bytes]], waiting_s: float
     assert files(folder) == expected
 
 
+@pytest.mark.slow
 def test_failures_are_noticed(tmp_path: Path) -> None:
     """Without a process, with one that was killed, and with one that finds no log, there is no report."""
     with ReportProcess(tmp_path) as reporter:
@@ -61,6 +62,7 @@ def test_failures_are_noticed(tmp_path: Path) -> None:
         assert not reporter.report()
 
 
+@pytest.mark.slow
 def test_ends_with_its_parent(tmp_path: Path) -> None:
     """A process that stands by ends when its parent is killed."""
     code = (

@@ -8,7 +8,6 @@ import pytest
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
-from tests.support.commands import transport
 from tests.support.results import here
 from tests.support.runs import PAPER, SCENARIOS
 
@@ -82,30 +81,30 @@ def test_refusals(
 def test_a_file_and_standard_output_are_the_same(tmp_path: Path) -> None:
     """The text is the same with and without --out, and the file gives the team of the options."""
     options = ("--uavs", "5", "--from", "paper", "--groups", "2", "--name", "five")
-    printed = transport(*NEW, *options, cwd=tmp_path)
-    written = transport(*NEW, *options, "--out", "five.toml", cwd=tmp_path)
-    assert (printed.returncode, printed.stderr) == (0, "")
-    assert (written.returncode, written.stdout) == (0, "")
     path = tmp_path / "five.toml"
+    printed, written = here(*NEW, *options), here(*NEW, *options, "--out", path)
+    assert (printed.exit_code, printed.stderr) == (0, "")
+    assert (written.exit_code, written.stdout) == (0, "")
     assert path.read_text(encoding="utf-8") == printed.stdout
     expected = resized(read_scenario(PAPER), SCENARIOS, 5, group=2, name="five", source="")
     assert read_scenario(path) == expected
     assert Setup.of(read_scenario(path), str(path)).owned == ((0, 1), (2, 3), (4,))
 
 
-def test_the_file_says_how_it_was_made(tmp_path: Path) -> None:
+def test_the_file_says_how_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first line of a file is the command that created it, also from a template with an unusual name."""
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "my team's.toml").write_text((SCENARIOS / "resilient.toml").read_text(encoding="utf-8"))
-    text = transport(*NEW, "--uavs", "3", "--from", "my team's.toml", cwd=tmp_path).stdout
+    text = here(*NEW, "--uavs", "3", "--from", "my team's.toml").stdout
     first = text.splitlines()[0]
     assert first.startswith("# Made by: transport scenario new --uavs 3 ")
     again = shlex.split(first.removeprefix("# Made by: transport "))
-    assert transport(*again, cwd=tmp_path).stdout == text
+    assert here(*again).stdout == text
 
 
 def test_resilient_is_the_default(tmp_path: Path) -> None:
     """Without --from a team has the settings of `resilient`, which are valid for other team sizes."""
-    text = transport(*NEW, "--uavs", "6", cwd=tmp_path).stdout
+    text = here(*NEW, "--uavs", "6").stdout
     (tmp_path / "six.toml").write_text(text, encoding="utf-8")
     scenario = read_scenario(tmp_path / "six.toml")
     assert scenario.name == "resilient-6"

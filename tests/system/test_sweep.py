@@ -139,6 +139,7 @@ def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals
     assert gone(process)
 
 
+@pytest.mark.slow
 def test_a_killed_experiment_leaves_nothing_running(tmp_path: Path) -> None:
     """After SIGKILL of the command its workers end."""
     process = start(*LONG, "--jobs", "2", "--out", "out", cwd=tmp_path)

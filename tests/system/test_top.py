@@ -11,59 +11,23 @@ from typer.testing import CliRunner
 
 from protocol.wire.codec import encode
 from protocol.wire.messages import Message, Rejected
-from tests.support import logs, runs
+from tests.support import runs
 from tests.support.commands import PATIENCE_S, is_flying, settings, start, transport, wait_for
 from transport.cli.main import app
 from transport.cli.top import Watch
 from transport.log.run_log import read_log
 
-MILLISECOND_NS = 1_000_000
 # Long enough on any machine; ended by the test.
 LONG = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=9.5,displacement_m=[0,0,-2]}]",
     "clock.speed=0.1",
 )
-REALTIME = ("clock.mode='realtime'", "clock.speed=0.5", "clock.actuation='next_tick'")
 
 
 def watched(*settings_: str) -> Watch:
     """Return a watch of the paper's run with some settings, before the first message."""
     return Watch(runs.setup(*settings_))
-
-
-def test_reports_are_added_up() -> None:
-    """Losses, late plans and solver failures add up over reports; times, ages and tick are the newest."""
-    watch = watched()
-    run = watch.setup
-    watch.take(runs.tick(3), 0)
-    for k, status in ((3, "solved"), (4, "limit")):
-        watch.take(logs.report(run, 2, k, lost=2, late=1, status=status, fallback=True, plan_ages=(1, -1, k)), 0)
-    agent = watch.content()["agents"][1]
-    assert (agent["lost"], agent["late"], agent["fallbacks"], agent["failures"]) == (4, 2, 2, 1)
-    assert (agent["tick"], agent["plan_ages"]) == (4, {"agent1": 1, "agent3": -1, "agent4": 4})
-    assert (agent["step_ms"], agent["worst_step_ms"]) == (1.5, 1.5)
-    assert agent["slack_ms"] is None  # a lockstep run is not paced
-    assert watch.state_of(2) == "active"
-    assert watch.state_of(1) == "-"
-    watch.take(runs.tick(30), 0)
-    assert watch.state_of(2) == "silent"
-
-
-def test_slack_and_deadlines() -> None:
-    """Slack is the rest of the period, here 100 ms of wall time, at the arrival of the report, with late ticks.
-
-    A plan that has not arrived when the next tick opens has missed its deadline.
-    """
-    watch = watched(*REALTIME)
-    watch.take(replace(runs.tick(7), late_ns=10 * MILLISECOND_NS), 1000 * MILLISECOND_NS)
-    watch.take(logs.report(watch.setup, 1, 7), 1030 * MILLISECOND_NS)
-    watch.take(logs.report(watch.setup, 2, 6), 1031 * MILLISECOND_NS)  # of a past tick: not shown
-    watch.take(runs.tick(8, answered=(1, 2, 4)), 1090 * MILLISECOND_NS)
-    agents = watch.content()["agents"]
-    assert [agent["slack_ms"] for agent in agents] == [pytest.approx(60.0), None, None, None]
-    assert [agent["missed"] for agent in agents] == [0, 0, 1, 0]
-    assert watch.real_time_factor == pytest.approx(0.05 / 0.09)
 
 
 def test_faults_are_shown() -> None:

@@ -10,7 +10,7 @@ import matplotlib as mpl
 import pytest
 from matplotlib.figure import Figure
 
-from protocol.wire.messages import FaultNote, LinkChange, Message
+from protocol.wire.messages import FaultNote, LinkChange
 from tests.support import runs
 from tests.support.figure_texts import problems
 from tests.support.logs import SINGLE_UAV, log_of, noted, plant_state, record_run, report
@@ -59,16 +59,6 @@ def test_runs_are_drawn(tmp_path: Path, settings: Sequence[str], share: float) -
     paths = [tmp_path / "figures" / name for name in NAMES]
     assert_drawn(paths)
     assert sorted((tmp_path / "figures").glob("*.png")) == sorted(paths)
-
-
-@pytest.mark.parametrize("ticks", [[7], [0, 1, 9]])
-def test_single_ticks_are_drawn(tmp_path: Path, ticks: list[int]) -> None:
-    """One tick that is not the first, and ticks with gaps are drawn; without steps there is no timing figure."""
-    run = runs.setup(runs.SHORT)
-    messages: list[Message] = [plant_state(run, k) for k in ticks]
-    assert_drawn(draw(run, log_of(messages), tmp_path), NAMES[:3])
-    assert draw(run, log_of([]), tmp_path / "empty") == []
-    assert not (tmp_path / "empty").exists()
 
 
 @pytest.mark.slow

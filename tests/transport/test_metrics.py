@@ -1,7 +1,5 @@
 """Metrics: cases small enough to compute by hand."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -9,14 +7,14 @@ from msgspec.structs import replace
 from model import state
 from model.arrays import Array
 from model.failure import released_state
-from protocol.wire.messages import ActualInputs, Control, Message, Outcome, Reason, Rejected, StepReport
+from protocol.wire.messages import ActualInputs, Control, Message, Outcome
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, noted, plan, plant_state, report
 from transport.analysis.metrics import rest_of_tick_ms, summarise
 from transport.analysis.series import series_of
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.cli.top import Watch
-from transport.report.report import summary_table, warnings
+from transport.report.report import summary_table
 
 # A few roundings of numbers of order one to a hundred.
 ROUNDING = 1e-12
@@ -69,20 +67,6 @@ def test_cost_of_a_displaced_team() -> None:
         assert summary[tracking]["rms_m"] == pytest.approx(np.sqrt(0.2**2 / 2), rel=ROUNDING)
     series = series_of(run, log_of([plant_state(run, 1, change)]))
     assert series.uav_errors_I == pytest.approx(np.tile([0.0, 0.2, 0.0], (1, 4, 1)), abs=ROUNDING)
-
-
-def test_uav_and_payload_errors_are_separate() -> None:
-    """A rod that leans moves its UAV and not the payload: one UAV of four is off, at one tick of two."""
-    run = runs.setup(HOVER)
-
-    def lean(x: Array, u: Array) -> None:
-        x[state.uav_slice(2)][state.E] = [0.0, 0.6, 0.8]
-
-    summary = summarise(run, log_of([plant_state(run, 0), plant_state(run, 1, lean)]))
-    off_m = 3.2 * np.hypot(0.6, 0.2)
-    assert summary["uav_tracking"]["max_m"] == pytest.approx(off_m, rel=ROUNDING)
-    assert summary["uav_tracking"]["rms_m"] == pytest.approx(np.sqrt(off_m**2 / 8), rel=ROUNDING)
-    assert summary["payload_tracking"] == {"rms_m": 0.0, "max_m": 0.0, "swing_m": 0.0, "decays": None}
 
 
 def test_a_released_uav_does_not_count() -> None:
@@ -170,85 +154,6 @@ def test_violations_are_shares_of_the_range() -> None:
     distance_m = series_of(run, log_of([plant_state(run, 0, close)])).separation_m[0]
     assert distance_m < 0.4
     assert worst(plant_state(run, 0, close)) == pytest.approx((0.4 - distance_m) / 0.4, rel=ROUNDING)
-
-
-def test_largest_local_error_and_its_warning() -> None:
-    """The summary has the largest local error of the integration; above 1e-6 a warning says so."""
-    run = runs.setup(HOVER)
-
-    def summary(*errors: float) -> dict[str, Any]:
-        states = [replace(plant_state(run, tick), local_error=error) for tick, error in enumerate(errors)]
-        return summarise(run, log_of(states))
-
-    assert summary(1e-12, 3e-11, 2e-11)["local_error_max"] == 3e-11
-    assert summary(1e-12, -1.0)["local_error_max"] == 1e-12  # -1: not finite, the run has diverged
-    assert summary()["local_error_max"] is None
-    assert warnings(summary(1e-12, 9e-7)) == warnings(summary()) == []
-    (line,) = warnings(summary(1e-12, 2e-6))
-    assert "local error of 2.0e-06" in line
-    assert "plant.tolerance" in line
-
-
-def test_lost_and_late_plans_are_counted() -> None:
-    """Lost and late plans, fallbacks and failures of all reports are added up."""
-    run = runs.setup(HOVER)
-    changed: dict[tuple[int, int], dict[str, Any]] = {
-        (1, 1): {"delivered": 2, "lost": 1, "plan_ages": (1, -1, 1)},
-        (2, 1): {"delivered": 3, "late": 1, "plan_ages": (1, 2, 1)},
-        (2, 3): {"status": "numerical", "fallback": True},
-        (3, 3): {"fallback": True},
-    }
-    messages = [
-        replace(message, **changed.get((message.tick, message.agent), {}))
-        if isinstance(message, StepReport)
-        else message
-        for message in perfect(4)
-    ]
-    summary = summarise(run, log_of(messages))
-    assert summary["messages"] == {
-        "planned": 16,
-        "shared": 16,
-        "sent": 36,
-        "delivered": 35,
-        "lost": 1,
-        "late": 1,
-        "rejected": 0,
-    }
-    assert summary["plan_age_ticks"]["max"] == 2
-    assert summary["plan_age_ticks"]["mean"] == pytest.approx((35 + 1) / 35)
-    assert summary["solver"] == {"fallbacks": 2, "failures": 1}
-
-
-def rejected(by: str, offender: str, reason: Reason, count: int, sequence: int = 0) -> Rejected:
-    """Return a notice of rejected messages."""
-    return Rejected(
-        sender=by,
-        incarnation=0,
-        sequence=sequence,
-        tick=3,
-        offender=offender,
-        reason=reason,
-        count=count,
-        example="expected this, got that",
-    )
-
-
-def test_agents_that_left_receive_nothing() -> None:
-    """Plans to an agent that takes no further step are not lost; its leaving is an event with its reason."""
-    run = runs.setup(HOVER)
-    left = [1, 2, 3]
-    messages: list[Message] = [runs.roster()]
-    messages += [m for m in perfect(2)[1:-1] if not (m.tick == 1 and getattr(m, "agent", 0) == 4)]
-    messages.append(replace(runs.roster(dict.fromkeys(left, 0), k=1, version=2), reason="agent4 is gone"))
-    messages.append(runs.tick(2, answered=left, members=left, version=2))
-    messages += [plan(run, agent, 2) for agent in left]
-    messages += [report(run, agent, 2, delivered=2) for agent in left]
-    messages += [plant_state(run, 2), control(2, "aborted", "interrupted")]
-    summary = summarise(run, log_of(messages))
-    assert summary["messages"]["sent"] == 3 * 2 + 3 + 3 * 2
-    assert summary["messages"]["lost"] == 0
-    assert [fault["what"] for fault in summary["faults"]] == ["agent4 is gone", "interrupted"]
-    assert [fault["time_s"] for fault in summary["faults"]] == pytest.approx([0.05, 0.1])
 
 
 REALTIME = ("clock.mode=realtime", "clock.speed=1", "clock.actuation=next_tick")

@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from msgspec.structs import replace
@@ -15,10 +14,9 @@ from protocol.network.endpoints import Endpoints
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Control, LinkChange, Message, Presence, Rejected
+from protocol.wire.messages import Control, Message, Presence
 from tests.support import runs
 from tests.support.logs import HEADER, with_scenario
-from tests.support.messages import sample
 from tests.support.runs import setup
 from transport.flight import recorder as recorder_module
 from transport.flight.recorder import Recorder
@@ -109,11 +107,6 @@ def flight(ticks: int) -> list[Message]:
     return [*said, replace(runs.end(ticks - 1), sequence=ticks + 1)]
 
 
-def changed(message: Message, **changes: Any) -> Message:
-    """Return a changed message with its own sequence number."""
-    return replace(message, **{"sequence": 10**6, **changes})
-
-
 def test_processes_that_were_unreachable_return(record: Recording) -> None:
     """Recording goes on when all processes reconnect after a pause that closed their connections."""
     said = flight(6)
@@ -124,27 +117,3 @@ def test_processes_that_were_unreachable_return(record: Recording) -> None:
     assert [encode(message) for message in heard] == [encode(message) for message in said[:5]]
     assert isinstance(end, Control)
     assert (end.outcome, end.reason) == ("aborted", "coordinator is gone")
-
-
-def test_refusals_are_on_record(record: Recording) -> None:
-    """The recorder logs its own rejections, but not the refused messages."""
-    said = flight(30)
-    wrong = [
-        (f"{KEYS.prefix}/plan/2", b"nonsense"),
-        changed(runs.end(), tick=29),  # far from the newest tick
-        changed(runs.plant_state(RUN, 9), x=RUN.initial_state()[:24], u=RUN.hover.u[:4], plan_ticks=(9,)),
-        changed(sample(LinkChange), incarnation=0, tick=10, settings='{"loss": 7}'),
-        said[3],
-    ]
-    messages = record(*said[:20], *wrong, *said[20:])
-    notices = [message for message in messages if isinstance(message, Rejected)]
-    assert [encode(m) for m in messages if not isinstance(m, Rejected)] == [encode(message) for message in said]
-    assert {notice.sender for notice in notices} == {"recorder"}
-    assert {(notice.offender, notice.reason) for notice in notices} == {
-        ("plan/2", "wrong_version"),
-        ("coordinator", "future"),
-        ("plant", "wrong_shape"),
-        ("coordinator", "out_of_range"),
-        ("coordinator", "replayed"),
-    }
-    assert [notice.count for notice in notices] == [1] * len(wrong)

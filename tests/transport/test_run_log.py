@@ -4,24 +4,18 @@ import os
 import signal
 import subprocess
 import sys
-import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from msgspec.structs import replace
 
 from protocol.wire.codec import encode
-from protocol.wire.messages import Message, Plan, Tick
+from protocol.wire.messages import Message, Tick
 from tests.support import runs
-from tests.support.messages import messages as any_message
-from transport.log.parser import Parser
-from transport.log.run_log import ENCODING, LogError, RunLog, read_log
+from transport.log.run_log import LogError, RunLog, read_log
 from transport.log.writer import CHUNK_BYTES, LogWriter
 
 HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}
@@ -66,54 +60,6 @@ def test_a_flight_comes_back_bit_for_bit(tmp_path: Path, flight: list[Message]) 
     assert [entry.received_ns for entry in log.messages] == [RECEIVED_NS + 1000 * n for n in range(len(flight))]
     assert log.header == HEADER
     assert log.cut == ""
-
-
-def test_plans_can_be_read_without_their_horizon(tmp_path: Path, flight: list[Message]) -> None:
-    """Without horizons, plans have their first step only, the rest is unchanged, and a long log takes less memory."""
-    log = read_log(write(tmp_path / "run.mcap", flight), horizons=False)
-    for message, entry in zip(flight, log.messages, strict=True):
-        if not isinstance(message, Plan):
-            assert encode(entry.message) == encode(message)
-            continue
-        assert isinstance(entry.message, Plan)
-        assert entry.message.inputs.tobytes() == message.inputs[:1].tobytes()
-        assert len(entry.message.corrections) == 0
-        assert encode(replace(message, inputs=message.inputs[:1], corrections=message.corrections[:0])) == encode(
-            entry.message
-        )
-    plans = [
-        replace(
-            message, tick=32 * i + message.tick, start_tick=32 * i + message.tick, sequence=64 * i + message.sequence
-        )
-        for i in range(25)
-        for message in flight
-        if isinstance(message, Plan)
-    ]
-    path = write(tmp_path / "long.mcap", plans)
-    del log
-    peaks = []
-    for horizons in (True, False):
-        tracemalloc.start()
-        try:
-            assert len(read_log(path, horizons=horizons).messages) == len(plans)
-            peaks.append(tracemalloc.get_traced_memory()[1])
-        finally:
-            tracemalloc.stop()
-    assert peaks[0] - peaks[1] > sum(len(encode(plan)) for plan in plans) / 2
-
-
-@settings(max_examples=20)
-@given(st.lists(any_message, max_size=5), st.integers(-1, 2**64))
-def test_any_message_can_be_logged(
-    tmp_path_factory: pytest.TempPathFactory, messages: list[Message], received_ns: int
-) -> None:
-    """Any valid message can be logged, however large its numbers are."""
-    path = tmp_path_factory.mktemp("log") / "run.mcap"
-    with LogWriter(path, {}, period_ns=10**9) as writer:
-        for message in messages:
-            writer.write(message, received_ns)
-    found = [entry.data for entry in Parser(path).entries()]
-    assert found == bits(messages)
 
 
 def test_other_programs_read_it(tmp_path: Path, flight: list[Message]) -> None:
@@ -230,25 +176,6 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         read_log(path)
     with pytest.raises(LogError, match="cannot write"):
         LogWriter(tmp_path / "nowhere" / "run.mcap", {}, period_ns=1)
-
-
-def test_entries_of_another_version_are_announced(tmp_path: Path) -> None:
-    """Entries of another version are left out and reported, the others are read."""
-    path = tmp_path / "run.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        writer.add_metadata("run", {})
-        for topic, encoding, data in (
-            ("/tick", "json", b'{"sender": "coordinator"}'),
-            ("/gossip", "payload-transport/5", b""),
-            ("/tick", ENCODING, encode(tick())),
-        ):
-            writer.add_message(writer.register_channel(topic, encoding, 0), 0, data, 0)
-        writer.finish()  # type: ignore[no-untyped-call]
-    log = read_log(path)
-    assert read_bits(log) == bits([tick()])
-    assert "2 entries are not of this version, the first a channel '/tick' with encoding 'json'" in log.cut
 
 
 def tick() -> Tick:

@@ -1,6 +1,5 @@
 """The scene of a run: positions, predicted paths, links; and the shapes and colours it is drawn with."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from model.arrays import Array
-from protocol.wire.messages import LinkChange, Message
 from tests.support import runs
 from tests.support.logs import record_run
 from transport.scene.drawing import (
@@ -16,7 +14,6 @@ from transport.scene.drawing import (
     Lines,
     Mesh,
     payload_points,
-    rotation_from_up,
 )
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
@@ -106,39 +103,6 @@ def test_links_show_age_and_loss(distributed: SceneBuilder) -> None:
             assert link.loss == 0.0
 
 
-def test_link_changes_are_applied(distributed: SceneBuilder) -> None:
-    """A link change holds from its tick on, and is applied once even if it is received twice."""
-    history = RunHistory(distributed.setup)
-    history.add(distributed.history.plant_states.values())
-    changes = [change(1, 5, {"loss": 1.0}), change(1, 5, {"loss": 1.0}), change(2, 26, {"loss": 0.0, "delay_s": 0.1})]
-    history.add(changes)
-    builder = SceneBuilder(distributed.setup, history)
-    assert {link.loss for link in builder.at(25).links if link.receiver == 3} == {1.0}
-    assert {link.loss for link in builder.at(5).links if link.receiver == 3} == {0.0}
-    assert builder.link_history.settings(1, 3, 25) == (0.2, 1.0)
-    assert builder.link_history.settings(1, 3, 26) == (0.1, 0.0)
-    assert [when for when, _ in history.events] == [5, 26]
-
-
-def change(number: int, tick: int, settings: dict[str, float]) -> LinkChange:
-    """Return a change of all links from a tick on."""
-    sent = {"sender": "coordinator", "incarnation": 0, "sequence": number, "tick": tick, "number": number}
-    return LinkChange(**sent, source="", target="", settings=json.dumps(settings))  # type: ignore[arg-type]
-
-
-def test_missing_ticks(distributed: SceneBuilder) -> None:
-    """A missing tick shows the previous one, or the first; paths skip missing ticks."""
-    history = RunHistory(distributed.setup)
-    some: list[Message] = [distributed.history.plant_states[k] for k in (9, 3, 4)]
-    history.add(some)
-    assert (history.first, history.last) == (3, 9)
-    assert [history.nearest(tick) for tick in (0, 3, 6, 9, 50)] == [3, 3, 4, 9, 9]
-    payload_I, uavs_I = SceneBuilder(distributed.setup, history).paths(9, 100)
-    assert payload_I.shape == (3, 3)
-    assert uavs_I.shape == (3, 4, 3)
-    np.testing.assert_array_equal(payload_I[-1], distributed.history.plant_states[9].x[:3])
-
-
 def test_bodies_are_solid(distributed: SceneBuilder) -> None:
     """The mesh of every body is closed and faces outwards, and every rod ends on the payload."""
     system = distributed.setup.system
@@ -173,15 +137,6 @@ def test_parts_are_where_the_scene_is(distributed: SceneBuilder, tick: int) -> N
     if tick:
         flown_I = moving["actual paths"].reshape(-1, 3)
         assert all(np.linalg.norm(flown_I - place_I, axis=1).min() < ROUNDING for place_I in scene.uavs_I)
-
-
-@pytest.mark.parametrize("direction", [(0.0, 0.0, -3.0), (0.3, -0.4, -2.0), (1.0, 0.0, 0.0), (0.0, 0.0, 2.0)])
-def test_rotation_from_up(direction: tuple[float, float, float]) -> None:
-    """It is a rotation of up (-z) to the direction, also to the opposite one."""
-    R = rotation_from_up(np.array(direction))
-    np.testing.assert_allclose(R @ [0.0, 0.0, -1.0], np.array(direction) / np.linalg.norm(direction), atol=ROUNDING)
-    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=ROUNDING)
-    assert np.linalg.det(R) == pytest.approx(1.0)
 
 
 def test_contacts_with_the_ground(tmp_path: Path) -> None:

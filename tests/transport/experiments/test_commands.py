@@ -97,14 +97,6 @@ def test_a_case_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert kept(tmp_path / "out") == 3
 
 
-def test_another_version_does_not_mix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A worker with another version of the package gives an error, not numbers."""
-    monkeypatch.setattr("transport.experiments.simulation.key_of", lambda *_: "0123")
-    result = here(*LATE, "--out", tmp_path / "out")
-    assert result.exit_code == CASES
-    assert "expected the version of this package that started the experiment, got another" in result.stderr
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"latency", "scaling"}))
 def test_a_trial_says_so(name: str, tmp_path: Path) -> None:

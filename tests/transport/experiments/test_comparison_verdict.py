@@ -79,16 +79,6 @@ def test_a_range_gives_both_ends() -> None:
     assert made(1.3, math.inf).text == "worse to diverged"
 
 
-def test_a_range_beyond_the_grid_decides_little() -> None:
-    """Periods outside the grid could have any cost: a claim neither holds nor fails there."""
-    part = made(1.02, 1.09, periods=PeriodRange(0.08, math.inf))
-    assert part.supports("slightly worse") == part.supports("slightly better") == UNDECIDED
-    none = made(None, periods=PeriodRange(math.inf, math.inf))
-    assert none.text == none.supports("slightly better") == "computes more wherever it completes"
-    assert made(None, periods=PeriodRange(0.0, 0.0)).text == "computes less wherever it completes"
-    assert made(None).text == "not compared"
-
-
 def curve(controller: str, kept: str, costs: dict[float, float]) -> Curve:
     """A cost curve in still air from ratios by period; an infinite one is a run that diverged."""
     nodes = [

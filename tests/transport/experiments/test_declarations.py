@@ -16,7 +16,6 @@ from tests.support.runs import ticks
 from transport.cli.experiment import EXPERIMENTS
 from transport.experiments.cases import ExperimentError, Point, cases_of, is_random
 from transport.experiments.declaration import Experiment
-from transport.experiments.design_experiments import AS_IT_IS, PARTS, ablation, deaths, hover
 from transport.experiments.network_experiments import JITTER, NETWORKS
 
 TICKS = 6_000
@@ -112,55 +111,6 @@ def test_jitters_are_comparable(distribution: str) -> None:
     # Four standard deviations of it: by the kurtosis, at most 9 but for the lognormal distribution with its 114.
     kurtosis = 114.0 if distribution == "lognormal" else 9.0
     assert abs(found_s.std() - 0.04) < 4.0 * 0.04 * math.sqrt((kurtosis - 1.0) / (4.0 * TICKS))
-
-
-def test_each_death_is_of_one_agent_for_good() -> None:
-    """One kill each, at distinct times within the maneuver; the seed decides the times and agents."""
-    own = scenarios("resilient")
-    points = deaths(own, 8, 0).points
-    baseline, *others = [case.scenario for case in cases_of(points, [], 1)]
-    assert baseline.faults.event == []
-    events = [event for scenario in others for event in scenario.faults.event]
-    assert [event.do for event in events] == ["kill"] * 8
-    assert {event.target for event in events} <= {f"agent{i}" for i in range(1, 5)}
-    assert len({event.at_s for event in events if 0.0 <= event.at_s < 25.0}) == 8
-    assert {scenario.clock.on_agent_loss for scenario in others} == {"continue"}
-    assert points == deaths(own, 8, 0).points != deaths(own, 8, 1).points
-
-
-def test_only_the_last_hover_is_longer() -> None:
-    """The last phase has the duration asked for, the others keep theirs; a maneuver without a last hover is refused."""
-    experiment = hover(scenarios("paper", "centralized"), [60.0, 5.0])
-    durations = [
-        [phase.duration_s for phase in case.scenario.maneuver.phase] for case in cases_of(experiment.points, [], 1)
-    ]
-    assert durations == [[5.0] * 5, [5.0] * 4 + [60.0]] * 2
-    assert not any(point.baseline for point in experiment.points)
-    climb = ("maneuver.phase=[{name='climb',duration_s=1.0,displacement_m=[0,0,-1]}]",)
-    with pytest.raises(ExperimentError, match="--scenario: expected a maneuver that ends with a hover, got paper"):
-        hover(scenarios("paper", settings=climb), [60.0])
-
-
-def parts(name: str, *settings: str) -> dict[str, set[str]]:
-    """Return the values of each part of an ablation, which are the same on both networks."""
-    points = ablation(scenarios(name, settings=settings)).points
-    found: dict[str, set[str]] = {part: set() for part in PARTS}
-    for point in points:
-        if point.labels["part"] != AS_IT_IS:
-            found[str(point.labels["part"])].add(str(point.labels["value"]))
-    assert len(points) == len(NETWORKS) * (1 + sum(map(len, found.values())))
-    return found
-
-
-@pytest.mark.parametrize("name", BOTH)
-def test_every_part_has_every_value(name: str) -> None:
-    """The value that a scenario has is its row as it is; all the others are there.
-
-    A preview needs closed-loop prediction or the Riccati cost-to-go: `paper` has neither.
-    """
-    for part, values in parts(name).items():
-        refused = {"true"} if (name, part) == ("paper", "preview") else set()
-        assert len(set(PARTS[part][1]) - values - refused) == 1, part
 
 
 REFUSED: list[tuple[str, dict[str, Any], str]] = [

@@ -1,6 +1,5 @@
 """The folder of an experiment: kept results survive, damage is told, other people's folders are left alone."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -49,30 +48,6 @@ def test_an_incomplete_line_is_reported_and_removed(tmp_path: Path, left: int) -
     with opened(tmp_path) as results:
         assert (results.done("a"), results.done("b"), results.done("c")) == (True, False, True)
         assert results.notices == []
-
-
-def test_a_foreign_line_is_reported(tmp_path: Path) -> None:
-    """A line in the middle that is no result is named and skipped."""
-    with opened(tmp_path) as results:
-        results.add(result("a"))
-    path = tmp_path / "results.jsonl"
-    path.write_bytes(b"what?\n" + path.read_bytes())
-    with opened(tmp_path) as results:
-        assert results.notices == [f"{path}: line 1 is no result; its case is simulated again"]
-        assert results.done("a")
-
-
-def test_a_result_of_an_older_version_is_simulated_again(tmp_path: Path) -> None:
-    """A result without one of the numbers is named and skipped; an error has no numbers and is kept."""
-    older = replace(result("a"), numbers={"cost_mean": 0.1, "lost_s": None})
-    with opened(tmp_path) as results:
-        results.add(older)
-        results.add(Result(key="b", outcome=ERROR, reason="why", numbers={}))
-    with opened(tmp_path) as results:
-        path = tmp_path / "results.jsonl"
-        assert results.notices == [f"{path}: line 1 has no {NUMBERS[2]}; its case is simulated again"]
-        assert not results.done("a")
-        assert results["b"].outcome == ERROR
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:

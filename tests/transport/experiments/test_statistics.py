@@ -8,12 +8,8 @@ from transport.experiments.cases import Point
 from transport.experiments.simulation import ERROR, NUMBERS, Result
 from transport.experiments.statistics import estimate, statistics_of
 
-# Rounding of sums of a few numbers of order one.
-ROUNDING = 1e-12
-
 BASELINE = Point(scenario="a", labels={"delay_s": 0.0}, text="0 ms", baseline=True)
 LATE = Point(scenario="a", labels={"delay_s": 0.1}, text="100 ms")
-OTHER = Point(scenario="b", labels={"delay_s": 0.1}, text="100 ms")
 
 
 def result(outcome: str = "completed", cost: float = 1.0, lost_s: float | None = None) -> Result:
@@ -36,17 +32,6 @@ def test_interval_is_students(n: int) -> None:
     assert found.mean + found.half_width == pytest.approx(high, abs=tolerance)
 
 
-def test_few_repetitions() -> None:
-    """One value has a mean and no interval, none has neither; equal values have an interval of zero."""
-    single = estimate([7.0])
-    assert single is not None
-    assert (single.mean, single.half_width, single.n) == (7.0, None, 1)
-    assert estimate([]) is None
-    equal = estimate([0.1, 0.1, 0.1])
-    assert equal is not None
-    assert equal.half_width == pytest.approx(0.0, abs=ROUNDING)
-
-
 def test_diverged_runs_count_but_are_not_averaged() -> None:
     """Cost is averaged over completed runs; a diverged run counts, with its time; errors are separate."""
     results = [result(cost=2.0), result("diverged", cost=9.0, lost_s=14.3), result(cost=4.0), result(ERROR)]
@@ -56,13 +41,3 @@ def test_diverged_runs_count_but_are_not_averaged() -> None:
     assert cost is not None
     assert (cost.mean, cost.n) == (3.0, 2)
     assert (base.cost_ratio, late.cost_ratio) == (1.0, 2.0)
-
-
-def test_ratio_needs_both() -> None:
-    """The ratio is to the same scenario's baseline; without one, or without a completed run, there is none."""
-    lost = [result("diverged", lost_s=1.0)]
-    _, late, other = statistics_of([BASELINE, LATE, OTHER], [[result()], lost, [result()]], NUMBERS[1:])
-    assert late.cost_ratio is None
-    assert late.first_diverged_s == 1.0
-    assert other.cost_ratio is None
-    assert statistics_of([BASELINE, LATE], [lost, [result()]], NUMBERS[1:])[1].cost_ratio is None

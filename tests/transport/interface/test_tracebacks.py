@@ -1,16 +1,13 @@
 """Errors of the user's input have short tracebacks: the user's frames and the public function, no library of ours."""
 
-import inspect
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from types import FunctionType
 from typing import Any
 
 import pytest
 
 import transport
-from transport.interface.scenario import Section
 
 INTERFACE = Path(transport.__file__).parent / "interface"
 HOVER = [{"name": "hover", "duration_s": 0.1, "displacement_m": [0.0, 0.0, 0.0]}]
@@ -62,20 +59,3 @@ def test_the_traceback_ends_at_the_public_function(case: str, run: transport.Run
     text = "".join(traceback.format_exception(caught.value))
     assert text.count("Traceback") == 1
     assert "pydantic" not in text
-
-
-def test_every_function_that_raises_is_covered() -> None:
-    """Each public function and method whose docstring names an error of the project is decorated."""
-    functions: dict[str, Any] = {}
-    for name in transport.__all__:
-        found = getattr(transport, name)
-        if inspect.isclass(found) and found.__module__.startswith("transport.interface"):
-            methods = [value for value in vars(found).values() if isinstance(value, FunctionType)]
-            functions |= {f"{name}.{method.__name__}": method for method in methods}
-        elif inspect.isfunction(found):
-            functions[name] = found
-    functions["Section.__setattr__"] = Section.__setattr__
-    errors = ("ScenarioError", "ArgumentError", "LogError", "ViewerError", "ExperimentError")
-    raising = {name for name, function in functions.items() if any(e in (function.__doc__ or "") for e in errors)}
-    assert {"fly", "load", "sweep", "Run.save", "Sweep.plot"} <= raising
-    assert [name for name in sorted(raising) if not hasattr(functions[name], "__wrapped__")] == []
