@@ -85,7 +85,7 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
             source = Garbage("recorder", keys, run, run.shape.max_bytes, rng, incarnation=0, delay=_DELAY, far=ticks)
             secure, awaited, hears = None, proofs_of_connection(keys, run.agents), list[str]()
             if access == "certificates":  # the session hears what agent 1 may hear
-                secure, awaited = attacker.tls(keyring("one"), "agent1"), {f"{keys.prefix}/measurement/1"}
+                secure, awaited = attacker.tls(keyring("one"), "agent1"), {f"{keys.prefix}/instant"}
                 hears = keys.subscriptions("agent1", relayed=True)
             with intruding(keys, endpoints, secure, hears) as mesh:
                 until = round(_UNTIL * ticks)
