@@ -16,6 +16,7 @@ help: ## show this
 run: $(VENV)/.installed ## set up and run the paper's maneuver (SCENARIO=name for another)
 	@$(BIN)/transport run $(SCENARIO)
 	@echo "next: $(BIN)/transport run resilient --set links.delay_s=0.2    # a controller for delay and packet loss"
+	@echo "      $(BIN)/transport run playground --view                    # fly by hand in the browser"
 
 test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (4 minutes on two processors)
 	@$(BIN)/python -m pytest $(WORKERS) -m "not slow"
@@ -23,7 +24,7 @@ test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones
 test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, a minute in real time
 	@$(BIN)/python -m pytest $(WORKERS) -m "slow and not pages and not firmware"
 
-test-pages: $(VENV)/.installed-test ## run the commands of README (playground), docs/getting-started.md and the notebooks
+test-pages: $(VENV)/.installed-test ## run the commands of docs/command-line.md (playground), docs/getting-started.md and the notebooks
 	@$(BIN)/python -m pytest -m pages
 
 test-firmware: $(VENV)/.installed-test $(VENV)/.installed-firmware ## build Betaflight (1 minute) and run the tests with it as inner loop
@@ -99,7 +100,7 @@ define install
 endef
 
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
-	$(call install,)
+	$(call install,[view])
 
 $(VENV)/.installed-test: pyproject.toml | $(BIN)/python
 	$(call install,[test])

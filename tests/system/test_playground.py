@@ -1,4 +1,4 @@
-"""The README's part on a run that is impaired by hand: its commands, in order, on the scenario `playground`."""
+"""The part of docs/command-line.md on a run impaired by hand: its commands, in order, on the scenario `playground`."""
 
 import json
 import re
@@ -17,7 +17,7 @@ from transport.analysis.series import series_of
 from transport.cli.main import app
 from transport.log.run_folder import open_run
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "command-line.md"
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
 INTERRUPTED = 130
 # Ticks between two commands; time of a step on a busy machine, s.
@@ -28,7 +28,7 @@ NEAR_M, LEVEL_DEG = 1.0, 10.0
 
 def command_lines() -> tuple[list[str], list[list[str]]]:
     """Return the words of the command that starts the run, and of those that act on it."""
-    _, _, part = README.read_text(encoding="utf-8").partition("To impair a run by hand")
+    _, _, part = PAGE.read_text(encoding="utf-8").partition("To impair a run by hand")
     first, second = re.findall(r"^```\n(.*?)^```", part, re.MULTILINE | re.DOTALL)[:2]
     lines = [shlex.split(line, comments=True)[1:] for line in (first + second).splitlines()]
     return lines[0], lines[1:]
