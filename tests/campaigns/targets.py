@@ -53,8 +53,7 @@ def by(way: str, folder: Path, address: str) -> Iterator[Callable[[Place], objec
             page.open(address)
 
             def go(place: Place) -> None:
-                for number, value in enumerate(place, start=1):  # after the field of the time
-                    page.type(number, str(value))
+                page.type("x, y, z (m)", ", ".join(map(str, place)))
                 page.click("Go there")
 
             yield go

@@ -192,9 +192,9 @@ class Browser:
         script = "return [...document.querySelectorAll('[role=slider]')].map((s) => [s.ariaValueMax, s.ariaValueNow])"
         return {(float(largest), float(value)) for largest, value in self.driver.execute_script(script)}
 
-    def type(self, number: int, text: str) -> None:
-        """Replace the text of a number field, by its place on the page, as fast as the browser takes it."""
-        field = self.driver.find_elements("css selector", "input[inputmode=decimal]")[number]
+    def type(self, label: str, text: str) -> None:
+        """Replace the text of a field, as fast as the browser takes it."""
+        field = self.driver.find_element("xpath", f"(//label[text()='{label}']/following::input)[1]")
         field.send_keys(Keys.CONTROL, "a")
         field.send_keys(text)
 

@@ -328,12 +328,14 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
             act()
             assert wait_for(lambda known=known: len(log.of(Target)) > known, BROWSER_S)  # type: ignore[misc]
             assert np.allclose(log.of(Target)[-1].points, [expected])
-        window.type(1, "1.25")
+        window.type("x, y, z (m)", "1.25, -0.5")
+        assert wait_for(lambda: "expected three numbers, got" in (window.text() or ""), BROWSER_S)
+        window.type("x, y, z (m)", "1.25, -0.75 -10")
         window.click("Go there")  # at once: what is typed may come later than the click
         assert wait_for(lambda: len(log.of(Target)) > known + 1, BROWSER_S)
-        expected[0] = 1.25
+        expected[:2] = 1.25, -0.75
         assert [np.round(target.points[0], 6).tolist() for target in log.of(Target)[known + 1 :]] == [expected.tolist()]
-        place = "target (1.25, {:g}, {:g}) m".format(*expected[1:])
+        place = "target (1.25, -0.75, -10) m"
         for said in (f"{place}: arrives at t = ", f"at {place}: since t = "):
             assert wait_for(lambda said=said: said in (window.text() or ""), BROWSER_S), window.text()  # type: ignore[misc]
         assert window.console() == []
