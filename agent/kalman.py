@@ -29,6 +29,8 @@ Feedback = Callable[[int], Array]
 # Standard deviations before the first measurement, about the reference: r0, v0, Theta0, omega0; e, Omega, Theta, omega.
 _PAYLOAD = (0.3, 0.2, 0.06, 0.1)
 _UAV = (0.06, 0.1, 0.1, 0.2)
+# Those of the payload's yaw and its rate: a formation turns its load with it.
+_YAW = (0.03, 0.05)
 # Those of the accelerations that the model lacks, white, m/s^2 and rad/s^2: at most, and beside unknown forces.
 _ACCELERATION, _BESIDE_FORCES = 0.01, 1e-3
 # Smallest standard deviations assumed of sensors, in the order of the sensors: errors of the model show in them.
@@ -189,7 +191,9 @@ class KalmanFilter:
             self._spread[3:-1] = np.tile(np.eye(3, forces, k=3) * (np.arange(forces) < _DRAG[0]), (N, 1))
         self._model = setup.model
         self._lightest = -0.9 * system.payload.mass
-        deviations = [*np.repeat(_PAYLOAD, 3), *np.tile(np.repeat(_UAV, (2, 2, 3, 3)), N), *[0.0] * self._inputs]
+        payload = np.repeat(_PAYLOAD, 3)
+        payload[[8, 11]] = _YAW
+        deviations = [*payload, *np.tile(np.repeat(_UAV, (2, 2, 3, 3)), N), *[0.0] * self._inputs]
         self._P0 = np.diag(np.concatenate([deviations, weights * _FORCE[:forces]]) ** 2)
         rates = np.zeros(state.PAYLOAD + 10 * N)
         moving = [*range(3, 6), *range(9, 12)]
