@@ -86,6 +86,18 @@ def test_corrections_end(age: int, delay: int) -> None:
     np.testing.assert_array_equal(rows(1, c), np.vstack([left, np.zeros((STEPS - len(left), 8))]))
 
 
+def test_early_plans_wait() -> None:
+    """A plan of tick k that is here before tick k + 1 is not used before: the network's speed has no effect."""
+    early, older = labelled(1, 5), labelled(1, 4)
+    inputs = announced(older, early)
+    assert inputs.newest(1, before=5) is older
+    assert inputs.newest(1, before=6) is early
+    np.testing.assert_array_equal(inputs.sequence(5, STEPS, before=5), announced(older).sequence(5, STEPS, before=5))
+    np.testing.assert_array_equal(inputs.at(5, before=5), announced(older).at(5, before=5))
+    np.testing.assert_array_equal(rows(1, inputs.corrections(5, 1, before=5))[0], older.corrections[1])
+    np.testing.assert_array_equal(rows(1, inputs.sequence(6, STEPS, before=6))[0], early.inputs[1])
+
+
 def test_in_force_is_the_newest_that_had_started() -> None:
     """Over [t_k, t_{k+1}) the newest plan started by t_k acts; it is held at its end."""
     plans = [labelled(1, 0), labelled(1, 3)]

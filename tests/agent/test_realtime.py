@@ -53,6 +53,25 @@ def test_does_not_wait() -> None:
     assert (report.plan_ages, report.measurement_age) == ((1, -1, -1), 0)
 
 
+def test_others_may_be_ahead() -> None:
+    """Plans of later ticks are kept until the agent reaches them."""
+    run, node = realtime()
+    ahead = [plan(run, 2, 7, delay=1), plan(run, 3, 5, delay=1), plan(run, 4, 3, delay=1)]
+    tell(node, [measurement(run, 1, 4), *ahead], START_NS)
+    ages = []
+    for k in (4, 5, 6, 7, 8):
+        tell(node, [measurement(run, 1, k)] if k > 4 else [], START_NS)
+        _, report = answer(node, START_NS)
+        ages.append((report.plan_ages, report.state_ages, report.delivered))
+    assert ages == [
+        ((-1, -1, 1), (-1, -1, 1), 1),
+        ((-1, -1, 2), (-1, 0, 2), 1),  # the state at this very tick is known, the plan is for later
+        ((-1, 1, 3), (-1, 1, 3), 0),
+        ((-1, 2, 4), (0, 2, 4), 1),
+        ((1, 3, 5), (1, 3, 5), 0),
+    ]
+
+
 @pytest.mark.parametrize(("speed", "held_ms"), [(1.0, 120), (2.0, 60), (0.5, 240)])
 def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
     """A plan over a link with delay d is used d / speed seconds after its arrival on the agent's clock, not before."""

@@ -19,10 +19,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.loop import processes_of
-from benchmarks.page import BenchmarkError, Table
+from benchmarks.page import BenchmarkError
 from protocol.network.health import usage
 from transport.flight import live
-from transport.flight.header import machine
 
 # Share of the time left out, in which caches fill.
 _WARM_UP = 0.1
@@ -81,25 +80,20 @@ def soak(minutes: float, every_s: float, settings: Sequence[str], folder: Path) 
     return records
 
 
-def judge(records: Mapping[str, Record], growth_bytes: float = GROWTH_BYTES) -> tuple[Table, list[str]]:
-    """Return the table of resources and the failures.
-
-    Args:
-        records: By process.
-        growth_bytes: Largest growth of memory, if more than `GROWTH` of it.
-    """
-    rows, wrong = [], []
+def judge(records: Mapping[str, Record], growth_bytes: float = GROWTH_BYTES) -> tuple[list[str], list[str]]:
+    """Return a line for each process, and those of what has grown by more than `growth_bytes`, `THREADS` or a file."""
+    lines, wrong = [], []
     for name, record in records.items():
         cells = []
         for resource, values in (("memory", record.memory), ("threads", record.threads), ("files", record.files)):
             first, last = thirds(values)
-            cells.append(_cell(resource, first, last))
+            scale = 1024**2 if resource == "memory" else 1
+            cells.append(f"{resource} {first / scale:.1f} -> {last / scale:.1f}")
             allowed = {"memory": max(GROWTH * first, growth_bytes), "threads": THREADS, "files": 0.0}[resource]
             if last - first > allowed:
-                wrong.append(f"{name}: {resource} {cells[-1]}")
-        rows.append([name, *cells])
-    text = f"First and last third; {machine()}."
-    return Table(text=text, columns=["process", "memory, MiB", "threads", "open files"], rows=rows), wrong
+                wrong.append(f"{name}: {cells[-1]}")
+        lines.append(f"{name}: {', '.join(cells)}")
+    return lines, wrong
 
 
 def thirds(values: Sequence[float]) -> tuple[float, float]:
@@ -126,11 +120,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with TemporaryDirectory() as folder:
             records = soak(options.minutes, every_s, options.settings, Path(folder) / "soak")
-            table, wrong = judge(records, options.growth * 1024**2)
+            lines, wrong = judge(records, options.growth * 1024**2)
     except BenchmarkError as error:
         sys.stderr.write(f"soak: {error}\n")
         return 1
-    sys.stdout.write(f"{table}\n")
+    sys.stdout.write("\n".join(["first and last third, memory in MiB", *lines]) + "\n")
     for line in wrong:
         sys.stderr.write(f"soak: growth: {line}\n")
     return 1 if wrong else 0
@@ -179,11 +173,6 @@ def _last_line(folder: Path) -> str:
     """Return the last output line of the run's command."""
     lines = (folder.parent / _OUTPUT).read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return lines[-1] if lines else "no output"
-
-
-def _cell(resource: str, first: float, last: float) -> str:
-    scale, form = (1024**2, ".1f") if resource == "memory" else (1, ".0f")
-    return f"{first / scale:{form}} -> {last / scale:{form}}"
 
 
 if __name__ == "__main__":

@@ -44,6 +44,16 @@ def test_polling_at_wake_always_does_something() -> None:
             assert len(node.poll(wake)) > 0
 
 
+@pytest.mark.parametrize("incarnations", [(0, 1), (0, 1, 4), (2, 1), (4, 0, 3)])
+def test_newest_incarnation_takes_part(incarnations: tuple[int, ...]) -> None:
+    """The newest of several incarnations of an agent is on the roster, in any order of their tokens."""
+    node = coordinator()
+    tell(node, [ready("agent2", incarnation) for incarnation in incarnations])
+    roster, _ = tell(node, [ready(name) for name in ("plant", "agent1", "agent3", "agent4")])
+    assert isinstance(roster, Roster)
+    assert roster.incarnations == (1, max(incarnations), 1, 1)
+
+
 def test_a_restarted_agent_joins_at_the_next_tick() -> None:
     """A new incarnation ends the old one, is not awaited in the open tick, and takes part from the next tick on.
 

@@ -109,10 +109,3 @@ def test_there_is_no_change_without_a_next_tick() -> None:
     """Before the first tick and at the last one a change of links is refused."""
     for node in (coordinator(), at_last_tick(coordinator())):
         assert change(node, loss=0.1) == ({"error": "expected a running simulation"}, [])
-
-
-def test_an_unknown_request() -> None:
-    """An unknown request is answered by the known ones."""
-    reply, sent = answer_to(started(coordinator()), "land")
-    assert reply == {"error": "what: expected status, link or target, got 'land'"}
-    assert sent == []

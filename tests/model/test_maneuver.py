@@ -54,13 +54,6 @@ def test_paper_maneuver_passes_its_way_points() -> None:
     assert [phase.name for phase in maneuver.phases] == ["hover", "climb", "translate", "descend", "hover"]
 
 
-def test_every_time_belongs_to_one_phase() -> None:
-    """A phase begins at the end of the one before; the first holds before the start, the last after the end."""
-    maneuver = paper_maneuver()
-    belongs = [maneuver.phases.index(maneuver.phase_at(t)) for t in (-1.0, 0.0, 4.999, 5.0, 14.0, 20.0, 25.0, 99.0)]
-    assert belongs == [0, 0, 0, 1, 2, 4, 4, 4]
-
-
 @pytest.mark.parametrize("profile", PROFILES)
 def test_every_profile_ends_where_the_phases_add_up(profile: Profile) -> None:
     """Positions at the ends of phases do not depend on the profile; before and after, the path stands still."""
@@ -89,13 +82,6 @@ def test_min_jerk_is_the_fifth_order_polynomial() -> None:
     r, _ = two_legs("min_jerk").path(2.0 * c)
     share = 10.0 * c**3 - 15.0 * c**4 + 6.0 * c**5
     assert r - [1.0, 2.0, -3.0] == pytest.approx(np.outer(share, [1.0, -0.5, 0.25]), abs=PATH_TOLERANCE_M)
-
-
-def test_step_jumps_when_the_phase_begins() -> None:
-    """The whole displacement is asked for from the first instant of its phase."""
-    r, _ = two_legs("step").path(np.array([-1e-9, 0.0, 1.0, 2.0]))
-    expected = [[1.0, 2.0, -3.0], [2.0, 1.5, -2.75], [2.0, 1.5, -2.75], [2.0, 3.5, -3.75]]
-    assert r == pytest.approx(np.array(expected), abs=PATH_TOLERANCE_M)
 
 
 def rods_leaning() -> Array:

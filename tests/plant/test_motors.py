@@ -34,15 +34,6 @@ def mean(motors: Motors, u: Array) -> Array:
     return np.asarray(sum(inputs * duration_s for inputs, duration_s in found) / PERIOD_S)
 
 
-def test_ideal_motors_hand_the_command_on() -> None:
-    """Without any stage the command itself is held over the period, in the plant's steps."""
-    motors, u = Motors(MotorsSection(), U_HOVER), commands(0)[0]
-    ((inputs, duration_s, steps),) = motors.inputs(u, PERIOD_S, STEPS)
-    assert motors.ideal
-    assert inputs is u
-    assert (duration_s, steps) == (PERIOD_S, STEPS)
-
-
 def test_rotors_have_the_wrench_of_their_thrusts() -> None:
     """The mixing is the sum of r x F over four arms at 45 deg, and of the drag moments, (56)."""
     at = 0.25 * np.array([[1, 1, 0], [-1, -1, 0], [1, -1, 0], [-1, 1, 0]]) / np.sqrt(2.0)  # x forward, y right

@@ -60,6 +60,12 @@ def labelled(agent: int, k: int, delay: int = 0) -> Plan:
     )
 
 
+def played(plans: ActuatorSchedule, k: int, x: Array = X) -> tuple[list[float], tuple[int, ...]]:
+    """Return the thrust of each UAV at a tick, and the sources of the inputs."""
+    u, sources = plans.inputs(k, x, U_HOVER)
+    return u[::4].tolist(), sources
+
+
 def test_plan_is_played_step_by_step() -> None:
     """A plan acts from its start tick on, one step per tick, on exactly the UAVs it is for."""
     plans = schedule(labelled(1, 0), labelled(2, 0))
@@ -69,6 +75,25 @@ def test_plan_is_played_step_by_step() -> None:
         np.testing.assert_array_equal(u[state.input_slice(1)], labelled(2, 0).inputs[k])
         np.testing.assert_array_equal(u[state.input_slice(2)], labelled(1, 0).inputs[k, 4:])
         assert sources == (0, 0, 0)
+
+
+def test_newest_plan_wins() -> None:
+    """A newer plan takes over at its start, not before; a late older one changes nothing."""
+    plans = schedule(labelled(2, 0), labelled(2, 2))
+    assert played(plans, 1)[0][1] == 201.0
+    assert played(plans, 2) == ([20.0, 2200.0, 22.0], (-1, 2, -1))
+    plans.add(labelled(2, 1))
+    assert played(plans, 3) == ([20.0, 2201.0, 22.0], (-1, 2, -1))
+
+
+def test_order_of_arrival_does_not_matter() -> None:
+    """The order of adding plans has no effect."""
+    rng = np.random.default_rng(5)
+    plans = [labelled(agent, k, delay=1) for agent in OWNED for k in (0, 1, 3, 4)]
+    in_order = [played(schedule(*plans), k) for k in range(10)]
+    for _ in range(20):
+        shuffled = schedule(*[plans[i] for i in rng.permutation(len(plans))])
+        assert [played(shuffled, k) for k in range(10)] == in_order
 
 
 def test_fail_safe_law() -> None:

@@ -1,15 +1,11 @@
 """Budgets: estimates against the sizes of real controllers, messages and logs; limits that are refused, and raised."""
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from mpc.decision import Decision
 from mpc.rows import Rows
-from protocol.scenario import budget
 from protocol.scenario.budget import estimate
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario, validate
 from protocol.scenario.schema import Scenario
@@ -79,49 +75,6 @@ def test_largest_message(uavs: int, group: int, horizon: int) -> None:
 
     simulate(Setup.of(scenario, "resilient"), record)
     assert 0.7 < max(sizes.values()) / estimate(scenario).relay_bytes <= 1.0
-
-
-# Memory beyond that of the interpreter and of a short run: a long path, and the matrices of one large agent.
-LARGE = {
-    "path": ("resilient", "maneuver.phase=[{name='hover',duration_s=500.0,displacement_m=[0.0,0.0,0.0]}]"),
-    "matrices": ("resilient", SHORT, "agents.owned=[[1,2,3,4]]", "controller.horizon=60"),
-}
-MEMORY_FACTOR = 2.0
-
-# In a process of its own; the kernel's peak of the memory of this program, whatever the one that started it had.
-PEAK = """
-import re, sys
-from pathlib import Path
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import PlantState
-from transport.flight.memory import simulate
-
-class Enough(Exception): pass
-
-def peak(name, settings):
-    path = find_scenario(name)
-    run = Setup.of(read_scenario(path, settings), str(path))
-    def record(message):
-        if isinstance(message, PlantState) and message.tick == 2: raise Enough
-    try: simulate(run, record)
-    except Enough: pass
-    return 1024 * int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
-
-small = peak("resilient", [%r, "agents.owned=[[1,2,3,4]]", "controller.horizon=2"])
-print([small, peak(sys.argv[1], sys.argv[2:])])
-"""
-
-
-@pytest.mark.parametrize("case", list(LARGE))
-def test_memory(case: str) -> None:
-    """Memory of an agent beyond that of a small run is within a factor of two of its estimate."""
-    name, *settings = LARGE[case]
-    settings = [*settings, "agents.owned=[[1,2,3,4]]"]
-    command = [sys.executable, "-c", PEAK % SHORT, name, *settings]
-    small, large = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-    expected = estimate(read_scenario(find_scenario(name), settings)).agent_bytes - budget.BASE_BYTES
-    assert 1.0 / MEMORY_FACTOR < (large - small) / expected < MEMORY_FACTOR
 
 
 BEYOND = [

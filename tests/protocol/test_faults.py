@@ -33,18 +33,6 @@ def test_a_process_is_back_a_tick_later_at_the_earliest() -> None:
     assert scripted("0.46 kill agent2", "0.49 restart agent2") == [(10, "kill", "agent2"), (11, "start", "agent2")]
 
 
-def test_in_the_order_of_time() -> None:
-    """Events may be written in any order; several processes fail independently."""
-    written = ("2.0 restart agent1", "0.5 stop plant", "1.0 kill agent1", "1.5 continue plant")
-    assert scripted(*written) == [
-        (10, "stop", "plant"),
-        (20, "kill", "agent1"),
-        (30, "continue", "plant"),
-        (40, "start", "agent1"),
-    ]
-    assert scripted(*reversed(written)) == scripted(*written)
-
-
 FAULTS = (Fault(3, "kill", "agent1"), Fault(3, "stop", "plant"), Fault(4, "start", "agent1"))
 
 

@@ -261,10 +261,3 @@ def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
         (tmp_path / "delays.csv").write_text(content)
         with pytest.raises(ScenarioError, match="expected delays"):
             Setup.of(validate(tree, source), source)
-
-
-@pytest.mark.parametrize("settings", ["links.delay_s=1e9", "links={delay_s=1e9,reorder=1.0,reorder_s=1e9}"])
-def test_a_delay_without_end(settings: str) -> None:
-    """The largest delays there are: the message is never usable, and no number overflows."""
-    link = setup(settings).link("agent1", "agent2")
-    assert link.usable_ticks(3) == [3 + round(1e9 / 0.05)]

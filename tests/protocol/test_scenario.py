@@ -1,13 +1,11 @@
 """Reading scenarios: files, defaults, settings, writing back, digest, and the objects built from them."""
 
 import copy
-import math
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import tomli_w
 
@@ -156,11 +154,6 @@ def test_defaults() -> None:
     assert tree["network"] == {"host": "127.0.0.1", "insecure": False, "secret": True}
 
 
-def test_owned_uavs_are_ascending() -> None:
-    """UAVs of one agent are sorted: messages list them ascending."""
-    assert read_scenario(PAPER, ["agents.owned=[[4, 1], [3, 2]]"]).owned == ((1, 4), (2, 3))
-
-
 @pytest.mark.parametrize("settings", [(), EVERYTHING, ("controller.relaxation=auto",)])
 def test_written_back(settings: tuple[str, ...], tmp_path: Path) -> None:
     """tree() written as TOML reads back as an equal scenario with an equal digest."""
@@ -268,20 +261,3 @@ def test_automatic_relaxation() -> None:
     """Relaxation "auto" is 1/M for M agents: the descent guarantee of cooperative distributed MPC."""
     assert setup("controller.relaxation=auto").settings.relaxation == 0.25
     assert setup("controller.relaxation=auto", "agents.owned=[[1,2],[3,4]]").settings.relaxation == 0.5
-
-
-def test_initial_state() -> None:
-    """A run starts at rest in hover at the start of its maneuver, an equilibrium."""
-    run = setup()
-    x = run.initial_state()
-    np.testing.assert_array_equal(x[:3], [0.0, 0.0, -10.0])
-    # Accelerations of an equilibrium are rounding: a few ulp of g.
-    np.testing.assert_allclose(run.model.derivative(x, run.hover.u), 0.0, atol=1e-13)
-
-
-@pytest.mark.parametrize("duration_s", [0.05, 0.1, 0.12, 0.125, 0.52, 1.0])
-def test_ticks_of_a_maneuver(duration_s: float) -> None:
-    """The sampling instants of a run are all t_k < duration, also if it is no multiple of the period."""
-    run = setup(f"maneuver.phase=[{{name='hover',duration_s={duration_s},displacement_m=[0,0,0]}}]")
-    slack = 1e-9  # of a period: 0.1 / 0.05 may not make a third tick
-    assert run.ticks == math.ceil(duration_s / 0.05 - slack)

@@ -87,17 +87,6 @@ def network() -> Iterator[tuple[Plant, zenoh.Session]]:
         plant.bus.close()
 
 
-def test_time_of_arrival(network: tuple[Plant, zenoh.Session]) -> None:
-    """The receiving thread takes the time of arrival, regardless of when the message is read."""
-    plant, session = network
-    refused, sent_ns = plant.rejections.total, time.time_ns()
-    session.put(f"{KEYS.prefix}/plan/2", encode(runs.tick(0)), congestion_control=zenoh.CongestionControl.BLOCK)
-    time.sleep(1.0)
-    read_ns = time.time_ns()
-    assert plant.waits_for(lambda: plant.rejections.total > refused)
-    assert sent_ns <= plant.bus.arrived_ns < read_ns
-
-
 def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
     """Garbage, deletions, oversized messages and bad tokens are refused with their reasons."""
     plant, session = network

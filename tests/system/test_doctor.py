@@ -75,23 +75,6 @@ def test_host(
     assert advice in advised
 
 
-def test_unlimited_real_time_priority(tmp_path: Path) -> None:
-    """Real-time priority without the kernel's limit, or without permission, gives a warning."""
-    status, found, advice = doctor.priority(put(tmp_path, "proc/sys/kernel/sched_rt_runtime_us", "-1"))
-    assert status == "warn"
-    assert "sched_rt_runtime_us -1" in found
-    assert advice
-
-
-def test_too_few_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run of six processes and a recorder needs seven cores."""
-    for mine, status in ((7, "ok"), (6, "warn")):
-        monkeypatch.setattr("os.sched_getaffinity", lambda _, n=mine: set(range(n)), raising=False)
-        found = doctor.cores(runs.setup())
-        assert found[0] == status
-        assert f"{mine} for 7 processes" in found[1]
-
-
 def test_packages(monkeypatch: pytest.MonkeyPatch) -> None:
     """A missing or outdated package fails the check and is named; one of an extra does not fail."""
     assert [check.status for check in doctor.packages()] == ["ok", "ok"]

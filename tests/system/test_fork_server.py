@@ -110,20 +110,6 @@ def test_orphans_end(begin: Begin, server: ForkServer) -> None:
     assert child.wait(20.0) == 4
 
 
-def test_server_ends_with_its_process(tmp_path: Path) -> None:
-    """The server ends when its process is killed."""
-    code = (
-        "import time\nfrom transport.flight.fork_server import fork_server\n"
-        "print(fork_server()._process.pid, flush=True)\ntime.sleep(60)\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=tmp_path, text=True) as process:
-        assert process.stdout is not None
-        number = process.stdout.readline().strip()
-        assert wait_for(lambda: command_of(number) == ["transport", "fork-server"])
-        process.kill()
-    assert wait_for(lambda: command_of(number) == [])
-
-
 @pytest.mark.parametrize("what", ["another system", "changed variables", "dead"])
 def test_without_server(what: str, begin: Begin, server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes are started as programs where fork is impossible, and where the server does not answer."""

@@ -40,17 +40,6 @@ def test_ports_are_kept() -> None:
             server.accept()[0].close()
 
 
-def test_a_process_listens_on_its_port_again() -> None:
-    """A process can listen on its reserved port, and so can its successor."""
-    with free_ports(HOST, 1) as (port,):
-        for _ in range(2):
-            with closing(socket.create_server((HOST, port))) as server:
-                with closing(socket.create_connection((HOST, port))):
-                    server.accept()[0].close()
-                with pytest.raises(OSError, match="in use"):
-                    socket.create_server((HOST, port))
-
-
 def test_an_address_of_another_machine() -> None:
     """An address of another machine is refused with its key."""
     stranger = "203.0.113.1"

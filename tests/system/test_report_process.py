@@ -49,20 +49,6 @@ def test_equal_reports(recorded: tuple[Path, dict[str, bytes]], waiting_s: float
 
 
 @pytest.mark.slow
-def test_failures_are_noticed(tmp_path: Path) -> None:
-    """Without a process, with one that was killed, and with one that finds no log, there is no report."""
-    with ReportProcess(tmp_path) as reporter:
-        assert not reporter.report()
-        reporter.prepare()
-        assert reporter._child is not None
-        reporter._child.process.kill()
-        assert not reporter.report()
-    with ReportProcess(tmp_path) as reporter:
-        reporter.prepare()
-        assert not reporter.report()
-
-
-@pytest.mark.slow
 def test_ends_with_its_parent(tmp_path: Path) -> None:
     """A process that stands by ends when its parent is killed."""
     code = (

@@ -64,18 +64,6 @@ def test_hardly_a_payload() -> None:
     assert "plant.wind.drag_payload_kgps: expected at most mass over sampling period 0.02, got 0.4" in windy
 
 
-def test_no_payload_to_speak_of() -> None:
-    """A payload of 1 ug exceeds the arithmetic: the run ends as diverged with a reason, without an exception."""
-    end = flown("paper", SHORT, LIGHT.format(1e-9, 1e-12))
-    assert (end.outcome, end.exit_code) == ("diverged", 6)
-    assert "t = " in end.reason
-
-
-def test_thrust_just_enough_to_hover() -> None:
-    """A thrust limit 0.1 N above hover suffices for hovering."""
-    assert flown("resilient", phase(2.0, 0.0), "controller.limits.thrust_N=[0.0,22.2]").outcome == "completed"
-
-
 @pytest.mark.parametrize("given", [("controller.horizon=60",), ("maneuver.phase.1.duration_s=0.05",)])
 def test_horizon_longer_than_the_maneuver(given: tuple[str, ...]) -> None:
     """Horizons two and forty times longer than the maneuver complete: the reference holds the end of the path."""

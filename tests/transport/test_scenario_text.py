@@ -41,10 +41,3 @@ def test_comments_are_only_comments(comment: str, tmp_path: Path) -> None:
     path.write_text(scenario_text(given(scenario), [comment, "second"]), encoding="utf-8")
     assert read_scenario(path) == scenario
     assert path.read_text(encoding="utf-8").splitlines()[1] == "# second"
-
-
-def test_lists_are_on_one_line() -> None:
-    """The text is for people: a vector takes a line, as in the scenarios that come with the package."""
-    lines = scenario_text(given(read_scenario(PAPER)), []).splitlines()
-    assert "rho_m = [0.25, -0.25, -0.125]" in lines
-    assert "owned = [[1], [2], [3], [4]]" in lines

@@ -22,7 +22,6 @@ from transport.experiments.comparison_verdict import (
     GRADES,
     HOLDS,
     SAME_RATE,
-    UNDECIDED,
     Curve,
     Node,
     Verdict,
@@ -67,16 +66,6 @@ def test_each_verdict_supports_its_own_claim_alone(claim: str, expected: str) ->
     assert grade(RATIOS[expected]) == expected
     assert made(RATIOS[expected]).text == expected
     assert made(RATIOS[expected]).supports(claim) == (HOLDS if expected == claim else FAILS)
-
-
-def test_a_range_gives_both_ends() -> None:
-    """A range over two grades gives both, the worse first, and decides no claim within it."""
-    straddling = made(0.97, 1.04)
-    assert straddling.text == "slightly better to slightly worse"
-    assert straddling.supports("slightly better") == straddling.supports("slightly worse") == UNDECIDED
-    assert made(1.2, 1.8).supports("slightly worse") == FAILS
-    assert made(1.02, 1.09).supports("slightly worse") == HOLDS
-    assert made(1.3, math.inf).text == "worse to diverged"
 
 
 def curve(controller: str, kept: str, costs: dict[float, float]) -> Curve:

@@ -110,26 +110,6 @@ def test_a_key_returns_to_its_default() -> None:
         del scenario["clock.barrier"]
 
 
-def test_large_runs_are_admitted_on_purpose() -> None:
-    """A run beyond the budget is refused, or admitted with all its copies and changes."""
-    hours = [{"name": "hover", "duration_s": 1e6, "displacement_m": [0.0, 0.0, 0.0]}]
-    with pytest.raises(transport.ScenarioError, match="--allow-large admits more"):
-        transport.Scenario("paper", phases=hours)
-    large = transport.Scenario("paper", phases=hours, allow_large=True)
-    assert large.copy(horizon=5).maneuver.phase[0].duration_s == 1e6
-
-
-def test_a_team_of_another_size() -> None:
-    """A resized team is that of `transport scenario new`; impossible sizes are refused."""
-    six = transport.Scenario("resilient").resized(6, group=2, name="six")
-    assert (six.name, six.setup.system.N, len(six.setup.agents)) == ("six", 6, 3)
-    for uavs in (1, 10_000, 2.5):
-        with pytest.raises(transport.ArgumentError, match="uavs: expected 2 to"):
-            transport.Scenario("resilient").resized(uavs)  # type: ignore[arg-type]
-    with pytest.raises(transport.ArgumentError, match="group: expected 1 to 6"):
-        transport.Scenario("resilient").resized(6, group=7)
-
-
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"settings": [("links.delay_s", 1)]}, "settings: expected a dictionary"),
     ({"settings": {"links.delay_s": None}}, "links.delay_s: expected a number, text, true or false"),
