@@ -15,6 +15,7 @@ class Effort:
     climb: str = _climb(1.5, 1.0)  # maneuver in memory; short, so that a slow second affects all compared alike
     teams: tuple[int, ...] = (2, 4, 8, 16)  # numbers of UAVs whose step is measured
     horizons: tuple[int, ...] = (10, 20, 40, 80)  # N_p of the same
+    large_teams: tuple[int, ...] = (32,)  # further numbers of UAVs whose step is measured at N_p = 20
     steps: int = 400  # fewest steps of each kind
     repetitions: int = 5  # of each program, and of calls that take microseconds
     programs: int = 30  # most programs taken from a run, evenly spaced
@@ -31,6 +32,7 @@ QUICK = Effort(
     climb=_climb(0.5, 0.3),
     teams=(2, 4),
     horizons=(10, 20),
+    large_teams=(),
     steps=1,
     repetitions=1,
     programs=4,

@@ -157,6 +157,8 @@ class Link:
             tick: The message's.
             after: Ticks that a message needs over a perfect link: 1 for what is used at the next tick.
         """
+        if not self._partitions and self._in_force(tick)[1]:
+            return [tick + after]
         return [max(tick + after, math.ceil(tick + delay / self._period_s - _SLACK)) for delay in self.delays(tick)]
 
     def _in_force(self, tick: int) -> tuple[LinkSection, bool]:
