@@ -60,12 +60,30 @@ def flown(settings: dict[str, Any], seed: int) -> tuple[float, float, float] | N
     return float(np.sqrt(np.mean(errors_cm**2))), float(errors_cm.max()), float(series.attitude_max_deg.max())
 
 
+def step_ratio(turns: int = 3) -> float:
+    """Return the time of a step along the path over that of one by the control law about hover, in alternating turns.
+
+    Both fly a slow eight; the time is the quartile of the fastest turn, which other load of the host hardly changes.
+    """
+    slow = {**LATE, "maneuver.phase.2.speed_mps": 1.0, "maneuver.phase.2.laps": 0.5, "maneuver.phase.2.ramp_s": 2.0}
+    found: dict[str, list[float]] = {"flat": [], "hover": []}
+    for _ in range(turns):
+        for reference, times_ms in found.items():
+            run = transport.fly("eight", {**slow, "maneuver.reference": reference}, progress=False)
+            times_ms.append(float(np.nanquantile(run.series["step_ms"], 0.25)))
+    return min(found["flat"]) / min(found["hover"])
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Simulate all cases and write a row for each; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.agile", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--seeds", type=int, default=10, help="of each case (10)")
     parser.add_argument("--case", action="append", choices=list(CASES), help="print this case; may be repeated")
+    parser.add_argument("--steps", action="store_true", help="print only the ratio of the times of a step")
     options = parser.parse_args(arguments)
+    if options.steps:
+        sys.stdout.write(f"{step_ratio():.2f}\n")
+        return 0
     rows = []
     for case in options.case or CASES:
         found = [flown(CASES[case], seed) for seed in range(options.seeds)]
@@ -80,6 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     columns = ["Case", "Completed", "Error rms, mean, cm", "Worst rms, cm", "Largest error, cm", "Attitude, deg"]
     text = f"`eight`, {options.seeds} seeds of each case (`python -m benchmarks.agile --seeds N --case NAME`):"
     if not options.case:
+        text = f"A step along the path takes {step_ratio():.2f} times as long as one by the law about hover.\n\n{text}"
         write(DOCUMENT, {SECTION: str(Table(text=text, columns=columns, rows=rows))})
     return 0
 

@@ -230,3 +230,36 @@ def test_program_keeps_clear_of_an_obstacle(margin_m: float, load_margin_m: floa
     law = one.law(x0, track.X[start : start + 12], together, None, start)
     assert law is not None
     assert least_m(rollout(model, SETTINGS, x0, law)[0], obstacle) == pytest.approx(load_margin_m, abs=0.005)
+
+
+def test_conflicting_obstacles_give_way_in_the_order_of_their_penalties() -> None:
+    """Between two walls the payload keeps off that of the larger penalty as if the other were not there."""
+    model, track = flown()
+    start, margin_m, sides = 60, 0.3, (-1.0, 1.0)
+    x0, c = track.X[start].copy(), np.zeros((12, model.system.m))
+    x0[R0] += [0.6, -0.5, 0.3]
+
+    def wall(side: float, y_m: float, penalty: float = 1.0) -> Obstacle:
+        half = np.array([50.0, 10.0, np.inf])
+        solid = Solid(centre_I=np.array([0.0, y_m + 10.0 * side, 0.0]), heading_rad=0.0, half=half)
+        return Obstacle(name="", solids=(solid,), margin_m=0.0, load_margin_m=margin_m, penalty=penalty)
+
+    def least_m(Z: Array, obstacle: Obstacle) -> float:
+        return float(clearances(model.system, obstacle, Z[1:])[:, 8].min())
+
+    free, _ = step(controller(), x0, c)
+    apart_m = [least_m(free.Z, wall(side, 20.0 * side)) for side in sides]
+    # The law leads 3 cm too near to both.
+    faces = [side * (20.0 - far_m + margin_m - 0.03) for side, far_m in zip(sides, apart_m, strict=True)]
+
+    def kept_m(*penalties: float) -> list[float]:
+        among = [wall(*of) for of in zip(sides, faces, penalties, strict=True) if of[-1] > 0.0]
+        _, result = step(controller((0, 1, 2, 3), obstacles=among), x0, c)
+        law = controller().law(x0, track.X[start : start + 12], result.c, None, start)
+        assert law is not None
+        return [least_m(rollout(model, SETTINGS, x0, law)[0], obstacle) for obstacle in among]
+
+    first, second = kept_m(1e4, 1e2), kept_m(1e2, 1e4)
+    assert first[0] == pytest.approx(kept_m(1e4, 0.0)[0], abs=1e-3)
+    assert second[1] == pytest.approx(kept_m(0.0, 1e4)[0], abs=1e-3)
+    assert second[0] < first[0] - 0.01
