@@ -1,16 +1,14 @@
 """Benchmarks without processes: equal solutions, all rows. No time is judged."""
 
-from dataclasses import replace
 from functools import lru_cache
 
 import pytest
 
-from benchmarks import estimates, parts, solvers, step
+from benchmarks import estimates, solvers
 from benchmarks.effort import QUICK
 from benchmarks.runs import programs, setup
 from benchmarks.solvers import SOLVERS, TIGHT, Solver
 from mpc.qp import QP
-from tests.support.tables import first_cells, numbers, silent
 
 ACTIVE_SETS = ("this project's", "quadprog")
 
@@ -33,36 +31,6 @@ def test_solvers_agree(solver: Solver) -> None:
     if solver.name in ACTIVE_SETS:
         assert outcome.from_daqp < solvers.SAME
     assert outcome.times.median > 0.0
-
-
-@pytest.mark.slow
-def test_steps_have_their_rows() -> None:
-    """The table has every team at every horizon, and the scenarios with four UAVs."""
-    (table,) = step.measure(QUICK, silent)
-    teams = [("`resilient`", str(uavs), str(horizon)) for uavs in QUICK.teams for horizon in QUICK.horizons]
-    others = [(f"`{name}`", "4", "20") for name in ("paper", "centralized", step.PLAIN)]
-    assert [tuple(row[:3]) for row in table.rows] == [*teams, *others]
-    assert min(value for stage in (*step.SHOWN, "step") for value in numbers(table, stage)) > 0.0
-
-
-@pytest.mark.slow
-def test_solvers_have_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A solver that is not installed is listed as such; all others have numbers."""
-    missing = Solver(name="missing", package="no_such_solver", solve=lambda _: None, tolerance=0.0)
-    monkeypatch.setattr(solvers, "SOLVERS", (*SOLVERS[:2], missing))
-    (table,) = solvers.measure(replace(QUICK, programs=2), silent)
-    assert [row[1] for row in table.rows] == [*(solver.name for solver in SOLVERS[:2]), "missing"]
-    assert table.rows[-1][2] == "not installed"
-    assert all(row[2] != "not installed" for row in table.rows[:-1])
-
-
-@pytest.mark.slow
-def test_parts_have_their_rows() -> None:
-    """The table has the plant of every team, and encoding and decoding of a plan."""
-    (table,) = parts.measure(QUICK, silent)
-    plants = [f"plant, one period, {uavs} UAVs" for uavs in QUICK.teams]
-    assert first_cells(table) == [*plants, "plan to bytes", "bytes to plan", "bytes to plan, all checks"]
-    assert min(numbers(table, "median")) > 0.0
 
 
 def test_estimates_are_compared_with_the_truth(capsys: pytest.CaptureFixture[str]) -> None:

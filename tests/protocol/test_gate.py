@@ -10,14 +10,12 @@ from protocol.wire.keys import Keys
 from protocol.wire.message import Message, MessageError
 from protocol.wire.messages import Answer, LinkChange, Plan, Relay
 from protocol.wire.node import Outbox
-from protocol.wire.rejections import Rejections
 from tests.support import runs
 from tests.support.messages import changed, sample
 from tests.support.runs import setup, ticks
 
 RUN = setup("controller.horizon=5", ticks(60))
 KEYS = Keys(RUN.scenario.name)
-SECOND_NS = 10**9
 
 
 class Receiver:
@@ -165,28 +163,3 @@ def test_bundles_are_opened() -> None:
 def past(text: str = "over") -> MessageError:
     """Return some refusal."""
     return MessageError("past", text)
-
-
-def test_refusals_are_counted_by_sender_and_reason() -> None:
-    """Each sender and reason has its own count, and the text of the first message as an example."""
-    rejections = Rejections("plant")
-    for sender, error in (("agent1", past("a")), ("agent2", past("b")), ("agent1", past("c")), ("agent1", past("d"))):
-        rejections.add(sender, error)
-    rejections.add("agent1", MessageError("future", "e"))
-    found = [(entry.sender, entry.reason, entry.count, entry.example) for entry in rejections]
-    assert found == [("agent1", "past", 3, "a"), ("agent2", "past", 1, "b"), ("agent1", "future", 1, "e")]
-    assert rejections.total == 5
-
-
-def test_notices_come_once_a_second() -> None:
-    """The first refusals are reported at once, later ones at least a second after, the rest at the end, each once."""
-    rejections = Rejections("agent2")
-    assert rejections.due(0, 4, 0) == rejections.rest(4, 0) == []
-    told = []
-    for i in range(26):
-        rejections.add("plan/3", past())
-        told += [(i, notice.count, notice.sequence) for notice in rejections.due(i * SECOND_NS // 10, 4, i)]
-    assert told == [(0, 1, 0), (10, 10, 1), (20, 10, 2)]
-    (rest,) = rejections.rest(4, 99)
-    assert (rest.sender, rest.incarnation, rest.tick, rest.sequence, rest.count) == ("agent2", 4, 99, 3, 5)
-    assert rejections.rest(4, 99) == rejections.due(100 * SECOND_NS, 4, 99) == []

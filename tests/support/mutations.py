@@ -164,7 +164,6 @@ _TREE: dict[str, Callable[[Tree, random.Random], None]] = {
     "list": _list,
     "key": _key,
 }
-KINDS = (*_TREE, "syntax")
 
 
 def _broken(content: bytes, rng: random.Random) -> bytes:

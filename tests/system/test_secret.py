@@ -13,7 +13,7 @@ from protocol.network.security import SHARED, Security, SecurityError, new_secre
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.attacker import session
 from tests.support.commands import settings, start, wait_for
-from transport.flight.run_files import RunError, own_keys
+from transport.flight.run_files import own_keys
 
 # Slower than real time, so that there is time to connect; ended by the test.
 FLIGHT = ("clock.speed=0.1",)
@@ -86,22 +86,6 @@ def test_a_file_system_without_permissions(tmp_path: Path, monkeypatch: pytest.M
         Security(keys, ()).check("agent1", mode="peer")
     assert said == [f"{run} is on a file system without permissions: the secret of the run is in {keys}"]
     assert [*run.iterdir(), *second.iterdir()] == []
-
-
-def test_no_place_for_the_secret(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the temporary folder keeps no permissions either, the run is refused in one line that says what to do."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    _without_permissions(monkeypatch, tmp_path)
-    scenario = read_scenario(find_scenario("resilient"))
-    with (
-        pytest.raises(RunError, match="expected a file system with permissions") as raised,
-        own_keys(scenario, tmp_path, lambda _: None),
-    ):
-        pass
-    assert raised.value.exit_code == 3
-    assert "network.secret=false" in str(raised.value)
-    assert "\n" not in str(raised.value)
-    assert [*tmp_path.iterdir()] == []
 
 
 @pytest.mark.parametrize(

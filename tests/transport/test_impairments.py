@@ -6,15 +6,13 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from coordinator.node import CoordinatorNode
 from model import state
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
-from protocol.wire.messages import LinkChange, Measurement, Message, Plan, Request, StepReport, agent_name
+from protocol.wire.messages import Measurement, Message, Plan, StepReport, agent_name
 from tests.support.runs import SHORT, plant_states, recorded, reproducible, setup
 from tests.support.shuffled import fly_shuffled
 from tests.support.troubles import FAULTS, HEAVY, ITERATIONS, NEXT_TICK, RESILIENT
-from transport.flight import memory
 
 PERIOD_S, TICKS = 0.05, 30
 FAIL_SAFE = -2
@@ -169,29 +167,4 @@ def test_order_of_delivery_does_not_matter(settings: tuple[str, ...]) -> None:
         run = setup(SHORT, *RESILIENT, *settings)
         shuffled = recorded(run, lambda run, record, seed=seed: fly_shuffled(run, record, seed))  # type: ignore[misc]
         assert [(m.kind, m.sender) for m in shuffled] != [(m.kind, m.sender) for m in in_order]
-        assert said(shuffled) == said(in_order)
-
-
-class ChangesLinks(CoordinatorNode):
-    """A coordinator that receives a request for a link change in every fifth tick."""
-
-    def _open(self, now_ns: int) -> list[Message]:
-        opened = super()._open(now_ns)
-        if self.tick % 5 != 2:
-            return opened
-        settings = {"delay_s": 0.03 * (self.tick % 4), "loss": 0.02 * self.tick}
-        return [*opened, *self.receive(Request("link", {"settings": settings}, lambda _: None), now_ns)]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("settings", [(), (NEXT_TICK, *FAULTS)], ids=["plain", "faults"])
-def test_a_change_by_hand_is_known_in_time(settings: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A requested link change takes effect at the same tick in all processes, in any order of arrival."""
-    monkeypatch.setattr(memory, "CoordinatorNode", ChangesLinks)
-    run = setup(SHORT, *RESILIENT, *settings)
-    in_order = recorded(run)
-    assert sum(isinstance(message, LinkChange) for message in in_order) >= TICKS // 5
-    assert any(report.lost for report in in_order if isinstance(report, StepReport))
-    for seed in range(3):
-        shuffled = recorded(run, lambda run, record, seed=seed: fly_shuffled(run, record, seed))  # type: ignore[misc]
         assert said(shuffled) == said(in_order)

@@ -10,8 +10,7 @@ from msgspec.structs import replace
 
 from protocol.wire.codec import encode, header_of
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Message, MessageError, Plan, Record, Rejected, Relay
-from protocol.wire.node import Outbox
+from protocol.wire.messages import Message, MessageError, Plan, Rejected
 from tests.support import runs
 from tests.support.logs import HEADER, with_scenario
 from transport.log.run_log import LogTail, RunLog, read_log
@@ -33,25 +32,6 @@ def flight() -> list[Message]:
 def entry(message: Message) -> Entry:
     """Return the key, without prefix, and the bytes of a message that came alone."""
     return KEYS.end(KEYS.of(message)), encode(message)
-
-
-def bundled(flight: Sequence[Message]) -> list[Entry]:
-    """Return the entries of the same run with relayed plans."""
-    found: list[Entry] = []
-    coordinator, plant = Outbox("coordinator", 0), Outbox("plant", 0)
-    alone = [message for message in flight if message.kind in ("roster", "control")]
-    for k in range(TICKS + 1):
-        now = [message for message in flight if message not in alone]
-        relayed = [
-            m for m in now if (m.kind in ("plan", "report") and m.tick == k - 1) or (m.kind, m.tick) == ("tick", k)
-        ]
-        kept = [m for m in now if (m.kind, m.tick) in (("plant_state", k - 1), ("measurement", k))]
-        for out, kind, messages in ((coordinator, Relay, relayed), (plant, Record, kept)):
-            keys, parts = zip(*map(entry, messages), strict=True)
-            tick = max(message.tick for message in messages)
-            bundle = out.stamp(kind, tick=tick, keys=keys, parts=parts)
-            found.append((kind.kind, encode(bundle)))
-    return [entry(alone[0]), *found, entry(alone[-1])]
 
 
 def write(path: Path, entries: Sequence[Entry]) -> Path:
@@ -80,19 +60,9 @@ def refused(log: RunLog) -> dict[tuple[str, str], int]:
     return counts
 
 
-def test_bundles_read_as_their_messages(tmp_path: Path, flight: list[Message]) -> None:
-    """A log of bundles has the same messages bit for bit as one of messages that came alone."""
-    together = read_log(write(tmp_path / "relayed.mcap", bundled(flight)))
-    alone = read_log(write(tmp_path / "direct.mcap", [entry(message) for message in flight]))
-    assert accepted(together) == accepted(alone) == {encode(message) for message in flight}
-    assert len(together.messages) == len(alone.messages) == len(flight)
-    assert together.cut == alone.cut == ""
-
-
-@pytest.mark.parametrize("relayed", [False, True])
-def test_bad_messages_change_nothing(tmp_path: Path, flight: list[Message], relayed: bool) -> None:
+def test_bad_messages_change_nothing(tmp_path: Path, flight: list[Message]) -> None:
     """Garbled, repeated, forged and implausible messages are counted and shut out none, whether before or after it."""
-    said = bundled(flight) if relayed else [entry(message) for message in flight]
+    said = [entry(message) for message in flight]
     at = len(said) // 2
     key, data = said[at]
     plan = next(message for message in flight if isinstance(message, Plan) and message.tick == TICKS - 1)
@@ -103,7 +73,7 @@ def test_bad_messages_change_nothing(tmp_path: Path, flight: list[Message], rela
     log = read_log(write(tmp_path / "run.mcap", disturbed))
     assert accepted(log) == {encode(message) for message in flight}
     counts = refused(log)
-    assert counts.pop((plan.sender, "outside_limits")) == 1 or relayed
+    assert counts.pop((plan.sender, "outside_limits")) == 1
     assert counts.pop(("agent3", "wrong_sender")) == 1
     assert {reason for _, reason in counts} >= {"replayed"}
     assert sum(counts.values()) >= 3
