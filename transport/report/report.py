@@ -172,10 +172,9 @@ def _slack(cables: Mapping[str, Any]) -> str:
 
 
 def _estimate(estimate: Mapping[str, Any]) -> str:
-    low, high = estimate["nees_band"]
     return (
-        f"payload rms {estimate['position_rms_m']:.3f} m, {estimate['attitude_rms_deg']:.2f} deg; NEES "
-        f"{estimate['nees']:.1f} of 6 (95 %: {low:.1f} to {high:.1f}), NIS {_text(estimate['nis'], '.2f')} of 1"
+        f"payload rms {estimate['position_rms_m']:.3f} m, {estimate['attitude_rms_deg']:.2f} deg; "
+        f"NEES {estimate['nees']:.1f} of 6, NIS {_text(estimate['nis'], '.2f')} of 1"
     )
 
 
