@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import pytest
 from msgspec.structs import replace
 
 from protocol.wire.messages import Control, Message, Roster, Tick
@@ -59,21 +58,6 @@ def test_a_tick_is_held_no_longer_than_the_join_timeout() -> None:
 def proposals(agents: Sequence[int], negotiation: int) -> list[Message]:
     """Plans of tick 0 that are still negotiated."""
     return [replace(plan(setup(SIX, ITERATIONS), agent, 0), negotiation=negotiation) for agent in agents]
-
-
-@pytest.mark.parametrize("negotiation", [2, 1])
-def test_only_agents_behind_in_a_negotiation_are_dropped(negotiation: int) -> None:
-    """A frozen agent blocks the others' next iteration: it alone is dropped, and their timeout restarts."""
-    node = started(CoordinatorNode(setup(SIX, ITERATIONS, CONTINUE)))
-    tell(node, proposals(ALL if negotiation < 2 else LEFT, 2))
-    if negotiation < 2:
-        tell(node, proposals(LEFT, 1))
-    expired_ns = START_NS + BARRIER_NS
-    (roster,) = node.poll(expired_ns)
-    assert isinstance(roster, Roster)
-    assert (roster.agents, roster.reason) == (LEFT, "agent2 did not answer tick 0 in time at t = 0.00 s")
-    assert node.poll(expired_ns + BARRIER_NS - 1) == ()
-    assert kinds(tell(node, answers(0, LEFT), expired_ns + BARRIER_NS - 1)) == ["tick 1"]
 
 
 def test_all_agents_stuck_in_a_negotiation() -> None:

@@ -93,17 +93,6 @@ def test_what_is_no_change_is_refused(settings: str) -> None:
     assert losses(found, 3) == [0.4, 0.4, 0.0]
 
 
-def test_unknown_measured_delays() -> None:
-    """Measured delays come with the scenario: a change with a file that it does not name is refused."""
-    found = links()
-    changes = LinkChanges(found.values(), SAMPLES)
-    with pytest.raises(
-        MessageError, match=r"samples: expected a file that the scenario names \(a.csv, b.csv\), got 'c.csv'"
-    ):
-        changes.check(change(1, 0, distribution="empirical", samples="c.csv"))
-    assert found["agent2"].impairments(0).perfect
-
-
 def test_changes_come_in_order() -> None:
     """A change is refused before those with lower numbers: receivers would otherwise disagree about the links."""
     found = links()

@@ -10,7 +10,6 @@ from tests.support.results import here, kept
 from tests.support.runs import ticks
 from transport.experiments import design_experiments
 from transport.experiments.cases import cases_of
-from transport.experiments.conclusions import exponent
 from transport.experiments.declaration import EXPERIMENTS
 from transport.experiments.simulation import CPU, MESSAGES
 from transport.experiments.statistics import WIDTH
@@ -20,9 +19,6 @@ SIZES = EXPERIMENTS["scaling"].options["sizes"].default
 TICKS = 4
 SMALL = ("experiment", "scaling", "--quick", "--max", "4", "--set", ticks(TICKS))
 FLIGHTS = 5  # 2 and 4 UAVs distributed and centralized, 4 in pairs
-
-# Rounding error of an exponent that synthetic data have exactly.
-ROUNDING = 1e-12
 
 
 @pytest.mark.slow
@@ -39,13 +35,6 @@ def test_sizes_and_ownerships() -> None:
         assert len(case.scenario.system.uav) == point.labels["uavs"]
         assert len(case.scenario.owned) == point.labels["agents"]
         assert case.timed
-
-
-@pytest.mark.parametrize("power", [0.0, 1.0, 1.7, 3.0])
-def test_exponent_of_a_power_law(power: float) -> None:
-    """The slope of a power law is its exponent, whatever the unit."""
-    uavs = [4, 6, 8, 10, 12]
-    assert exponent(uavs, [0.3 * n**power for n in uavs]) == pytest.approx(power, abs=ROUNDING)
 
 
 REFUSED = [

@@ -56,14 +56,6 @@ def test_a_payload_far_lighter_than_the_uavs(name: str) -> None:
     assert flown(name, SHORT, LIGHT.format(0.1, 0.02)).outcome == "completed"
 
 
-def test_hardly_a_payload() -> None:
-    """A payload of 1 g runs open loop or is refused; drag is checked only with wind."""
-    assert flown("paper", SHORT, LIGHT.format(1e-3, 1e-4)).outcome == "completed"
-    assert "expected a team that linear feedback can stabilise" in refusal("resilient", SHORT, LIGHT.format(1e-3, 1e-4))
-    windy = refusal("resilient", SHORT, LIGHT.format(1e-3, 1e-4), "plant.wind.gust_mps=[1,1,1]")
-    assert "plant.wind.drag_payload_kgps: expected at most mass over sampling period 0.02, got 0.4" in windy
-
-
 @pytest.mark.parametrize("given", [("controller.horizon=60",), ("maneuver.phase.1.duration_s=0.05",)])
 def test_horizon_longer_than_the_maneuver(given: tuple[str, ...]) -> None:
     """Horizons two and forty times longer than the maneuver complete: the reference holds the end of the path."""

@@ -124,18 +124,6 @@ def test_runs_that_do_not_tell() -> None:
     assert swinging(run, ticks=[]) == Swing(largest_m=None, decays=None)
 
 
-def test_only_the_end_of_the_run_counts() -> None:
-    """The largest error is of the last 4 s: 80 ticks of 50 ms."""
-    run = runs.setup(HOLD)
-
-    def off(x: Array, u: Array) -> None:
-        x[1] += 1.0
-
-    for k, expected_m in ((39, 0.0), (40, 1.0)):
-        records = [plant_state(run, i, off) if i == k else plant_state(run, i) for i in range(TICKS)]
-        assert swing_of(run, series_of(run, log_of(records))).largest_m == pytest.approx(expected_m, abs=1e-12)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "decays"), [("centralized", False), ("centralized_lq", True)])
 def test_the_papers_maneuver(name: str, decays: bool) -> None:

@@ -61,17 +61,6 @@ def test_equal_computation(exponent: float, budget: str, agents: int) -> None:
     assert not span.is_open
 
 
-def test_periods_beyond_the_grid() -> None:
-    """The range is open if a team computes more, or less, at every period, in all or some repetitions."""
-    more, less = [load(0.1, 1.5), load(0.05, 3.0)], [load(0.1, 0.1), load(0.05, 0.2)]
-    assert equal_periods(more, AGENT) == PeriodRange(math.inf, math.inf)
-    assert equal_periods(less, AGENT) == PeriodRange(0.0, 0.0)
-    sometimes = equal_periods([load(0.1, 0.5, 1.1), load(0.05, 2.0, 2.2)], AGENT)
-    assert sometimes.low_s == pytest.approx(0.1 * 0.5**0.5)
-    assert math.isinf(sometimes.high_s)
-    assert sometimes.is_open
-
-
 # Costs of three seeds of wind, by controller and period.
 COSTS = {
     (CENTRALIZED, 0.05): (1.0, 2.0, 4.0),
