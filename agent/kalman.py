@@ -329,10 +329,10 @@ class KalmanFilter:
         T_ahead, L = self.basis(ahead)
         moved, s = discrete.A @ T, T.shape[1]
         pushed = np.zeros((len(T), 0)) if forces is None else self._pushed(model, x, actual, forces, discrete.A)
-        Q = self.lacking(belief.level)
-        if forces is not None:
-            lagging = L.T @ discrete.B * (UNKNOWN_LAG_S / self._period_s * (u - belief.u))
-            Q[:s, :s] += lagging @ lagging.T
+        # Nobody knows exactly when the fail-safe of another UAV took over, and at what thrust.
+        Q = self.lacking(1.0 if by_fail_safe.any() else belief.level)
+        lagging = L.T @ discrete.B * (UNKNOWN_LAG_S / self._period_s * (u - belief.u))
+        Q[:s, :s] += lagging @ lagging.T
         if K is not None:
             B, closed = discrete.B, by_law | by_fail_safe
             apart = np.where(by_law, 1.0 - _SHARED, 1.0)
