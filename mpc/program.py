@@ -113,7 +113,8 @@ class Program:
         begin, problem.index = model.pattern.addresses
         problem.begin, problem.value = begin + 8 * model.pattern.first_rows[-2], kept("value", model.values)
         problem.model_outputs, problem.y, problem.y_ref = len(model.y), at(model.y), at(y_ref)
-        problem.u_target, problem.known = at(linear.u_target), not self._renewed
+        # Without a law the matrices are of the tick's own state: kept ones only meet again within its iterations.
+        problem.u_target, problem.known = at(linear.u_target), not self._renewed and law is not None
         native.fill(problem)
         self._renewed.clear()
         qp = self._qp
