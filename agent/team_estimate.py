@@ -84,9 +84,10 @@ class TeamEstimate:
 
     def head(self, setup: Setup) -> None:
         """Take the reference from a run with a further target."""
-        self._setup, self.announced.fail_safe = setup, setup.fail_safe
+        self._setup = setup
         if setup.ahead is not None and self._controller.head(setup.X_ref, setup.ahead):
             self.announced.law_since = setup.ahead.first
+        self.announced.fail_safe = self._controller.regulation.fail_safe
 
     @property
     def forces(self) -> Array | None:
@@ -179,6 +180,7 @@ class TeamEstimate:
 
         controller, failed = self._controller, min(known.measurement.tick, known.failed_since)
         controller.fail(off, released, since)
+        self.announced.fail_safe = controller.regulation.fail_safe
         self.estimator.change(failed, controller.model, moved)
         self.announced.failed_since = failed
         left = [uav for uav in self._owned if uav not in off]

@@ -3,14 +3,16 @@
 The plant's actuators follow it, and controllers predict a UAV without an agent by it.
 """
 
+from collections.abc import Collection
 from copy import copy
 
 import numpy as np
 
-from model import state
+from model import flat, state
 from model.arrays import Array, rows
+from model.failure import failed_hover, failed_model
 from model.flat import Track
-from model.parameters import System
+from model.parameters import ParameterError, System
 from model.rotations import rotation
 
 # Attitude loop: slow enough for the moment limits of small quadrotors, faster than the pendulum of a rod.
@@ -34,10 +36,13 @@ class FailSafe:
         X_ref: Reference states at the sampling instants, (K, n), the last one held, for UAVs that measure their
             position and velocity and follow them; None for UAVs that keep level.
         track: A flat reference, whose inputs take the place of hover.
+
+    Attributes: u_hover, track: Those.
     """
 
     def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None, track: Track | None = None) -> None:
-        self._u_hover, self._uavs, self._X_ref, self._track = u_hover, system.uavs, X_ref, track
+        self.u_hover, self._X_ref, self.track = u_hover, X_ref, track
+        self._system, self._uavs = system, system.uavs
         self._gains = []
         level = np.diag([1.0, 1.0, 0.0])  # the heading is free
         for uav in system.uavs:
@@ -53,7 +58,27 @@ class FailSafe:
     def following(self, X_ref: Array, track: Track | None) -> "FailSafe":
         """Return the fail-safe with another reference, unless it keeps level."""
         found = copy(self)
-        found._X_ref, found._track = None if self._X_ref is None else X_ref, track
+        found._X_ref, found.track = None if self._X_ref is None else X_ref, track
+        return found
+
+    def of_team(self, off: Collection[int], released: Collection[int]) -> "FailSafe":
+        """Return the fail-safe of the UAVs left, whose thrusts hold the payload without those off or released, 0-based.
+
+        The same one if they have no hover. Source: docs/equations.md (51), (66).
+        """
+        found = copy(self)
+        if not off:
+            return found
+        try:
+            hover = failed_hover(self._system, off, released)
+        except ParameterError:
+            return found
+        found.u_hover = hover.u
+        if self.track is not None and released:
+            system = failed_model(self._system, off, released).system
+            found.track = flat.track(system, hover, self.track.paths, self.track.first, released)
+            if self._X_ref is not None:
+                found._X_ref = np.concatenate([self._X_ref[: self.track.first], found.track.X])
         return found
 
     def gain(self, uav: int) -> Array:
@@ -87,12 +112,12 @@ class FailSafe:
             turned = rotation(np.array([0.0, 0.0, own[state.THETA][2]])).T  # into the UAV's heading
             wanted = self._wanted(uav, turned @ (position - expected[0]), turned @ (velocity - expected[1]))
             own[state.THETA] -= np.clip(wanted, -_STEEPEST, _STEEPEST)
-        at_rest: Array = self._u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])
-        if self._X_ref is not None and self._track is not None:
-            at = rows(tick - self._track.first, 1, len(self._track.U))
+        at_rest: Array = self.u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])
+        if self._X_ref is not None and self.track is not None:
+            at = rows(tick - self.track.first, 1, len(self.track.U))
             at_rest, own = (
-                self._track.U[at][0, state.input_slice(uav)],
-                own - self._track.X[at][0, state.uav_slice(uav)],
+                self.track.U[at][0, state.input_slice(uav)],
+                own - self.track.X[at][0, state.uav_slice(uav)],
             )
         return at_rest + self._gains[uav] @ own
 
@@ -107,8 +132,6 @@ class FailSafe:
         """Return roll, pitch and a zero from deviations of position and velocity, axes of the heading, (3, ...)."""
         stiffness, damping = _FOLLOWING_RAD_S**2, 2.0 * _FOLLOWING_DAMPING * _FOLLOWING_RAD_S
         pull = (
-            self._uavs[uav].mass
-            / self._u_hover[state.input_slice(uav)][0]
-            * (stiffness * position + damping * velocity)
+            self._uavs[uav].mass / self.u_hover[state.input_slice(uav)][0] * (stiffness * position + damping * velocity)
         )
         return np.stack([-pull[1], pull[0], np.zeros_like(pull[0])])

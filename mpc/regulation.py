@@ -185,25 +185,27 @@ class Regulation:
     def _form(self, gone: frozenset[int], off: frozenset[int], released: frozenset[int], since: int | None) -> None:
         """Set the team. Raises: ParameterError, FeedbackError: there is no hover, or no regulator."""
         self._team, self._off, self._released = (gone, off, released), off, released
+        self._set_track()
         # A UAV without motors has no fail-safe.
-        self._uncontrolled = {uav: self._fail_safe.gain(uav) for uav in gone - off}
+        self._uncontrolled = {uav: self.fail_safe.gain(uav) for uav in gone - off}
         self._model, self.hover = self._whole, self._whole_hover
         if off:
-            system, u = self._whole.system, self._whole_hover.u
+            system, u = self._whole.system, self.fail_safe.u_hover
             held = {uav: float(u[input_slice(uav)][0]) for uav in self._uncontrolled}
             self._model = failed_model(system, off, released)
             self.hover = failed_hover(system, off, released, held)
-        self._set_track()
         self.cost = Cost(self._settings.weights, self._whole.system, self.hover, off, released)
         self._target = self._by_forces = None
         if self._settings.prediction == "closed_loop" or self._settings.terminal == "riccati":
             self._regulate(since)
 
     def _set_track(self) -> None:
-        """Set the reference of the team as it is."""
-        self._track = whole = self._whole_track
-        if whole is not None and self._released:
-            self._track = self._shared("track", lambda: self._of_team(whole))
+        """Set reference and fail-safe of the team as it is."""
+        self._track, self.fail_safe = self._whole_track, self._fail_safe
+        if self._off:
+            off, released, whole = self._off, self._released, self._fail_safe
+            self.fail_safe = self._shared("fail-safe", lambda: whole.of_team(off, released))
+            self._track = self.fail_safe.track
 
     def _of_team(self, whole: Track) -> Track:
         """Return a reference for the team without the released UAVs."""
@@ -334,7 +336,7 @@ class Regulation:
 
     def _recursion_along(self, track: Track, found: Regulator, before: Tracker | None, since: int) -> Recursion:
         """Return the control law along a reference in the making; the last two arguments are those of `Recursion`."""
-        period_s, safe = self._settings.sampling_period_s, self._fail_safe
+        period_s, safe = self._settings.sampling_period_s, self.fail_safe
 
         def on_reference(uav: int, row: int) -> Array:
             return safe.inputs(uav, track.X[row], track.first + row)

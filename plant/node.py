@@ -79,6 +79,7 @@ class PlantNode:
         self._degradations = deque(degradations(setup.faults))
         self._motors = Motors(setup.scenario.plant.motors, setup.hover.u, bool(self._degradations))
         self._off: set[int] = set()  # UAVs without motors, 0-based
+        self._released: set[int] = set()  # of these
         self._x: Array = setup.initial_state()
         self._u: Array = setup.hover.u.copy()  # in force until now
         self._sensors = Sensors(setup) if setup.sensors.vehicle else None
@@ -153,7 +154,7 @@ class PlantNode:
             self._setup = headed(self._setup, target)
             instants = np.arange(target.tick, len(self._path), dtype=np.float64)
             self._path[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
-            self._schedule.fail_safe = self._setup.fail_safe
+            self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
 
     def _work(self, now_ns: int) -> list[Message]:
         """Measure and integrate in turn as far as the messages received allow."""
@@ -230,12 +231,14 @@ class PlantNode:
             self._off.add(uav)
             self._motors.degrade(uav, 0.0)
             if fault == "release":
+                self._released.add(uav)
                 self.environment.release([uav])
                 self._x = released_state(self._x, uav)
                 self.engine.replace(self.environment.system, self._x)
             else:
                 self._x = motor_off_state(self._x, uav)
                 self.engine.reset(self._x)
+            self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
             self._restart_inner_loop()
 
     def _restart_inner_loop(self) -> None:

@@ -30,9 +30,9 @@ def flown(*settings: str) -> tuple[Control, np.ndarray]:
     return end, np.abs(np.degrees(StateView(x).Theta0[:, :2])).max(axis=1)
 
 
-def killed(agent: int, at_s: float) -> str:
-    """Return the setting of a permanent failure of an agent."""
-    return f"faults.event=[{{at_s={at_s},do='kill',target='agent{agent}'}}]"
+def killed(agent: int, at_s: float, before: str = "") -> str:
+    """Return the setting of a permanent failure of an agent, after other events."""
+    return f"faults.event=[{before}{{at_s={at_s},do='kill',target='agent{agent}'}}]"
 
 
 @pytest.mark.slow
@@ -40,6 +40,13 @@ def killed(agent: int, at_s: float) -> str:
 def test_three_bring_the_load_home(agent: int, at_s: float) -> None:
     """In the paper's maneuver one agent of four dies for good, and the payload stays within 10 deg."""
     end, attitude_deg = flown(killed(agent, at_s))
+    assert end.outcome == "completed"
+    assert attitude_deg.max() < LARGEST_DEG
+
+
+def test_an_agent_dies_after_a_release() -> None:
+    """The fail-safe has the thrust of the UAVs left: the hover of the whole team would turn the payload over."""
+    end, attitude_deg = flown(QUIET, killed(2, 2.0, before="{at_s=0.5,do='release',target='uav3'},"))
     assert end.outcome == "completed"
     assert attitude_deg.max() < LARGEST_DEG
 
