@@ -84,16 +84,18 @@ def test_a_process_told_to_end_leaves_at_once(victim: str, tmp_path: Path) -> No
 @pytest.mark.slow
 def test_a_process_stopped_before_the_run_is_named(tmp_path: Path) -> None:
     """A plant that is stopped while the processes join: exit code 4, the plant named, no process left."""
-    process = start(
-        "run", "paper", *settings("clock.join_timeout_s=8.0"), "--out", "join", "--no-figures", cwd=tmp_path
-    )
-    assert wait_for(lambda: "plant" in processes_of("join"))
-    os.kill(processes_of("join")["plant"], signal.SIGSTOP)
-    _, errors = process.communicate(timeout=PATIENCE_S)
+    options = settings("clock.join_timeout_s=8.0")
+    for run in ("join", "again", "once-more"):
+        process = start("run", "paper", *options, "--out", run, "--no-figures", cwd=tmp_path)
+        assert wait_for(lambda run=run: "plant" in processes_of(run))  # type: ignore[misc]
+        os.kill(processes_of(run)["plant"], signal.SIGSTOP)
+        _, errors = process.communicate(timeout=PATIENCE_S)
+        if "did not answer tick" not in errors:  # on a busy machine the run may have begun before the signal
+            break
     assert process.returncode == LOST, errors
     assert "no sign of plant within 8 s" in errors.splitlines()[-1]
     assert "Traceback" not in errors
-    assert processes_of("join") == {}
+    assert processes_of(run) == {}
 
 
 @pytest.mark.parametrize("victim", ["coordinator", "agent4", pytest.param("plant", marks=pytest.mark.slow)])
