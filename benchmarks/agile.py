@@ -31,9 +31,10 @@ FOUR: dict[str, Any] = {
 }
 
 
-def fault(do: str, target: str) -> dict[str, Any]:
-    """Return settings of a fault in the middle of the second lap."""
-    return {"faults.event": [{"at_s": 8.0, "do": do, "target": target}], "clock.on_agent_loss": "continue"}
+def faults(**targets: str) -> dict[str, Any]:
+    """Return settings of faults from the middle of the second lap on, a second apart."""
+    events = [{"at_s": 8.0 + i, "do": do, "target": target} for i, (do, target) in enumerate(targets.items())]
+    return {"faults.event": events, "clock.on_agent_loss": "continue"}
 
 
 CASES: dict[str, dict[str, Any]] = {
@@ -44,9 +45,10 @@ CASES: dict[str, dict[str, Any]] = {
     "5.5 m/s, 8.1 m/s², late": {**LATE, "maneuver.phase.2.speed_mps": 5.5},
     "payload 43 % heavier, estimated, late": {**LATE, **ESTIMATE, "plant.payload_mass_factor": 1.43},
     "wind of 5 m/s, estimated, late": {**LATE, **ESTIMATE, "plant.wind.speed_mps": [5.0, 0.0, 0.0]},
-    "agent 3 dies, late": {**LATE, **fault("kill", "agent3")},
-    "agent 3 of four dies, late": {**LATE, **FOUR, **fault("kill", "agent3")},
-    "UAV 4 of four is released, late": {**LATE, **FOUR, **fault("release", "uav4")},
+    "agent 3 dies, late": {**LATE, **faults(kill="agent3")},
+    "agent 3 of four dies, late": {**LATE, **FOUR, **faults(kill="agent3")},
+    "UAV 4 of four is released, late": {**LATE, **FOUR, **faults(release="uav4")},
+    "the same, then agent 2 dies": {**LATE, **FOUR, **faults(release="uav4", kill="agent2")},
 }
 
 

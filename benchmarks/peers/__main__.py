@@ -1,7 +1,7 @@
 """The same team, maneuver and cost with other frameworks: `python -m benchmarks.peers`, or `--help`.
 
 Every controller has the model, weights, limits of inputs and horizon of `paper`, and flies the same plant in lockstep,
-so that none is late however long it computes. Needs the packages of `pip install 'payload-transport[peers]'`.
+so that none is late however long it computes. Needs the packages of `pip install 'payload-transport[bench]'`.
 """
 
 import argparse
@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             rows.append((name, f"{cost / first[0]:.3f}", digits(step_ms), digits(step_ms / first[1]), lines))
             print(*rows[-1], sep=", ", file=sys.stderr, flush=True)  # noqa: T201
     except ImportError as error:
-        sys.stderr.write(f"benchmarks.peers: {error}; pip install 'payload-transport[peers]'\n")
+        sys.stderr.write(f"benchmarks.peers: {error}; pip install 'payload-transport[bench]'\n")
         return 1
     except BenchmarkError as error:
         sys.stderr.write(f"benchmarks.peers: {error}\n")
