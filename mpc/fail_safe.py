@@ -73,7 +73,9 @@ class FailSafe:
             hover = failed_hover(self._system, off, released)
         except ParameterError:
             return found
-        found.u_hover = hover.u
+        # Inputs of UAVs without motors have no effect; a thrust of zero would have no attitude to tilt it.
+        running = np.repeat([uav not in off for uav in range(len(self._uavs))], state.INPUTS)
+        found.u_hover = np.where(running, hover.u, self.u_hover)
         if self.track is not None and released:
             system = failed_model(self._system, off, released).system
             found.track = flat.track(system, hover, self.track.paths, self.track.first, released)

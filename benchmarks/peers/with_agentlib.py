@@ -137,6 +137,8 @@ def _agents(setup: Setup, iterations: int) -> list[dict[str, Any]]:
             "max_iterations": iterations,
             "penalty_factor": 1e-2,
             "sync_delay": 5e-4,
+            # Of 2 s by default, taken from the period: it would leave time for one iteration.
+            "registration_period": 0.0,
             "inputs": [{"name": name, "value": series} for name, series in y.items()],
             "controls": [{"name": f"u_{j}", "value": float(setup.hover.u[j]), **limits[j]} for j in own],
             "states": [{"name": f"x_{k}", "value": float(v)} for k, v in enumerate(setup.initial_state())],

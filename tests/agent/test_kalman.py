@@ -138,8 +138,7 @@ def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
         A[:r] = kalman.basis(step(z))[1].T @ jacobian(step, z)
         Q = kalman.lacking(belief.level)
         # Each input may act as late as the unknown lag.
-        before = U[k] if k else run.hover.u
-        late = np.diag(UNKNOWN_LAG_S / PERIOD_S * (U[k + 1] - before))
+        late = np.diag(UNKNOWN_LAG_S / PERIOD_S * (U[k + 1] - (U[k] if k else run.hover.u)))
         effects = kalman.basis(step(z))[1].T @ np.array([step(z, delayed=u) - step(z) for u in late]).T
         Q[:r, :r] += effects @ effects.T
         z, P = np.concatenate([step(z), z[n:]]), A @ P @ A.T + Q
