@@ -127,19 +127,15 @@ def fall(depth_m: float) -> dict[str, Any]:
 
 
 TAUT = {"controller.tension.minimum_N": 2.0}
+IMPAIRED = {"links.delay_s": 0.2, "links.loss": 0.3}
+SLOWER = {"maneuver.phase.2.speed_mps": 3.0, **IMPAIRED}
 CABLES: Mapping[str, Mapping[str, Any]] = {
     "`resilient`": {},
-    "`eight` at 5 m/s, 200 ms delay, 30 % packet loss": {},
-    "`eight` at 3 m/s, the same network": {"maneuver.phase.2.speed_mps": 3.0},
+    "`eight` at 5 m/s, 200 ms delay, 30 % packet loss": IMPAIRED,
+    "`eight` at 3 m/s, the same network": SLOWER,
     "`resilient`, UAV 2 with 5 % of its thrust for 0.15 s": dip(8.0, 0.15, 0.05),
-    "`eight` at 3 m/s, UAV 2 with 5 % of its thrust for 0.15 s": {
-        "maneuver.phase.2.speed_mps": 3.0,
-        **dip(10.0, 0.15, 0.05),
-    },
-    "`eight` at 3 m/s, UAV 2 with 30 % of its thrust for 0.3 s": {
-        "maneuver.phase.2.speed_mps": 3.0,
-        **dip(10.0, 0.3, 0.3),
-    },
+    "`eight` at 3 m/s, the same network, UAV 2 with 5 % of its thrust for 0.15 s": {**SLOWER, **dip(10.0, 0.15, 0.05)},
+    "`eight` at 3 m/s, the same network, UAV 2 with 30 % of its thrust for 0.3 s": {**SLOWER, **dip(10.0, 0.3, 0.3)},
     "`resilient`, 6 m down in 1 s": fall(6.0),
     "`resilient`, the same, with `controller.tension.minimum_N=2`": {**fall(6.0), **TAUT},
     "`precise`, 7 m down in 1 s": fall(7.0),
