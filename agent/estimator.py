@@ -30,7 +30,7 @@ from protocol.wire.messages import Measurement, Plan
 WINDOW = 64
 
 # Integration steps per sampling period: local error below 1e-8 at 50 ms, with motor lag below 1e-5 after large jumps
-# of the commands; far below any sensor.
+# of the commands; far below any sensor. With a Kalman filter one step, whose error is far below what the filter knows.
 STEPS = 2
 
 
@@ -63,6 +63,8 @@ class StateEstimator:
         self._kalman = kalman
         # With a filter, measurements and inputs until then of UAVs, 0-based, by tick: (19,).
         self._sensors: dict[int, dict[int, Array]] = {}
+        ages = () if kalman is None else kalman.ages
+        self._sensors_of_age = [(age, tuple(i for i, of in enumerate(ages) if of == age)) for age in sorted(set(ages))]
         self._priors: list[Belief] = []  # of a Kalman filter before the measurements, by tick as the estimates
         self._beliefs: list[Belief] = []  # after them
         self._learned = -1  # newest tick whose measurement the disturbance estimator has
@@ -228,11 +230,9 @@ class StateEstimator:
         self._beliefs.append(self._kalman.correct(self._priors[at], self._model_at(tick), list(self._sensed(tick))))
         return self._beliefs[at].x
 
-    def _sensed(self, tick: int) -> Iterator[tuple[int, Sequence[int], Array]]:
+    def _sensed(self, tick: int) -> Iterator[tuple[int, tuple[int, ...], Array]]:
         """Yield UAV, sensors and measurements of all that is known of a tick."""
-        ages = () if self._kalman is None else self._kalman.ages
-        for age in sorted(set(ages)):
-            sensors = [sensor for sensor, late in enumerate(ages) if late == age]
+        for age, sensors in self._sensors_of_age:
             for uav, values in sorted(self._sensors.get(tick + age, {}).items(), key=itemgetter(0)):
                 yield uav, sensors, values
 
@@ -268,8 +268,8 @@ class StateEstimator:
 
         If integration from a received state diverges, use the reference state.
         """
-        model = self._model_at(tick)
-        ahead, _ = motors.integrate(model, self._estimates[-1], u, self._period_s, STEPS, self._motor_lag_s, forces)
+        model, steps = self._model_at(tick), STEPS if self._kalman is None else 1
+        ahead, _ = motors.integrate(model, self._estimates[-1], u, self._period_s, steps, self._motor_lag_s, forces)
         if np.abs(ahead).max() > state.LARGEST:
             return self._reference_at(tick + 1)
         for since, _, moved in self._breaks:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +46,8 @@ _DRAG = [5, 6]
 UNKNOWN_LAG_S = 0.03
 # Correlation of the changes on payload and UAVs: the same air moves all of them.
 _SAME_AIR = 0.8
+# Remainder of the difference equation for the covariance, far below what the model lacks.
+_REMAINDER = 1e-4
 # Correlation of the errors of two agents: they share all measurements but the newest.
 _SHARED = 0.6
 
@@ -149,10 +152,27 @@ def understood(numbers: Array) -> tuple[Array, Array]:
     return numbers[:, : len(POSE)], P
 
 
+class _Places(NamedTuple):
+    """Places of measurements by some sensors of UAVs, (k,): in those of the UAV, of all UAVs; part; the angles."""
+
+    of: npt.NDArray[np.intp]
+    within: npt.NDArray[np.intp]
+    part: npt.NDArray[np.intp]
+    angles: npt.NDArray[np.intp]
+
+
 @lru_cache
-def _entries(sensors: tuple[int, ...]) -> npt.NDArray[np.intp]:
-    """Return the places of some sensors in the measurements of a UAV."""
-    return np.array([3 * sensor + axis for sensor in sensors for axis in range(3)], dtype=np.intp)
+def _places(sensed: tuple[tuple[int, tuple[int, ...]], ...]) -> _Places:
+    """Return the places of measurements from the UAV and the sensors of each part."""
+    found = [
+        (3 * sensor + axis, uav, part)
+        for part, (uav, sensors) in enumerate(sensed)
+        for sensor in sensors
+        for axis in range(3)
+    ]
+    of, uavs, part = np.array(found, dtype=np.intp).T
+    angles = np.flatnonzero((of >= state.THETA.start) & (of < state.THETA.stop))
+    return _Places(of=of, within=of + state.SENSED * uavs, part=part, angles=angles)
 
 
 class KalmanFilter:
@@ -208,10 +228,16 @@ class KalmanFilter:
             together[[0, 1, 3, 4], [3, 4, 0, 1]] = _SAME_AIR
             change = np.sqrt(self._period_s) * weights * _FORCE_CHANGE
             self.Q[-forces:, -forces:] = together * np.outer(change, change)
-        # Places of a UAV's block in the basis.
-        first = np.arange(N)[:, None]
-        self._rows = (state.PAYLOAD + state.PER_UAV * first + np.arange(state.PER_UAV))[:, :, None]
-        self._columns = (state.PAYLOAD + 10 * first + np.arange(10))[:, None, :]
+        # The basis without the rods, and places of the rods in it: their rows, those of their rates, columns of both.
+        self._frame = np.zeros((state.PAYLOAD + state.PER_UAV * N + self._inputs, len(rates) + self._inputs))
+        self._frame[: state.PAYLOAD, : state.PAYLOAD] = np.eye(state.PAYLOAD)
+        if self._inputs:
+            self._frame[-self._inputs :, -self._inputs :] = np.eye(self._inputs)
+        row = state.PAYLOAD + state.PER_UAV * np.arange(N)[:, None, None] + np.arange(3)[:, None]
+        column = state.PAYLOAD + 10 * np.arange(N)[:, None, None] + np.arange(2)
+        for uav in range(N):
+            self._frame[state.uav_slice(uav)][range(6, 12), state.PAYLOAD + 10 * uav + np.arange(4, 10)] = 1.0
+        self._across = row + state.E.start, row + state.ROD_RATE.start, column, column + 2
 
     def first(self, x: Array) -> Belief:
         """Return the belief before any measurement, about a state."""
@@ -255,22 +281,15 @@ class KalmanFilter:
 
         Source: docs/equations.md (62).
         """
-        n, view = state.PAYLOAD + state.PER_UAV * self._N, state.StateView(x[: state.PAYLOAD + state.PER_UAV * self._N])
-        e, Omega = view.e_P, view.Omega_P
+        e, Omega = self._rods(x)
         # Two unit vectors across each rod, by the reflection that maps e to the z axis: smooth around the hover.
-        w = e + np.where(e[:, 2:] < 0.0, -1.0, 1.0) * np.eye(3)[2]
-        across = (np.eye(3) - 2.0 * w[:, :, None] * w[:, None, :] / (w * w).sum(axis=1)[:, None, None])[:, :, :2]
-        blocks = np.zeros((self._N, state.PER_UAV, 10))
-        blocks[:, state.E, :2] = blocks[:, state.ROD_RATE, 2:4] = across
-        blocks[:, range(6, 12), range(4, 10)] = 1.0
-        L = np.zeros((n + self._inputs, state.PAYLOAD + 10 * self._N + self._inputs))
-        L[: state.PAYLOAD, : state.PAYLOAD] = np.eye(state.PAYLOAD)
-        if self._inputs:
-            L[-self._inputs :, -self._inputs :] = np.eye(self._inputs)
-        L[self._rows, self._columns] = blocks
-        blocks[:, state.ROD_RATE, :2] = -e[:, :, None] * np.einsum("ij,ijk->ik", Omega, across)[:, None, :]
+        w = e.copy()
+        w[:, 2] += np.where(e[:, 2] < 0.0, -1.0, 1.0)
+        across = np.eye(3, 2) - (2.0 / np.einsum("ij,ij->i", w, w))[:, None, None] * w[:, :, None] * w[:, None, :2]
+        L, (rods, rates, along, turning) = self._frame.copy(), self._across
+        L[rods, along] = L[rates, turning] = across
         T = L.copy()
-        T[self._rows, self._columns] = blocks
+        T[rates, along] = -e[:, :, None] * np.einsum("ij,ijk->ik", Omega, across)[:, None, :]
         return T, L
 
     def lacking(self, level: float) -> Array:
@@ -306,7 +325,8 @@ class KalmanFilter:
             return self._propagated(belief, model, ahead, u, K, by_law, by_fail_safe)
 
         own = None if belief.own is None else (belief.own[0], belief.own[1] + 1)
-        return replace(belief, x=ahead, u=u, found=found, own=own)
+        slow, level = belief.slow, belief.level
+        return Belief(x=ahead, forces=belief.forces, u=u, found=found, slow=slow, level=level, own=own)
 
     def _propagated(
         self,
@@ -324,7 +344,7 @@ class KalmanFilter:
         linear = model.linearise(x, actual, forces=forces)
         if self._inputs:
             linear = motors.lagged(linear, actual, u, self._lag_s, model.system.commands_rates)
-        discrete = zero_order_hold(linear, self._period_s)
+        discrete = zero_order_hold(linear, self._period_s, remainder=_REMAINDER)
         P, T = belief.covariance.P, belief.covariance.T
         T_ahead, L = self.basis(ahead)
         moved, s = discrete.A @ T, T.shape[1]
@@ -354,7 +374,7 @@ class KalmanFilter:
         found: Array = self._period_s / 2.0 * (effect + A @ effect)
         return found
 
-    def correct(self, belief: Belief, model: Model, sensed: Sequence[tuple[int, Sequence[int], Array]]) -> Belief:
+    def correct(self, belief: Belief, model: Model, sensed: Sequence[tuple[int, tuple[int, ...], Array]]) -> Belief:
         """Return the belief with measurements of its tick.
 
         Args:
@@ -364,28 +384,26 @@ class KalmanFilter:
                 `model.state`; those of released UAVs are ignored.
         Source: docs/equations.md (64).
         """
-        sensed = [entry for entry in sensed if entry[0] not in model.released]
+        if model.released:
+            sensed = [entry for entry in sensed if entry[0] not in model.released]
         if not sensed:
             return belief
         n = model.system.n
-        read = [(state.SENSED * uav, _entries(tuple(sensors)), values) for uav, sensors, values in sensed]
-        of = np.concatenate([entries for _, entries, _ in read])
-        within = np.concatenate([first + entries for first, entries, _ in read])
-        z = np.concatenate([values[entries] for _, entries, values in read])
-        actual, forces = belief.x[n:] if self._inputs else belief.u, self.forces(belief)
-        own = belief.own
+        of, within, part, angles = _places(tuple((uav, sensors) for uav, sensors, _ in sensed))
+        z = np.array([values for _, _, values in sensed])[part, of]
+        actual, known = belief.x[n:] if self._inputs else belief.u, self.forces(belief)
+        own, slow, level = belief.own, belief.slow, belief.level
         is_own = [uav for uav, _, _ in sensed] == self._owned and len(of) == state.SENSED * len(sensed)
-        error = z - model.sensed(belief.x[:n], actual, forces=forces)[within]
-        angles = (of >= state.THETA.start) & (of < state.THETA.stop)
+        error = z - model.sensed(belief.x[:n], actual, forces=known)[within]
         error[angles] -= 2.0 * np.pi * np.round(error[angles] / (2.0 * np.pi))
         R = self._R[of]
 
         def observed() -> Array:
-            T, slopes = belief.covariance.T, model.sense(belief.x[:n], actual, forces=forces)[1]
+            T, slopes = belief.covariance.T, model.sense(belief.x[:n], actual, forces=known)[1]
             H = np.empty((len(z), T.shape[1] + len(belief.forces)))
             H[:, : T.shape[1]] = slopes[within, :n] @ T[:n]
-            if forces is not None:
-                H[:, T.shape[1] :] = slopes[within, n:] @ self._effects(model, belief.x[:n], actual, forces)
+            if known is not None:
+                H[:, T.shape[1] :] = slopes[within, n:] @ self._effects(model, belief.x[:n], actual, known)
             return H
 
         if is_own and own is not None and own[1] <= _SAME_GAIN:
@@ -405,29 +423,29 @@ class KalmanFilter:
             S = H_P @ H.T
             S[np.diag_indices_from(S)] += R
             solved = np.linalg.solve(S, np.column_stack([H_P, error]))
-            G, s = solved[:, :-1].T, before.T.shape[1]
+            G, s = np.asarray(solved[:, :-1].T, dtype=np.float64), before.T.shape[1]
             xi = G @ error
             step = np.concatenate([before.T @ xi[:s], xi[s:]])
-            belief = self._with_level(belief, within, error, S.diagonal(), R)
+            slow, level = self._leveled(belief, within, error, S.diagonal(), R)
             later = self._joseph(before, G, H, R, (float(error @ solved[:, -1]), len(error)))
             rows = np.flatnonzero(self._is_own[within])
             if len(rows) == state.SENSED * len(self._owned) > 0:
                 of_own = np.linalg.solve(S[rows[:, None], rows], H_P[rows]).T
                 own = np.vstack([before.T @ of_own[:s], of_own[s:]]), 0
-        x = self.moved(belief.x, step[: len(belief.x)])
-        return replace(belief, x=x, forces=belief.forces + step[len(belief.x) :], found=later, own=own)
+        x, forces = self.moved(belief.x, step[: len(belief.x)]), belief.forces + step[len(belief.x) :]
+        return Belief(x=x, forces=forces, u=belief.u, found=later, slow=slow, level=level, own=own)
 
-    def _with_level(
+    def _leveled(
         self, belief: Belief, within: npt.NDArray[np.intp], error: Array, variance: Array, R: Array
-    ) -> Belief:
-        """Return the belief with the level that follows from innovations of some measurements. Source: (63b)."""
+    ) -> tuple[Array, float]:
+        """Return slow part and level after innovations of some measurements. Source: docs/equations.md (63b)."""
         of, slow = self._level, belief.slow.copy()
         kept = math.exp(-self._period_s / of.time_s)
         slow[within] = kept * slow[within] + error * np.sqrt((1.0 - kept**2) / variance)
         weights = 1.0 - R / variance if of.predicted else np.ones(len(R))
         excess = float(weights @ (slow[within] ** 2 - of.white) / weights.sum())
         level = belief.level * math.exp(of.rate * min(max(excess, -1.0), of.most))
-        return replace(belief, slow=slow, level=min(max(level, of.least), 1.0))
+        return slow, min(max(level, of.least), 1.0)
 
     @staticmethod
     def _joseph(before: Covariance, G: Array, H: Array, R: Array, surprise: tuple[float, int]) -> Covariance:
@@ -439,12 +457,16 @@ class KalmanFilter:
     def moved(self, x: Array, dx: Array) -> Array:
         """Return a state moved along the manifold. Source: docs/equations.md (62)."""
         x = x + dx
-        rods = state.StateView(x[: state.PAYLOAD + state.PER_UAV * self._N])
-        e, Omega = rods.e_P, rods.Omega_P
-        e /= np.sqrt((e * e).sum(axis=1, keepdims=True))
-        Omega -= e * (e * Omega).sum(axis=1, keepdims=True)
+        e, Omega = self._rods(x)
+        e /= np.sqrt(np.einsum("ij,ij->i", e, e))[:, None]
+        Omega -= e * np.einsum("ij,ij->i", e, Omega)[:, None]
         x.setflags(write=False)
         return x
+
+    def _rods(self, x: Array) -> tuple[Array, Array]:
+        """Return views of rods and their rates, (N, 3) each, in a state."""
+        uavs = x[state.PAYLOAD : state.PAYLOAD + state.PER_UAV * self._N].reshape(self._N, -1)
+        return uavs[:, state.E], uavs[:, state.ROD_RATE]
 
     def certain(self, belief: Belief, entries: npt.NDArray[np.intp], deviation: float = 1e-3) -> Belief:
         """Return the belief with some entries of the state known, such as those that a failure sets."""

@@ -28,7 +28,7 @@ _OFTEN = '#pragma GCC push_options\n#pragma GCC optimize("O2,no-tree-slp-vectori
 # Instructions; longer functions stay interpreted, as compilation time grows more than linearly.
 _MAX_LENGTH = 80_000
 
-_FUNCTIONS = ("derivative", "tensions", "velocities", "outputs", "linearise", "step", "sense")
+_FUNCTIONS = ("derivative", "tensions", "velocities", "outputs", "linearise", "step", "sense", "sensed")
 
 # Coefficients of the Dormand-Prince 5(4) pair (J. Comput. Appl. Math. 6, 1980): stages, 5th order, 4th order.
 _DP_STAGES: tuple[tuple[float, ...], ...] = (
@@ -124,6 +124,7 @@ def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
                 of the rods, and the local error estimate before projection
     sense       (x, u, p, F) -> measurements y of the UAVs' own sensors, and their derivatives in parts, those by
                 (x, F) with the payload's acceleration held, sparse, by that acceleration, and its own by (x, F)
+    sensed      (x, u, p, F) -> the measurements alone
     """
     return _loaded(N, rates, compiler.enabled(), _stamp(_compiled_file(N, rates)), _stamp(_cache_path(N, rates)))
 
@@ -203,6 +204,7 @@ def _build(N: int, rates: bool) -> dict[str, ca.Function]:
     s = Symbols.of(N, rates)
     motion = dynamics.motion(s)
     y = dynamics.outputs(s)
+    sense = _sense(s, motion)
     f = ca.Function("derivative", [s.x, s.u, s.p, s.F], [motion.derivative])
     return {
         "derivative": f,
@@ -211,7 +213,8 @@ def _build(N: int, rates: bool) -> dict[str, ca.Function]:
         "outputs": ca.Function("outputs", [s.x, s.p], [y]),
         "linearise": _linearise(s, motion, y),
         "step": _step(s, f),
-        "sense": _sense(s, motion),
+        "sense": sense,
+        "sensed": ca.Function("sensed", [s.x, s.u, s.p, s.F], sense.call([s.x, s.u, s.p, s.F], True, False)[:1]),
     }
 
 

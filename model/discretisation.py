@@ -40,16 +40,19 @@ class Discrete:
     f_d: Array
 
 
-def zero_order_hold(linear: Linearisation, period_s: float, known: Discrete | None = None) -> Discrete:
+def zero_order_hold(
+    linear: Linearisation, period_s: float, known: Discrete | None = None, *, remainder: float = _REMAINDER
+) -> Discrete:
     """Discretise with the input held over the sampling period T_s > 0, s, exact but for rounding.
 
-    Known is the same for another f with these A_c and B_c, if there is one: A and B are then taken from it.
+    Known is the same for another f with these A_c and B_c, if there is one: A and B are then taken from it. A larger
+    remainder of the series, relative to T_s, takes less time.
 
     Raises: ShapeError: A_c or its exponential is not finite.
     Source: docs/equations.md (16)-(17).
     """
     if native.AVAILABLE:
-        bounds, is_known = (_THETA_MAX, _THETA_POSSIBLE, _REMAINDER), known is not None
+        bounds, is_known = (_THETA_MAX, _THETA_POSSIBLE, remainder), known is not None
         theta, A, B, f_d = native.zero_order_hold(linear.pattern, linear.values, linear.f, period_s, bounds, is_known)
         _check_growth(theta, period_s)
         return Discrete(A=A, B=B, f_d=f_d) if known is None else Discrete(A=known.A, B=known.B, f_d=f_d)

@@ -84,6 +84,7 @@ class Model:
         self._several_outputs: dict[int, Compiled] = {}
         self._linearise, self._integrator = Compiled(found["linearise"]), Integrator(found["step"])
         self._sense, held = Compiled(found["sense"]), found["sense"].sparsity_out(1)
+        self._sensed_alone = Compiled(found["sensed"])
         self._sensed = np.array(held.row()), np.array(held.get_triplet()[1])
         self._pattern = _pattern(found["linearise"])
         self._without_effect = np.concatenate([self._pattern.columns(name, self._off) for name in ("U", "V_u")])
@@ -150,8 +151,7 @@ class Model:
 
     def sensed(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return the measurements of `sense` alone, (15 N,)."""
-        flat = self._sense.flat(x, self._effective(u), *self._acting(forces))
-        return flat[self._sense.parts[0]]
+        return self._sensed_alone.flat(x, self._effective(u), *self._acting(forces))
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
         """Return exact derivatives about (x, u) under constant forces.

@@ -109,7 +109,7 @@ def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
     n, r, P = len(belief.x), first.T.shape[1], belief.covariance.P
     z = np.concatenate([belief.x, belief.forces])
     R = np.diag(np.tile(np.repeat(run.sensors.noise**2, 3), 4))
-    every = [(uav, range(5)) for uav in range(4)]
+    every = [(uav, (0, 1, 2, 3, 4)) for uav in range(4)]
 
     def unknown(z: Array) -> Array | None:
         return kalman.forces(replace(belief, x=z[:n], forces=z[n:]))
@@ -211,7 +211,7 @@ def test_level_of_what_the_model_lacks_follows_the_innovations() -> None:
             sense = run.model.sense(x, U[0], forces=forces)[0].reshape(-1, state.SENSED)
             z = sense + np.repeat(run.sensors.noise, 3) * rng.standard_normal(sense.shape)
             belief = kalman.predict(belief, run.model, k, ahead, U[0], none, none)
-            belief = kalman.correct(belief, run.model, [(uav, range(5), z[uav]) for uav in range(4)])
+            belief = kalman.correct(belief, run.model, [(uav, (0, 1, 2, 3, 4), z[uav]) for uav in range(4)])
         assert (belief.level < EXACT) is exact
         assert np.trace(kalman.lacking(belief.level)) == belief.level * np.trace(kalman.Q)
 
