@@ -200,20 +200,18 @@ def test_the_controllers_hold_in_mujoco(name: str, network: tuple[str, ...]) -> 
 @pytest.mark.slow
 def test_fast_flight_on_cables() -> None:
     """At 3 m/s no cable is slack. With a fifth of its thrust a UAV slackens some for a moment; then all are taut."""
-    dip = [{"at_s": at_s, "do": "degrade", "target": "uav2", "efficiency": e} for at_s, e in ((6.0, 0.2), (6.2, 1.0))]
-    settings = {
-        "plant.engine": "mujoco",
-        "plant.mujoco.suspension": "cables",
-        "maneuver.phase.2.speed_mps": 3.0,
-        "maneuver.phase.2.laps": 1.0,
-        "faults.event": dip,
-    }
-    run = transport.fly("eight", settings, progress=False)
+    eight = {"name": "eight", "kind": "eight", "size_m": [2.0, 1.0, 0.0], "laps": 1.0, "speed_mps": 3.0, "ramp_s": 3.0}
+    still = {"displacement_m": [0.0, 0.0, 0.0]}
+    phases = [{"name": "hover", "duration_s": 0.5, **still}, eight, {"name": "hover", "duration_s": 1.5, **still}]
+    dip = [{"at_s": at_s, "do": "degrade", "target": "uav2", "efficiency": e} for at_s, e in ((4.0, 0.2), (4.2, 1.0))]
+    settings = {"plant.engine": "mujoco", "plant.mujoco.suspension": "cables", "faults.event": dip}
+    run = transport.fly("eight", settings, phases=phases, progress=False)
     tensions_N, cables = run.series["cable_tension_N"], run.summary["cables"]
     assert run.completed
-    assert tensions_N[:120].min() > 1.0
+    assert np.linalg.norm(run.series["payload_velocity_mps"], axis=1).max() > 2.9
+    assert tensions_N[:80].min() > 1.0
     assert cables["slack"] > 0
-    assert tensions_N[300:].min() > 1.0
+    assert tensions_N[-40:].min() > 1.0
     assert np.linalg.norm(run.series["payload_error_m"][-20:], axis=1).max() < 0.03
 
 

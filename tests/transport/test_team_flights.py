@@ -20,8 +20,7 @@ def team(uavs: int, template: str, *settings: str) -> Setup:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay_s", [0.0, 0.1])
-@pytest.mark.parametrize("uavs", [6, 8])
+@pytest.mark.parametrize(("uavs", "delay_s"), [(6, 0.0), (8, 0.1)])
 def test_larger_teams_complete_the_maneuver(uavs: int, delay_s: float) -> None:
     """Section V with six and eight UAVs: all 25 s, level and apart, on a perfect network and 0.1 s late."""
     run = team(uavs, "resilient", f"links.delay_s={delay_s}")
