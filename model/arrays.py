@@ -18,26 +18,20 @@ class ShapeError(ValueError):
     """An array of the wrong shape or not finite; the text names it, the expected and the actual value."""
 
 
-class NotFiniteError(ShapeError):
-    """An array of the right shape with an infinite entry or nan."""
-
-
 def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
     """Return a C-contiguous, read-only float64 copy of the given shape, None for an axis of any length.
 
-    Raises: ShapeError: wrong number of axes, wrong length, not numeric; NotFiniteError: not finite.
+    Raises: ShapeError: wrong number of axes, wrong length, not numeric, not finite.
     """
     try:
         array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name}: expected an array of numbers, got {value!r}") from error
-    if array.shape != shape:
-        matches = [want in (None, length) for want, length in zip(shape, array.shape, strict=False)]
-        if len(array.shape) != len(shape) or not all(matches):
-            expected = ["any" if want is None else want for want in shape]
-            raise ShapeError(f"{name}: expected shape {_text(expected)}, got {_text(array.shape)}")
+    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
+        expected, got = (", ".join(map(str, lengths)) for lengths in (shape, array.shape))
+        raise ShapeError(f"{name}: expected shape ({expected.replace('None', 'any')}), got ({got})")
     if not np.isfinite(array).all():
-        raise NotFiniteError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
+        raise ShapeError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
     frozen(array)
     return array
 
@@ -46,6 +40,12 @@ def frozen(*arrays: npt.NDArray[Any]) -> None:
     """Make arrays read-only."""
     for array in arrays:
         array.setflags(write=False)
+
+
+def assign(instance: object, **values: Any) -> None:
+    """Set the fields of a frozen dataclass while it is constructed."""
+    for name, value in values.items():
+        object.__setattr__(instance, name, value)
 
 
 def padded(rows: Array, columns: int) -> Array:
@@ -85,7 +85,3 @@ def continued(before: T, after: T, kept: int) -> T:
         return both
 
     return replace(joined(before, after), first=now - count)  # type: ignore[no-any-return]
-
-
-def _text(shape: Sequence[object]) -> str:
-    return "(" + ", ".join(str(length) for length in shape) + ")"

@@ -39,27 +39,20 @@ _START = (_step / _step(1.0)).integ()
 class Curve:
     """A shape and its timing.
 
-    Attributes:
-        kind: "circle": (a sin, b (1 - cos), c sin) of the angle 2 pi laps s; "eight": (a sin, b sin of the double
-            angle, c sin); "spline": through way points; None: straight.
-        duration_s: From rest to rest.
-        ramp_s: Time of speeding up, and of slowing down; in between, s grows at constant rate. At most half the
-            duration.
-        size_I: a, b, c of circle and eight, m; the displacement of a straight curve.
-        laps: Of circle and eight.
-        points_I: Way points of a spline after its start at zero, (k, 3), m.
-        times_s: Their times; None: s is proportional to the distance between way points.
-        table: Times since the start and displacements then, (k, 4), s and m, the path at constant speed between rows.
-            The curve is the spline from rest to rest that is closest to it, instead of a shape and its timing.
+    A circle is (a sin, b (1 - cos), c sin) of the angle 2 pi laps s, an eight (a sin, b sin of the double angle, c
+    sin), a spline leads through way points; None: straight.
     """
 
     kind: ShapeKind | None
-    duration_s: float
+    duration_s: float  # from rest to rest
+    # Time of speeding up, and of slowing down, at most half the duration; in between, s grows at constant rate.
     ramp_s: float
-    size_I: tuple[float, ...] = (0.0, 0.0, 0.0)
-    laps: float = 1.0
-    points_I: Sequence[Sequence[float]] = ()
-    times_s: Sequence[float] | None = None
+    size_I: tuple[float, ...] = (0.0, 0.0, 0.0)  # a, b, c of circle and eight, m; the displacement of a straight curve
+    laps: float = 1.0  # of circle and eight
+    points_I: Sequence[Sequence[float]] = ()  # way points of a spline after its start at zero, (k, 3), m
+    times_s: Sequence[float] | None = None  # of them; None: s is proportional to the distance between way points
+    # Times since the start and displacements then, (k, 4), s and m, the path at constant speed between rows. The curve
+    # is the spline from rest to rest that is closest to it, instead of a shape and its timing.
     table: Sequence[Sequence[float]] = ()
 
     def path(self, t_s: Array, orders: int = ORDERS) -> Array:

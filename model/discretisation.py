@@ -27,17 +27,11 @@ _REMAINDER = 2.0**-53  # relative to T: below the rounding of the sum itself
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Discrete:
-    """dx(k+1) = f_d + A dx(k) + B du(k) over one sampling period.
+    """dx(k+1) = f_d + A dx(k) + B du(k) over one sampling period."""
 
-    Attributes:
-        A: State matrix, (n, n).
-        B: Input matrix, (n, m).
-        f_d: Drift per step, (n,).
-    """
-
-    A: Array
-    B: Array
-    f_d: Array
+    A: Array  # state matrix, (n, n)
+    B: Array  # input matrix, (n, m)
+    f_d: Array  # drift per step, (n,)
 
 
 def zero_order_hold(
@@ -51,12 +45,12 @@ def zero_order_hold(
     Raises: ShapeError: A_c or its exponential is not finite.
     Source: docs/equations.md (16)-(17).
     """
-    if native.AVAILABLE:
-        bounds, is_known = (_THETA_MAX, _THETA_POSSIBLE, remainder), known is not None
-        theta, A, B, f_d = native.zero_order_hold(linear.pattern, linear.values, linear.f, period_s, bounds, is_known)
-        _check_growth(theta, period_s)
-        return Discrete(A=A, B=B, f_d=f_d) if known is None else Discrete(A=known.A, B=known.B, f_d=f_d)
-    return _zero_order_hold(linear, period_s)
+    if not native.AVAILABLE:
+        return _zero_order_hold(linear, period_s)
+    bounds, is_known = (_THETA_MAX, _THETA_POSSIBLE, remainder), known is not None
+    theta, A, B, f_d = native.zero_order_hold(linear.pattern, linear.values, linear.f, period_s, bounds, is_known)
+    _check_growth(theta, period_s)
+    return Discrete(A=A, B=B, f_d=f_d) if known is None else Discrete(A=known.A, B=known.B, f_d=f_d)
 
 
 def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
@@ -75,7 +69,7 @@ def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
 
 
 def euler(linear: Linearisation, period_s: float) -> Discrete:
-    """Discretise by one step of Euler's method, for comparison; error per step of order T_s^2, T_s > 0, s.
+    """Discretise by one step of Euler's method, for comparison; error per step of order T_s^2.
 
     Raises: ShapeError: A_c is not finite.
     """

@@ -31,50 +31,34 @@ _STEP_N = 1e-30
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flight:
-    """Motion of the team along a path at k instants.
+    """Motion of the team along a path at k instants."""
 
-    Attributes:
-        x: States, (k, n).
-        u: Inputs, (k, m).
-        tensions: Of the rods, (k, N), N.
-    """
-
-    x: Array
-    u: Array
-    tensions: Array
+    x: Array  # states, (k, n)
+    u: Array  # inputs, (k, m)
+    tensions: Array  # of the rods, (k, N), N
 
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
-    """What controllers follow at instants 0..K-1 from `first` on, one sampling period apart; the last one is held.
+    """What controllers follow at instants 0..K-1 from `first` on, one sampling period apart; the last one is held."""
 
-    Attributes:
-        X: States, (K, n).
-        U: Inputs for the period after each instant: those of its middle, (K, m).
-        X_middle: States there, (K, n).
-        paths: Jets of the payload's path at the instants and in the middle after each, (K, 2, 7, 3).
-        first: Number of the first instant.
-        flown: The motion of the team along such a path under forces, as `flight`.
-    """
-
-    X: Array
-    U: Array
-    X_middle: Array
-    paths: Array
-    first: int = 0
-    flown: Callable[[Array, Any], Flight]
+    X: Array  # states, (K, n)
+    U: Array  # inputs for the period after each instant: those of its middle, (K, m)
+    X_middle: Array  # states there, (K, n)
+    paths: Array  # jets of the payload's path at the instants and in the middle after each, (K, 2, 7, 3)
+    first: int = 0  # number of the first instant
+    flown: Callable[[Array, Any], Flight]  # the motion of the team along such a path under forces, as `flight`
 
     def by_forces(self, at: Rows) -> tuple[Array, Array]:
         """Return the change of X and U at k rows per external force and further mass of the payload, SI per N and kg.
 
         Returns: (k, n, 4 + 3 N) and (k, m, 4 + 3 N), computed at the first use of a row, some rows at once.
         """
-        found = [self._block(row // _BLOCK) for row in np.arange(len(self.X))[at]]
-        wanted = [row % _BLOCK for row in np.arange(len(self.X))[at]]
-        X_forces, U_forces = ([block[part][row] for block, row in zip(found, wanted, strict=True)] for part in (0, 1))
+        places = [divmod(row, _BLOCK) for row in np.arange(len(self.X))[at].tolist()]
+        X_forces, U_forces = ([self._block(number)[part][row] for number, row in places] for part in (0, 1))
         return np.array(X_forces), np.array(U_forces)
 
-    def _block(self, number: int) -> tuple[Array, Array]:
+    def _block(self, number: int) -> list[Array]:
         """Return the change of rows `number * _BLOCK` on by each force."""
         if number not in self._blocks:
             paths = self.paths[number * _BLOCK : (number + 1) * _BLOCK]
@@ -83,11 +67,11 @@ class Track:
             steps = np.tile(1j * _STEP_N * np.eye(forces), (len(paths), 1))
             changed = self.flown(path, steps).x, self.flown(middle, steps).u
             by_row = [part.imag.reshape(len(paths), forces, -1) / _STEP_N for part in changed]
-            self._blocks[number] = by_row[0].transpose(0, 2, 1), by_row[1].transpose(0, 2, 1)
+            self._blocks[number] = [part.transpose(0, 2, 1) for part in by_row]
         return self._blocks[number]
 
     @cached_property
-    def _blocks(self) -> dict[int, tuple[Array, Array]]:
+    def _blocks(self) -> dict[int, list[Array]]:
         return {}
 
 
@@ -155,7 +139,8 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
     rho = np.array([uav.rho for uav in system.uavs])
     masses, lengths = np.array([[uav.mass, uav.rod_length] for uav in system.uavs]).T[:, :, None]
     # Force and moment on the payload per force of each rod, (6, 3 N).
-    W = np.hstack([np.vstack([np.eye(3), _skew(r)]) * (i not in released) for i, r in enumerate(rho)])
+    crosses = [np.cross(r, np.eye(3), axisb=0, axisc=0) for r in rho]
+    W = np.hstack([np.vstack([np.eye(3), cross]) * (i not in released) for i, cross in enumerate(crosses)])
     share = np.linalg.pinv(W)[:, :3].reshape(N, 3, 3)
     needed = (system.payload.mass + F[..., -1:]) * jets.derivative(jets.derivative(path))
     needed[0] -= F[..., :3] + F[..., -1:] * gravity
@@ -223,8 +208,3 @@ def _apart(hover: Hover, rho: Array, lengths: Array, formation: Array, W: Array)
 def slowed(path: Array, factor: float) -> Array:
     """Return the jets of a path at a number of its places when it takes `factor` times as long."""
     return np.asarray(path / factor ** np.arange(len(path), dtype=np.float64)[:, None, None])
-
-
-def _skew(r: Array) -> Array:
-    """Return the matrix of the cross product r x, (3, 3)."""
-    return np.cross(r, np.eye(3), axisb=0, axisc=0)

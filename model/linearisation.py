@@ -22,18 +22,13 @@ from model.state import input_indices
 class Linearisation:
     """The first-order expansion about (x0, u0), which need not be an equilibrium.
 
-    A_c and B_c are kept as factors and multiplied out where they are asked for.
-
-    Attributes:
-        f: x' at (x0, u0), (n,), SI.
-        y: h(x0), (p,).
-        pattern, values: Places and values of the entries of the factors and of C.
-    Source: docs/equations.md (15), (15b); paper (13).
+    A_c and B_c are kept as factors and multiplied out where they are asked for. Source: docs/equations.md (15), (15b);
+    paper (13).
     """
 
-    f: Array
-    y: Array
-    pattern: Pattern
+    f: Array  # x' at (x0, u0), (n,), SI
+    y: Array  # h(x0), (p,)
+    pattern: Pattern  # places and values of the entries of the factors and of C
     values: Array
 
     @staticmethod
@@ -90,10 +85,6 @@ class Model:
         self._without_effect = np.concatenate([self._pattern.columns(name, self._off) for name in ("U", "V_u")])
         self._no_forces = np.zeros(3 + 3 * system.N)
 
-    def _effective(self, u: Array) -> Array:
-        """Return inputs without those of motor-off UAVs, (m,)."""
-        return _zeroed(u, self._off)
-
     def _acting(self, forces: Array | None) -> tuple[Array, Array]:
         """Return the parameters, and external forces without those on released UAVs, (3 + 3 N,)."""
         if forces is None:
@@ -104,6 +95,10 @@ class Model:
             p[2:8] *= 1.0 + forces[count] / p[1]
             p[1] += forces[count]
         return p, _zeroed(forces[:count], self._unforced)
+
+    def _arguments(self, x: Array, u: Array, forces: Array | None) -> tuple[Array, ...]:
+        """Return x, u, p, F of the compiled functions; inputs of motor-off UAVs are zero."""
+        return x, _zeroed(u, self._off), *self._acting(forces)
 
     def at_rest(self, forces: Array) -> Array:
         """Return constant forces, (3 + 3 N,), that act on a hovering team as the given ones and a mass."""
@@ -116,11 +111,11 @@ class Model:
 
     def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
-        return self._derivative(x, self._effective(u), *self._acting(forces))[0]
+        return self._derivative(*self._arguments(x, u, forces))[0]
 
     def tensions(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return the rod tensions, (N,), N; positive when the rod pulls. Source: docs/equations.md (9), (37)."""
-        return self._tensions(x, self._effective(u), *self._acting(forces))[0]
+        return self._tensions(*self._arguments(x, u, forces))[0]
 
     def outputs(self, x: Array) -> Array:
         """Return y = h(x), (4 N + 9,), SI. Source: docs/equations.md (14)."""
@@ -144,21 +139,21 @@ class Model:
         Returns: y in the layout of `model.state`, and dy/d(x, F), (15 N, n + 3 + 3 N).
         Source: docs/equations.md (61).
         """
-        y, values, by_acceleration, acceleration = self._sense(x, self._effective(u), *self._acting(forces))
+        y, values, by_acceleration, acceleration = self._sense(*self._arguments(x, u, forces))
         slopes: Array = by_acceleration @ acceleration
         slopes[self._sensed] += values
         return y, slopes
 
     def sensed(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return the measurements of `sense` alone, (15 N,)."""
-        return self._sensed_alone.flat(x, self._effective(u), *self._acting(forces))
+        return self._sensed_alone.flat(*self._arguments(x, u, forces))
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
         """Return exact derivatives about (x, u) under constant forces.
 
         Source: docs/equations.md (15), (15a), (37); paper (13).
         """
-        flat = self._linearise.flat(x, self._effective(u), *self._acting(forces))
+        flat = self._linearise.flat(*self._arguments(x, u, forces))
         f, y, first = self._linearise.parts[:3]
         values = flat[first.start :]
         values[self._without_effect] = 0.0
@@ -173,38 +168,25 @@ class Model:
         return np.column_stack([self.derivative(x, u, forces=unit) - f for unit in np.eye(len(self._no_forces))])
 
     def integrate(
-        self,
-        x: Array,
-        u: Array,
-        duration_s: float,
-        steps: int,
-        *,
-        forces: Array | None = None,
+        self, x: Array, u: Array, duration_s: float, steps: int, *, forces: Array | None = None,
         tolerance: float = math.inf,
-    ) -> tuple[Array, float]:
+    ) -> tuple[Array, float]:  # fmt: skip
         """Return the state after `duration_s` of constant input, by Dormand-Prince steps of order 5.
 
-        The steps are equal if none of their error estimates exceeds the tolerance. Otherwise the interval is
-        integrated again, with steps halved where their estimate exceeds the tolerance.
+        The steps, >= 1, are equal if none of their error estimates exceeds the tolerance. Otherwise the interval is
+        integrated again, with steps halved where their estimate exceeds it. The rods are projected back after each.
 
-        Args:
-            x: State, (n,).
-            u: Input, held, (m,).
-            duration_s: s.
-            steps: Number of equal steps, >= 1; the rods are projected back after each.
-            forces: Held.
-            tolerance: Largest local error estimate of a step and component, SI; infinite: all steps are equal.
         Returns: State, (n,), and the largest local error estimate of any step and component, SI. It exceeds the
             tolerance only where the shortest or the most possible steps (model/integration.py) do not suffice.
         Source: docs/equations.md (13b), (13c).
         """
-        held = self._effective(u), *self._acting(forces)
+        x, *held = self._arguments(x, u, forces)
         return self._integrator.integrate(x, held, duration_s, steps, tolerance)
 
     def stepper(self, duration_s: float, forces: Array | None = None) -> Callable[[Array, Array], Array]:
         """Return the map from state and input to the state after one step of `integrate`; valid until the next one."""
         step = self._integrator.stepper(self._acting(forces), duration_s)
-        return step if not len(self._off) else lambda x, u: step(x, self._effective(u))
+        return step if not len(self._off) else lambda x, u: step(x, _zeroed(u, self._off))
 
     def rollout(
         self, x: Array, at_x: Array, K: Array, bounds: tuple[Array, Array], duration_s: float, forces: Array | None

@@ -27,7 +27,7 @@ def decay(lag_s: float, duration_s: float) -> float:
 
 
 @lru_cache
-def deviations(lag_s: float, step_s: float) -> tuple[float, float]:
+def _deviations(lag_s: float, step_s: float) -> tuple[float, float]:
     """Return the deviations of two held inputs, half a step each, that stand for exp(-t / lag) over a step.
 
     They have its mean and its first moment over the step, s. Source: docs/equations.md (54).
@@ -42,15 +42,11 @@ def deviations(lag_s: float, step_s: float) -> tuple[float, float]:
 def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, Array], Array]:
     """Return two inputs, held for half a step each, that stand for the actual ones, and the actual ones at its end.
 
-    Args:
-        a: Actual inputs at the beginning of the step, (m,).
-        u: Command, held, (m,).
-        lag_s: Time constant > 0, s.
-        step_s: s.
+    Given are the actual inputs at the beginning and the command, (m,), time constant > 0 and step, s.
     Source: docs/equations.md (53), (54).
     """
     deviation = a - u
-    first, second = deviations(lag_s, step_s)
+    first, second = _deviations(lag_s, step_s)
     return (u + first * deviation, u + second * deviation), u + decay(lag_s, step_s) * deviation
 
 
@@ -63,7 +59,7 @@ def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: i
     Source: docs/equations.md (54), (58a).
     """
     found = np.zeros((3, 2, 4))
-    found[:, 0] = np.array([*deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
+    found[:, 0] = np.array([*_deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
     for axis, gain in enumerate(gains or (), start=1):
         M = np.array([[gain - 1.0 / lag_s, -gain], [gain, -gain]])
         from scipy.linalg import expm  # 0.3 s at start, and only a lag inside an inner loop needs it
@@ -82,12 +78,6 @@ def commanded_states(x: Array) -> Array:
     inputs, states = rate_places(len(rates))
     rates[inputs] = x[states]
     return rates
-
-
-def _held_by_rates(a: Array, u: Array, x: Array, of: Array) -> tuple[tuple[Array, Array], Array]:
-    """Return what `held` returns, with the inner loops' shares. Source: docs/equations.md (58a)."""
-    first, second, end = u + of[:, 0] * (a - u) + of[:, 1] * (commanded_states(x) - u)
-    return (first, second), end
 
 
 def integrate(
@@ -112,10 +102,12 @@ def integrate(
     gains = model.system.rate_gains
     for _ in range(steps):
         if gains is None:
-            inputs, a = held(a, u, lag_s, step_s)
+            halves, a = held(a, u, lag_s, step_s)
         else:
-            inputs, a = _held_by_rates(a, u, x, shares(lag_s, step_s, tuple(gains.tolist()), model.system.N))
-        for half in inputs:
+            of = shares(lag_s, step_s, tuple(gains.tolist()), model.system.N)
+            first, second, a = u + of[:, 0] * (a - u) + of[:, 1] * (commanded_states(x) - u)
+            halves = first, second
+        for half in halves:
             x, error = model.integrate(x, half, step_s / 2.0, 1, forces=forces)
             worst = max(worst, error)
     return np.concatenate([x, a]), worst
@@ -133,12 +125,8 @@ def stepper(
 def lagged(linear: Linearisation, a: Array, u: Array, lag_s: float, rates: bool = False) -> Linearisation:
     """Return the expansion of motion and motors, in deviations of z = [x, a] and of the command.
 
-    Args:
-        linear: Expansion of the motion about a state and the actual inputs.
-        a: The actual inputs, (m,).
-        u: Command about which the commands are expanded, (m,).
-        lag_s: Time constant > 0, s.
-        rates: Whether the inputs are body rates, of inner loops with the lag inside.
+    Given are that of the motion about a state and the actual inputs a, (m,), the command about which commands are
+    expanded, (m,), the time constant > 0, s, and whether inputs are body rates, of inner loops with the lag inside.
     Source: docs/equations.md (55), (58a).
     """
     pattern, order = with_lag(linear.pattern, rates)

@@ -113,14 +113,9 @@ class Step:
         self._addresses = [ctypes.cast(library.step, _address).value, *map(at, self._rooms)]
 
     def rollout(
-        self,
-        x0: Array,
-        at_x0: Array,
-        K: Array,
-        bounds: tuple[Array, Array],
-        held: tuple[Array, Array],
+        self, x0: Array, at_x0: Array, K: Array, bounds: tuple[Array, Array], held: tuple[Array, Array],
         duration_s: float,
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array]:  # fmt: skip
         """Return states and inputs over steps of a duration, with parameters and forces held; see `mpc.tracking`."""
         Z, U = np.empty((len(at_x0) + 1, len(x0))), np.empty(at_x0.shape)
         Z[0], self._duration_s[0], self._rooms[0][2:4] = x0, duration_s, [at(array) for array in held]

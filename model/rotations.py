@@ -7,6 +7,8 @@ import numpy as np
 
 from model.arrays import Array
 
+_SYMBOLIC = (ca.SX, ca.MX, ca.DM)
+
 
 def rotation(Theta: Any) -> Any:
     """Return R = Rz(yaw) Ry(pitch) Rx(roll), (3, 3), of roll, pitch, yaw, (3,), rad; it maps body to outer coordinates.
@@ -51,15 +53,11 @@ def euler_angles(R: Array) -> Array:
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
-def _symbolic(value: Any) -> bool:
-    return isinstance(value, ca.SX | ca.MX | ca.DM)
-
-
-def _trigonometry(value: Any) -> tuple[Any, Any]:
-    return (ca.cos, ca.sin) if _symbolic(value) else (np.cos, np.sin)
+def _trigonometry(like: Any) -> tuple[Any, Any]:
+    return (ca.cos, ca.sin) if isinstance(like, _SYMBOLIC) else (np.cos, np.sin)
 
 
 def _matrix(like: Any, rows: list[list[Any]]) -> Any:
-    if _symbolic(like):
+    if isinstance(like, _SYMBOLIC):
         return ca.vertcat(*[ca.horzcat(*row) for row in rows])
     return np.array(rows, dtype=np.float64)

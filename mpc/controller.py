@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from model import state
-from model.arrays import Array, checked
+from model.arrays import Array
 from model.discretisation import Discrete, euler, zero_order_hold
 from model.failure import failed_model
 from model.flat import Track
@@ -21,8 +21,8 @@ from mpc.feedback import FeedbackLaw
 from mpc.prediction import Linear, Prediction, convolve, free_response
 from mpc.program import Program
 from mpc.qp import QP, Solution
-from mpc.regulation import Ahead, CostToGo, Regulation
-from mpc.settings import ControllerSettings, SettingsError
+from mpc.regulation import CostToGo, Regulation
+from mpc.settings import ControllerSettings
 from mpc.solvers import solve, unsolved
 from mpc.tracking import Along, Course, rollout
 
@@ -34,18 +34,13 @@ _STEEPEST = 1.3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepResult:
-    """Plan of one step.
+    """Plan of one step."""
 
-    Attributes:
-        U: Absolute inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve
-            the previous plan, shifted.
-        c: Their corrections to the shared control law, (N_p, 4 owned); (0, 4 owned) without that law.
-        solution: Of the QP, solved or not.
-    """
-
+    # Absolute inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve the previous plan,
+    # shifted.
     U: Array
-    c: Array
-    solution: Solution
+    c: Array  # their corrections to the shared control law, (N_p, 4 owned); (0, 4 owned) without that law
+    solution: Solution  # of the QP, solved or not
 
 
 class Controller:
@@ -61,28 +56,19 @@ class Controller:
         X_ref: Reference states at instants 0..K-1 of the maneuver, (K, n), for the preview.
         track: A flat reference at these instants, which the shared control law follows instead.
         obstacles: To keep clear of along it.
-    Raises: SettingsError: UAVs that do not exist, or a constraint that cannot be read.
-
-    Attributes:
-        model: The system, with motor failures reported to `fail`.
-        owned, own: The owned UAVs, 0-based, and the positions of their inputs in u, (m_own,).
-        regulation: Shared control law (`law`), cost-to-go (`end`) and target of the team.
-        cost: Weights of the team.
+    Raises: SettingsError: a constraint that cannot be read.
     """
 
     def __init__(
         self, model: Model, hover: Hover, settings: ControllerSettings, owned: Sequence[int],
         X_ref: Array | None = None, track: Track | None = None, obstacles: Sequence[Obstacle] = (),
     ) -> None:  # fmt: skip
-        N = model.system.N
-        if not owned or list(owned) != sorted(set(owned)) or not 0 <= owned[0] <= owned[-1] < N:
-            raise SettingsError(f"owned: expected ascending indices below {N}, got {list(owned)}")
-        self.model = self._whole = model
+        self.model = self._whole = model  # with motor failures reported to `fail`, and without
         self._gone = self._off = self._released = frozenset[int]()
         self._relaxation = settings.relaxation
         self.settings = settings
         self._decision = Decision(model.system, settings, owned)
-        self.owned, self.own = self._decision.uavs, self._decision.own
+        self.owned, self.own = self._decision.uavs, self._decision.own  # UAVs, and positions of their inputs in u
         self.regulation = Regulation(model, hover, settings, X_ref, track)
         self.law, self.end = self.regulation.law, self.regulation.cost_to_go
         self.cost = self.regulation.cost
@@ -95,17 +81,10 @@ class Controller:
         self._curvature: Array | None = None
 
     def step(
-        self,
-        x0: Array,
-        u0: Array,
-        U: Array,
-        y_ref: Array,
-        law: FeedbackLaw | None = None,
-        forces: Array | None = None,
-        ticks_since_start: int | None = None,
-        end: CostToGo | None = None,
-    ) -> StepResult:
-        """One step of the controller.
+        self, x0: Array, u0: Array, U: Array, y_ref: Array, law: FeedbackLaw | None = None,
+        forces: Array | None = None, ticks_since_start: int | None = None, end: CostToGo | None = None,
+    ) -> StepResult:  # fmt: skip
+        """One step of the controller. Never raises for a problem without solution.
 
         Args:
             x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
@@ -117,16 +96,10 @@ class Controller:
             forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
             ticks_since_start: Ticks since this controller began; see `conclude`.
             end: With terminal "riccati", the cost after the horizon (`end`).
-        Returns: The plan and the solution of its QP. Never raises for a problem without solution.
-        Raises: ShapeError: an argument of the wrong shape or not finite.
         """
-        system, steps = self.model.system, self.settings.horizon
-        states = system.n + (system.m if self.settings.motor_lag_s > 0.0 else 0)
-        x0, u0 = checked("x0", x0, (states,)), checked("u0", u0, (system.m,))
-        U, y_ref = checked("U", U, (steps, system.m)), checked("y_ref", y_ref, (steps + 1, system.p))
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
-        qp = self.condense(linear, prediction, U, y_ref, law, end)
+        qp = self.condense(linear, prediction, y_ref, law, end)
         return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
@@ -138,12 +111,11 @@ class Controller:
         if forces is not None and self.settings.weights.penalised_input == "deviation":
             u_target = u_target + self.regulation.target.M_u @ self.model.at_rest(forces)
         lag_s, n = self.settings.motor_lag_s, self.model.system.n
-        if lag_s == 0.0:
-            model = self._expansion(x0, u0, forces)
-            return Linear(x0=x0, u0=u0, model=model, u_target=u_target, forces=forces)
-        x0, actual = x0[:n], x0[n:]
-        model = lagged(self._expansion(x0, actual, forces), actual, u0, lag_s, self.model.system.commands_rates)
-        return Linear(x0=x0, u0=u0, model=model, u_target=u_target, actual=actual, forces=forces)
+        x, actual = x0[:n], None if lag_s == 0.0 else x0[n:]
+        model = self._expansion(x, u0 if actual is None else actual, forces)
+        if actual is not None:
+            model = lagged(model, actual, u0, lag_s, self.model.system.commands_rates)
+        return Linear(x0=x, u0=u0, model=model, u_target=u_target, actual=actual, forces=forces)
 
     def _expansion(self, x0: Array, actual: Array, forces: Array | None) -> Linearisation:
         """Return the expansion about a state and actual inputs; along the control law with the derivatives at hover."""
@@ -192,14 +164,9 @@ class Controller:
         return Z, U
 
     def condense(
-        self,
-        linear: Linear,
-        prediction: Prediction | Course,
-        U: Array,  # noqa: ARG002  the prediction has them
-        y_ref: Array,
-        law: FeedbackLaw | None = None,
+        self, linear: Linear, prediction: Prediction | Course, y_ref: Array, law: FeedbackLaw | None = None,
         end: CostToGo | None = None,
-    ) -> QP:
+    ) -> QP:  # fmt: skip
         """Return the QP in the scaled decision and the slacks; arguments as those of `step`.
 
         Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
@@ -215,13 +182,9 @@ class Controller:
         return solve(qp, self.settings.solver)
 
     def conclude(
-        self,
-        solution: Solution,
-        prediction: Prediction | Course,
-        U: Array,
-        law: FeedbackLaw | None,
+        self, solution: Solution, prediction: Prediction | Course, U: Array, law: FeedbackLaw | None,
         ticks_since_start: int | None = None,
-    ) -> StepResult:
+    ) -> StepResult:  # fmt: skip
         """Return the plan to announce: w U* + (1 - w) U_previous, or the previous plan after a failure.
 
         With a shared control law only the corrections are mixed: the stabilising feedback acts in full, and the inputs
@@ -250,15 +213,12 @@ class Controller:
             inputs, c = self._program.relaxed(prediction, law, z, w if solved else 0.0)
         if np.isfinite(inputs).all() and np.abs(c).max(initial=0.0) <= LARGEST:
             return StepResult(U=inputs, c=c, solution=solution)
-        return self._previous(solution, U, law)
+        return self.give_up(U, law, solution)
 
-    def give_up(self, U: Array, law: FeedbackLaw | None) -> StepResult:
-        """Return the previous plan where no QP can be formed because its numbers are out of range."""
-        return self._previous(unsolved(0, 0, self.settings.solver), U, law)
-
-    def _previous(self, solution: Solution, U: Array, law: FeedbackLaw | None) -> StepResult:
-        """Return the previous plan within bounds."""
+    def give_up(self, U: Array, law: FeedbackLaw | None, solution: Solution | None = None) -> StepResult:
+        """Return the previous plan within bounds, where numbers are out of range; no solution: so are those of a QP."""
         c = np.zeros((0, len(self.own))) if law is None else law.c[:, self.own]
+        solution = solution or unsolved(0, 0, self.settings.solver)
         return StepResult(U=self._decision.clip(U[:, self.own]), c=c, solution=solution)
 
     def foreseen(self, prediction: Prediction | Course, inputs: Array) -> Array:
@@ -275,15 +235,10 @@ class Controller:
         return np.clip(U, self.settings.lower(N), self.settings.upper(N))
 
     def adapted(self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, columns: Places) -> FeedbackLaw:
-        """Return the control law whose corrections, in some columns, reproduce inputs announced under another one.
+        """Return the control law whose corrections, in some columns of u, reproduce inputs announced under another one.
 
-        Args:
-            law: The shared control law over the horizon.
-            linear: Expansion about (x0, u0).
-            discrete: Its zero-order hold.
-            U: Announced inputs of all UAVs over the horizon, (N_p, m).
-            columns: Positions in u.
-        Source: docs/equations.md (46).
+        Given are the shared control law over the horizon, the expansion about (x0, u0), its zero-order hold, and the
+        announced inputs of all UAVs, (N_p, m). Source: docs/equations.md (46).
         """
         c = law.c.copy()
         if law.along is not None:
@@ -294,10 +249,6 @@ class Controller:
         dX = free_response(discrete.A, discrete.f_d + (U - linear.u0) @ discrete.B.T)
         c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - dX[:-1] @ law.K[columns].T
         return replace(law, c=c)
-
-    def head(self, X_ref: Array, ahead: Ahead) -> bool:
-        """Follow another reference from the present instant on; see `Regulation.head`."""
-        return self.regulation.head(X_ref, ahead)
 
     def without(self, uavs: Collection[int], since: int | None = None) -> None:
         """Set the UAVs without an agent, 0-based: they follow the fail-safe and are predicted so.

@@ -9,33 +9,18 @@ from model.dynamics import Symbols
 from model.hover import Hover
 from model.linearisation import Model
 from model.parameters import System
-from mpc.expressions import Affine, Expressions, read_term
+from mpc.expressions import Expressions, read_term
 from mpc.settings import CostTerm, SettingsError, Weights
 
 
 class Cost:
-    """A quadratic cost with diagonal weights.
+    """A quadratic cost with diagonal weights of the whole team.
 
-    Args:
-        weights: Of outputs and inputs.
-        system: The whole team, also after failures.
-        hover: The equilibrium.
-        off: UAVs without motors, 0-based; their yaw rates have no weight.
-        released: UAVs no longer on their rods, 0-based; none of their outputs has a weight.
-
-    Attributes:
-        Q: Stage weight on the output error, (p,).
-        R: Weight on the inputs, (m,).
-        u_target: Input without cost: hover, or zero, (m,).
+    Yaw rates of UAVs without motors, `off`, and all outputs of those released from their rods, 0-based, have no weight.
     """
 
     def __init__(
-        self,
-        weights: Weights,
-        system: System,
-        hover: Hover,
-        off: Collection[int] = (),
-        released: Collection[int] = (),
+        self, weights: Weights, system: System, hover: Hover, off: Collection[int] = (), released: Collection[int] = ()
     ) -> None:
         N = system.N
         Q = weights.Q(N)
@@ -43,7 +28,8 @@ class Cost:
             Q[3 * uav : 3 * uav + 3] = 0.0
         for uav in off:
             Q[3 * N + 3 + uav] = 0.0
-        self.Q, self.R = Q, weights.R(system)
+        self.Q, self.R = Q, weights.R(system)  # stage weights on the output error, (p,), and on the inputs, (m,)
+        # Input without cost: hover, or zero, (m,).
         self.u_target = hover.u if weights.penalised_input == "deviation" else np.zeros_like(hover.u)
 
     def stage(self, y: Array, y_ref: Array, u: Array) -> float:
@@ -59,23 +45,20 @@ class UserCosts:
     """Weighted squares of the user's expressions of the state, with exact derivatives.
 
     Raises: SettingsError: one cannot be read; the text says which and why.
-
-    Attributes:
-        weights: Of each term, per square of its unit, (t,).
     """
 
     def __init__(self, terms: Sequence[CostTerm], model: Model) -> None:
         symbols = Symbols.of(model.system.N, model.system.commands_rates)
         self._terms = tuple(terms)
-        self.weights = np.array([term.weight for term in terms])
+        self.weights = np.array([term.weight for term in terms])  # of each term, per square of its unit, (t,)
         values = [read_term(term.expression, symbols) for term in terms]
         self._expressions = Expressions(values, symbols.x, symbols.p, model.system.vector())
 
     def __len__(self) -> int:
         return len(self._terms)
 
-    def at(self, x: Array) -> Affine:
-        """Linearise about a state. Source: docs/equations.md (48)."""
+    def at(self, x: Array) -> tuple[Array, Array]:
+        """Return values, (t,), and gradients, (t, n), at a state. Source: docs/equations.md (48)."""
         return self._expressions.at(x)
 
     def about(self, x: Array) -> Array:
@@ -83,10 +66,9 @@ class UserCosts:
 
         Raises: SettingsError: a term has no finite value and slope there.
         """
-        at = self.at(x)
-        for term, value, slope in zip(self._terms, at.value, at.slope, strict=True):
+        values, slopes = self.at(x)
+        for term, value, slope in zip(self._terms, values, slopes, strict=True):
             if not np.isfinite([value, *slope]).all():
                 expected = "expected a finite value and slope at hover"
                 raise SettingsError(f"cost {term.expression!r}: {expected}, got {value}")
-        roots: Array = np.sqrt(self.weights)[:, None] * at.slope
-        return roots
+        return np.asarray(np.sqrt(self.weights)[:, None] * slopes)

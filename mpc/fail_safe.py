@@ -36,8 +36,6 @@ class FailSafe:
         X_ref: Reference states at the sampling instants, (K, n), the last one held, for UAVs that measure their
             position and velocity and follow them; None for UAVs that keep level.
         track: A flat reference, whose inputs take the place of hover.
-
-    Attributes: u_hover, track: Those.
     """
 
     def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None, track: Track | None = None) -> None:
@@ -50,9 +48,8 @@ class FailSafe:
             if system.rate_gains is not None:
                 gain[1:, state.THETA] = -np.diag(np.minimum(_CRITICAL * system.rate_gains, _LARGEST_GAIN)) @ level
             else:
-                inertia = np.asarray(uav.inertia)
-                gain[1:, state.THETA] = -(_FREQUENCY_RAD_S**2) * inertia @ level
-                gain[1:, state.OMEGA] = -2.0 * _DAMPING * _FREQUENCY_RAD_S * inertia
+                gain[1:, state.THETA] = -(_FREQUENCY_RAD_S**2) * uav.inertia @ level
+                gain[1:, state.OMEGA] = -2.0 * _DAMPING * _FREQUENCY_RAD_S * uav.inertia
             self._gains.append(gain)
 
     def following(self, X_ref: Array, track: Track | None) -> "FailSafe":
@@ -92,7 +89,7 @@ class FailSafe:
         own = state.uav_slice(uav)
         gain[:, own] = self._gains[uav]
         if self._X_ref is not None:
-            rho, rod = np.asarray(self._uavs[uav].rho), np.array([0.0, 0.0, self._uavs[uav].rod_length])
+            rho, rod = self._uavs[uav].rho, np.array([0.0, 0.0, self._uavs[uav].rod_length])
             position, velocity = np.zeros((3, gain.shape[1])), np.zeros((3, gain.shape[1]))
             position[:, state.R0] = velocity[:, state.V0] = np.eye(3)
             position[:, state.THETA0] = np.cross(np.eye(3), rho - rod).T
@@ -117,15 +114,13 @@ class FailSafe:
         at_rest: Array = self.u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])
         if self._X_ref is not None and self.track is not None:
             at = rows(tick - self.track.first, 1, len(self.track.U))
-            at_rest, own = (
-                self.track.U[at][0, state.input_slice(uav)],
-                own - self.track.X[at][0, state.uav_slice(uav)],
-            )
+            at_rest = self.track.U[at][0, state.input_slice(uav)]
+            own = own - self.track.X[at][0, state.uav_slice(uav)]
         return at_rest + self._gains[uav] @ own
 
     def _motion(self, uav: int, x: Array) -> tuple[Array, Array]:
         """Return position and velocity of a UAV, inertial frame, m and m/s. Source: docs/equations.md (1), (39)."""
-        R0, block, rho = rotation(x[state.THETA0]), x[state.uav_slice(uav)], np.asarray(self._uavs[uav].rho)
+        R0, block, rho = rotation(x[state.THETA0]), x[state.uav_slice(uav)], self._uavs[uav].rho
         rod = self._uavs[uav].rod_length * block[state.E]
         turning = np.cross(x[state.OMEGA0], rho) - np.cross(block[state.ROD_RATE], rod)
         return x[state.R0] + R0 @ (rho - rod), R0 @ (x[state.V0] + turning)
@@ -133,7 +128,6 @@ class FailSafe:
     def _wanted(self, uav: int, position: Array, velocity: Array) -> Array:
         """Return roll, pitch and a zero from deviations of position and velocity, axes of the heading, (3, ...)."""
         stiffness, damping = _FOLLOWING_RAD_S**2, 2.0 * _FOLLOWING_DAMPING * _FOLLOWING_RAD_S
-        pull = (
-            self._uavs[uav].mass / self.u_hover[state.input_slice(uav)][0] * (stiffness * position + damping * velocity)
-        )
+        lift = self.u_hover[state.input_slice(uav)][0]
+        pull = self._uavs[uav].mass / lift * (stiffness * position + damping * velocity)
         return np.stack([-pull[1], pull[0], np.zeros_like(pull[0])])

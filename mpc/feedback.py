@@ -45,6 +45,7 @@ _GAIN = 100.0
 _RANK = 1e-12
 # Directions that change a quantity of the target by less than this share of the largest change have no effect on it.
 _EFFECT = 1e-9
+_EXPECTED = "expected a team that linear feedback can stabilise about hover"
 
 
 class FeedbackError(ValueError):
@@ -53,24 +54,14 @@ class FeedbackError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class FeedbackLaw:
-    """The shared control law over one horizon.
+    """The shared control law over one horizon."""
 
-    Attributes:
-        K: Feedback gain, (m, n), or along a reference of each step, (N_p, m, n); with motor lag n counts the actual
-            inputs.
-        u_rest: Input that holds the reference state: hover, shifted by external forces, (m,), or of each step.
-        error: x0 - x_ref, x_ref shifted likewise, at steps 0..N_p-1, (N_p, n).
-        feedforward: Response to the reference ahead, (N_p, m).
-        c: Announced corrections of all UAVs, (N_p, m); the owned columns hold the previous ones, shifted.
-        along: Expansion along a reference; None about hover.
-    """
-
-    K: Array
-    u_rest: Array
-    error: Array
-    feedforward: Array
-    c: Array
-    along: "Expansion | None" = None
+    K: Array  # feedback gain, (m, n), or along a reference of each step, (N_p, m, n); n includes known motors
+    u_rest: Array  # input that holds the reference state: hover, shifted by external forces, (m,), or of each step
+    error: Array  # x0 - x_ref, x_ref shifted likewise, at steps 0..N_p-1, (N_p, n)
+    feedforward: Array  # response to the reference ahead, (N_p, m)
+    c: Array  # announced corrections of all UAVs, (N_p, m); the owned columns hold the previous ones, shifted
+    along: "Expansion | None" = None  # along a reference; None about hover
 
     @cached_property
     def uncorrected(self) -> Array:
@@ -82,17 +73,11 @@ class FeedbackLaw:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expansion:
-    """Difference equation of the team about a reference under its control law, at each step of a horizon.
+    """Difference equation of the team about a reference under its control law, at each step of a horizon."""
 
-    Attributes:
-        M: Weight of the corrections, (N_p, m, m).
-        A_closed: State matrix with all feedback, (n, n) each.
-        B: Input matrix, (n, m) each.
-    """
-
-    M: Array
-    A_closed: Sequence[Array]
-    B: Sequence[Array]
+    M: Array  # weight of the corrections, (N_p, m, m)
+    A_closed: Sequence[Array]  # state matrix with all feedback, (n, n) each
+    B: Sequence[Array]  # input matrix, (n, m) each
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,39 +85,22 @@ class Regulator:
     """The regulator of the team about hover, in coordinates xi = T' (x - x_hover) of the manifold.
 
     With motor lag the actual inputs are further states, and n counts them.
-
-    Attributes:
-        K: Feedback gain of all inputs, (m, n).
-        P: Cost-to-go, xi' P xi, (r, r).
-        root: Its square root, |root (x - x_hover)|^2 = xi' P xi, (rank of P, n).
-        T: Orthonormal basis of the manifold's directions, (n, r).
-        controlled: Positions in u of the inputs of UAVs with agents, (m_c,).
-        A: State matrix without the feedback of the controlled inputs, (r, r).
-        A_closed: State matrix with all feedback, (r, r).
-        preview_gain: Controlled inputs per slope of the cost-to-go one step later, -(R + B' P B)^-1 B', (m_c, r).
     """
 
-    K: Array
-    P: Array
-    root: Array
-    T: Array
-    controlled: npt.NDArray[np.intp]
-    A: Array
-    A_closed: Array
-    preview_gain: Array
+    K: Array  # feedback gain of all inputs, (m, n)
+    P: Array  # cost-to-go, xi' P xi, (r, r)
+    root: Array  # its square root, |root (x - x_hover)|^2 = xi' P xi, (rank of P, n)
+    T: Array  # orthonormal basis of the manifold's directions, (n, r)
+    controlled: npt.NDArray[np.intp]  # positions in u of the inputs of UAVs with agents, (m_c,)
+    A: Array  # state matrix without the feedback of the controlled inputs, (r, r)
+    A_closed: Array  # state matrix with all feedback, (r, r)
+    preview_gain: Array  # controlled inputs per slope of the cost-to-go one step later, -(R + B' P B)^-1 B', (m_c, r)
 
 
 def regulator(
-    model: Model,
-    hover: Hover,
-    cost: Cost,
-    period_s: float,
-    uncontrolled: Mapping[int, Array] | None = None,
-    further: Array | None = None,
-    off: Collection[int] = (),
-    released: Collection[int] = (),
-    motor_lag_s: float = 0.0,
-) -> Regulator:
+    model: Model, hover: Hover, cost: Cost, period_s: float, uncontrolled: Mapping[int, Array] | None = None,
+    further: Array | None = None, off: Collection[int] = (), released: Collection[int] = (), motor_lag_s: float = 0.0,
+) -> Regulator:  # fmt: skip
     """Return the linear-quadratic regulator of the team about hover.
 
     UAVs without an agent follow a control law of their own; the gain of the others is the optimum given that law.
@@ -182,13 +150,12 @@ def regulator(
     root = np.sqrt(eigenvalues[kept])[:, None] * vectors[:, kept].T @ T.T
     A_closed = A + B @ K[controlled] @ T
     # The recursion may converge although no input reaches an unstable mode.
-    expected = "expected a team that linear feedback can stabilise about hover"
     largest = float(np.abs(np.linalg.eigvals(A_closed)).max())
     if not largest < math.exp(_GROWTH * period_s):
-        raise FeedbackError(f"{expected}, got a closed loop whose largest eigenvalue is {largest:.3g}")
+        raise FeedbackError(f"{_EXPECTED}, got a closed loop whose largest eigenvalue is {largest:.3g}")
     gain = float(np.abs(K[:, : len(hover.x)]).max()) / math.sqrt(cost.Q.max() / cost.R.min())
     if not gain < _GAIN:
-        raise FeedbackError(f"{expected}, got a gain {gain:.3g} times that of an integrator")
+        raise FeedbackError(f"{_EXPECTED}, got a gain {gain:.3g} times that of an integrator")
     frozen(K, P, root, T, controlled, A, A_closed, preview_gain)
     return Regulator(K=K, P=P, root=root, T=T, controlled=controlled, A=A, A_closed=A_closed, preview_gain=preview_gain)
 
@@ -209,17 +176,14 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
         G, H, A = G + A @ VG @ A.T, H + (step + step.T) / 2.0, A @ VA
         if np.abs(step).max() <= _CONVERGED * np.abs(H).max():
             return H
-    expected = "expected a team that linear feedback can stabilise about hover"
-    raise FeedbackError(f"{expected}, got a Riccati recursion that has not converged after 2^{_DOUBLINGS} steps")
+    raise FeedbackError(f"{_EXPECTED}, got a Riccati recursion that has not converged after 2^{_DOUBLINGS} steps")
 
 
 def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = ()) -> Array:
-    """Return an orthonormal basis of the directions the state can take at x, (n, n - 2 N).
+    """Return an orthonormal basis of the directions the state can take at x, (n,): (n, n - 2 N).
 
-    Args:
-        x: State, (n,).
-        off: UAVs, 0-based, whose attitudes and rates are left out: 6 columns less for each.
-        released: UAVs, 0-based, all of whose states are left out: 10 columns less.
+    Attitudes and rates of UAVs without motors, `off`, are left out, 6 columns less for each, and all states of those
+    released, 10 columns less; both 0-based.
     """
     blocks = [np.eye(state.PAYLOAD)]
     for e in state.StateView(x).e_P:
@@ -235,8 +199,7 @@ def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = ())
         out[state.uav_slice(uav)][state.THETA.start :] = True
     for uav in released:
         out[state.uav_slice(uav)] = True
-    kept: Array = basis[:, ~basis[out].any(axis=0)]
-    return kept
+    return np.asarray(basis[:, ~basis[out].any(axis=0)])
 
 
 def with_motors(T: Array, off: Collection[int]) -> Array:
@@ -244,28 +207,22 @@ def with_motors(T: Array, off: Collection[int]) -> Array:
 
     The inputs of UAVs without motors, 0-based, are left out: 4 columns less for each.
     """
-    n = len(T)
+    n, r = T.shape
     m = (n - state.PAYLOAD) // state.PER_UAV * state.INPUTS
     kept = np.setdiff1d(np.arange(m), input_indices(sorted(off)))
-    basis = np.zeros((n + m, T.shape[1] + len(kept)))
-    basis[:n, : T.shape[1]] = T
-    basis[n + kept, T.shape[1] + np.arange(len(kept))] = 1.0
+    basis = np.zeros((n + m, r + len(kept)))
+    basis[:n, :r] = T
+    basis[n + kept, r + np.arange(len(kept))] = 1.0
     return basis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview:
-    """Effect of the reference on the optimum at instants 0..K-1 from `first` on; the last one holds from then on.
+    """Effect of the reference on the optimum at instants 0..K-1 from `first` on; the last one holds from then on."""
 
-    Attributes:
-        feedforward: Added to the shared control law, (K, m).
-        slope: Half the gradient of the cost-to-go where the deviation from the reference is zero, (K, n).
-        first: Number of the first instant.
-    """
-
-    feedforward: Array
-    slope: Array
-    first: int = 0
+    feedforward: Array  # added to the shared control law, (K, m)
+    slope: Array  # half the gradient of the cost-to-go where the deviation from the reference is zero, (K, n)
+    first: int = 0  # number of the first instant
 
 
 def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> Preview:
@@ -277,12 +234,8 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> 
         stage cost xi' Q xi + 2 pull(k)' xi + du' R du,    cost-to-go xi' P xi + 2 p(k)' xi + constant,
         p(k) = A_closed' (p(k+1) + P d(k)) + pull(k),    du(k) = K xi(k) - (R + B' P B)^-1 B' (p(k+1) + P d(k)).
 
-    Args:
-        regulator: Of the team.
-        X_ref: Reference states at the instants of the maneuver, (K, n); held after the last one.
-        pull: Half the gradient of the stage cost where the deviation is zero, (K, n).
-        first: Number of the first of these instants.
-    Source: docs/equations.md (36b), (36c).
+    Given are the reference states from the `first` instant on, (K, n), held after the last one, and half the gradient
+    of the stage cost where the deviation is zero, (K, n). Source: docs/equations.md (36b), (36c).
     """
     T, P, A_closed = regulator.T, regulator.P, regulator.A_closed
     # Relative to the last instant, which is at rest, so that the attitudes at hover are no deviation.
@@ -315,38 +268,27 @@ def at_rest(regulator: Regulator, pulled: Array) -> Array:
     """
     costly = np.linalg.svd(regulator.root @ regulator.T, full_matrices=False)[2]  # orthonormal basis, (rank, r)
     within = np.eye(len(costly)) - costly @ regulator.A_closed.T @ costly.T
-    solution: Array = costly.T @ np.linalg.solve(within, costly @ pulled)
-    return solution
+    return np.asarray(costly.T @ np.linalg.solve(within, costly @ pulled))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """The deviation from hover of the steady state under external forces, linear in them.
+    """The deviation from hover of the steady state under external forces, linear in them."""
 
-    Attributes:
-        M_x: State per newton, (n, 3 + 3 N), SI.
-        M_u: Input per newton, (m, 3 + 3 N), SI.
-    """
-
-    M_x: Array
-    M_u: Array
+    M_x: Array  # state per newton, (n, 3 + 3 N), SI
+    M_u: Array  # input per newton, (m, 3 + 3 N), SI
 
 
 def target(
-    model: Model,
-    hover: Hover,
-    cost: Cost,
-    uncontrolled: Mapping[int, Array] | None = None,
-    off: Collection[int] = (),
+    model: Model, hover: Hover, cost: Cost, uncontrolled: Mapping[int, Array] | None = None, off: Collection[int] = (),
     released: Collection[int] = (),
-) -> Target:
+) -> Target:  # fmt: skip
     """Return the steady state of the linearisation about hover with least output error, then least input effort.
 
     Remaining free directions, such as the headings of the UAVs, stay as at hover. A steady state exists for any forces:
     rods lean in parallel or pull in proportion, a remaining moment tilts the payload, and thrusts balance their rods.
 
-    Attitudes of UAVs without motors and all states of released UAVs are not part of the target. Arguments as those of
-    `regulator`. Source: docs/equations.md (40).
+    Arguments as those of `regulator`. Source: docs/equations.md (40).
     """
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)

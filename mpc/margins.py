@@ -21,7 +21,7 @@ from model.motors import lagged
 from model.parameters import ParameterError, Payload, System, Uav
 from mpc.controller import Controller, Linear
 from mpc.feedback import tangent, with_motors
-from mpc.qp import Residuals, Solution
+from mpc.solvers import unsolved
 
 # Fastest growth that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them.
 GROWTH = 0.02
@@ -33,27 +33,18 @@ _COARSE, _FINE = 1.4, 0.005
 FARTHEST, FARTHEST_S = 10.0, 0.6
 # Size of the perturbations that are fed to the controllers, whose limits must not bind.
 _PROBE = 1e-3
-# Largest correction, as a share of the control law's inputs, that is rounding.
-_SAME = 1e-7
 # Shortest lag and delay that are tried, s.
 _FIRST_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mismatch:
-    """Differences between the plant and the controllers' model.
+    """Differences between the plant and the controllers' model."""
 
-    Attributes:
-        lag_s: Time constant of the plant's motors, s.
-        delay_s: Delay between command and motors, s.
-        gain: Actual inputs over commanded inputs.
-        uav_inertia, uav_mass, payload_mass, payload_inertia, rod_length: Actual value over the known one.
-    """
-
-    lag_s: float = 0.0
-    delay_s: float = 0.0
-    gain: float = 1.0
-    uav_inertia: float = 1.0
+    lag_s: float = 0.0  # time constant of the plant's motors, s
+    delay_s: float = 0.0  # between command and motors, s
+    gain: float = 1.0  # actual inputs over commanded inputs
+    uav_inertia: float = 1.0  # actual value over the known one, as all that follow
     uav_mass: float = 1.0
     payload_mass: float = 1.0
     payload_inertia: float = 1.0
@@ -61,20 +52,12 @@ class Mismatch:
 
     def system(self, known: System) -> System:
         """Return the actual bodies."""
-        payload = known.payload
-        return System(
-            payload=Payload(mass=payload.mass * self.payload_mass, inertia=payload.inertia * self.payload_inertia),
-            uavs=[
-                Uav(
-                    mass=uav.mass * self.uav_mass,
-                    inertia=uav.inertia * self.uav_inertia,
-                    rho=uav.rho,
-                    rod_length=uav.rod_length * self.rod_length,
-                )
-                for uav in known.uavs
-            ],
-            gravity=known.gravity,
-        )
+        body, uavs = known.payload, []
+        for uav in known.uavs:
+            mass, inertia, length = uav.mass * self.uav_mass, uav.inertia * self.uav_inertia, uav.rod_length
+            uavs.append(Uav(mass=mass, inertia=inertia, rho=uav.rho, rod_length=length * self.rod_length))
+        payload = Payload(mass=body.mass * self.payload_mass, inertia=body.inertia * self.payload_inertia)
+        return System(payload=payload, uavs=uavs, gravity=known.gravity)
 
 
 class Loop:
@@ -84,25 +67,15 @@ class Loop:
         controllers: One per agent, for the whole team.
         next_tick: Inputs act one sampling period after the measurement.
         age: Sampling periods until an agent knows another agent's state, >= 1.
-        with_corrections: Keep announced plans as states even if the control law is optimal without them.
         uncontrolled: Feedback from the state, (4, n), of each UAV without an agent, by its 0-based number: the
             fail-safe, which acts on the present state. No agent measures these UAVs. The shared control law of the
             others, which must exist, is then taken without corrections.
-
-    Attributes:
-        period_s: Sampling period, s.
-        known_lag_s: Time constant of the motors as the controllers know it, s.
     """
 
     def __init__(
-        self,
-        controllers: Sequence[Controller],
-        *,
-        next_tick: bool,
-        age: int = 1,
-        with_corrections: bool = False,
+        self, controllers: Sequence[Controller], *, next_tick: bool, age: int = 1,
         uncontrolled: Mapping[int, Array] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._controllers, self._next_tick, self._age = tuple(controllers), next_tick, age
         first = controllers[0]
         self._system, self._hover, self._settings = first.model.system, first.regulation.hover, first.settings
@@ -129,10 +102,10 @@ class Loop:
             self._fail_safe[state.input_slice(uav)] = gain @ self._T[: gain.shape[1]]
         self._lost = np.flatnonzero((self._T[lost] != 0.0).any(axis=0))  # their coordinates
         # The control law alone, if every controller finds it optimal; else the whole plans.
-        self._plans: list[Array] | None = None
-        alone = bool(uncontrolled) or (not with_corrections and self._law is not None)
-        if not alone or not (uncontrolled or all(map(self._follows_law, self._controllers))):
-            self._plans = [self._plan_map(controller) for controller in self._controllers]
+        alone = bool(uncontrolled) or (
+            self._law is not None and self._settings.terminal == "riccati" and self._settings.discretisation == "exact"
+        )
+        self._plans = () if alone else tuple(map(self._plan_map, self._controllers))
 
     def _measured_by(self, owned: Sequence[int]) -> Array:
         """Return the projection of a state in tangent coordinates on what an agent measures at once."""
@@ -140,8 +113,7 @@ class Loop:
         known[: state.PAYLOAD] = 1.0
         for uav in owned:
             known[state.uav_slice(uav)] = 1.0
-        projection: Array = self._T.T @ (known[:, None] * self._T)
-        return projection
+        return np.asarray(self._T.T @ (known[:, None] * self._T))
 
     def _planned(self, controller: Controller, x: Array, u0: Array, U: Array, c: Array) -> tuple[Array, Array]:
         """Return a controller's plan and corrections without limits and constraints, as deviations from hover.
@@ -154,33 +126,20 @@ class Loop:
         rate = self._model.A_c @ dx + self._model.B_c @ u0
         expansion = replace(self._model, f=rate, y=self._motion.y + self._motion.C @ dx[: self._system.n])
         law = controller.law(known + dx, np.tile(hover.x, (steps, 1)), c) if self._law is not None else None
-        regulation = controller.regulation
         if law is not None:
             law = replace(law, feedforward=np.zeros_like(law.feedforward))
-        end = regulation.cost_to_go(known + dx, hover.x)
+        end = controller.end(known + dx, hover.x)
         if end is not None:
             end = replace(end, slope=np.zeros_like(end.slope))
         n, U = self._system.n, hover.u + U
         linear = Linear(x0=known[:n] + dx[:n], u0=hover.u + u0, model=expansion, u_target=hover.u)
         prediction = controller.predict(linear, controller.discretise(linear), U, law)
-        qp = controller.condense(linear, prediction, U, np.tile(self._motion.y, (steps + 1, 1)), law, end)
+        qp = controller.condense(linear, prediction, np.tile(self._motion.y, (steps + 1, 1)), law, end)
         size = steps * len(controller.own)
-        z: Array = np.asarray(np.linalg.solve(qp.H[:size, :size], -qp.g[:size]), dtype=np.float64)
-        none = np.zeros(0)
-        solution = Solution(
-            status="solved", z=z, bound_multipliers=none, row_multipliers=none, iterations=0, solver="none",
-            residuals=Residuals(stationarity=0.0, primal=0.0, complementarity=0.0),
-        )  # fmt: skip
+        z = np.asarray(np.linalg.solve(qp.H[:size, :size], -qp.g[:size]), dtype=np.float64)
+        solution = replace(unsolved(size, 0, "none"), status="solved", z=z)
         result = controller.conclude(solution, prediction, U, law)
         return result.U - hover.u[controller.own], result.c
-
-    def _follows_law(self, controller: Controller) -> bool:
-        """Return whether a controller's plan is the shared control law, without corrections, from any state."""
-        steps, draw = self._settings.horizon, np.random.default_rng(1)
-        x, u0 = _PROBE * draw.standard_normal(len(self._A)), _PROBE * draw.standard_normal(self._m)
-        _, c = self._planned(controller, x, u0, np.zeros((steps, self._m)), np.zeros((steps, self._m)))
-        by_law = np.abs(self._law @ x).max() if self._law is not None else 0.0
-        return bool(len(c) and np.abs(c).max() <= _SAME * by_law)
 
     def _plan_map(self, controller: Controller) -> Array:
         """Return plan and corrections per state, input in force, announced inputs and announced corrections."""
@@ -220,16 +179,15 @@ class Loop:
         by_state, by_command = np.zeros((self._m, self._system.n)), np.eye(self._m)
         if self._system.rate_gains is not None:
             for i, uav in enumerate(self._system.uavs):
-                moments = np.arange(state.INPUTS * i + 1, state.INPUTS * (i + 1))
-                gains = uav.inertia * self._system.rate_gains
-                by_state[np.ix_(moments, np.arange(self._system.n)[state.uav_slice(i)][state.OMEGA])] = -gains
-                by_command[np.ix_(moments, moments)] = gains
+                moments, gains = state.input_slice(i), uav.inertia * self._system.rate_gains
+                by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
+                by_command[moments, moments][1:, 1:] = gains
         return by_state @ self._T[: self._system.n, : self._r], by_command
 
     def _step_matrix(self, before: tuple[Array, Array], after: tuple[Array, Array], late: int) -> Array:
         """Return the step of the loop from the plant's steps before and after the arrival of a delayed command."""
         m, ahead, age = self._m, int(self._next_tick), self._age
-        maps, law = self._plans or (), self._law if self._law is not None else np.zeros(0)
+        maps, law = self._plans, self._law if self._law is not None else np.zeros(0)
         plans = [len(found) for found in maps]
         kept = ahead + max(age, late + 1)
         guessed = [len(self._lost)] * len(self._controllers)
@@ -237,14 +195,10 @@ class Loop:
         blocks = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
         motion, known_inputs, past = blocks[0], blocks[1], blocks[2 : 2 + age]
         rest = 2 + age + kept
-        commands, announced, guesses = (
-            blocks[2 + age : rest],
-            blocks[rest : rest + len(plans)],
-            blocks[rest + len(plans) :],
-        )
+        commands, guesses = blocks[2 + age : rest], blocks[rest + len(plans) :]
         now = np.vstack([motion[: self._r], known_inputs])
         issued, planned = np.empty((m, now.shape[1])), []
-        shared = self._aligned(announced) if maps else None
+        shared = self._aligned(blocks[rest : rest + len(plans)]) if maps else None
         issued[self._gone[:, 0]] = self._fail_safe[self._gone[:, 0]] @ now
         for agent, controller in enumerate(self._controllers):
             x, guesses[agent] = self._estimate(agent, [now, *past], commands, guesses[agent])

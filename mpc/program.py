@@ -17,7 +17,7 @@ from model.state import input_indices
 from mpc.cost import Cost, UserCosts
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear, Prediction, closed_loop, convolve, fed_back, follow, open_loop, stacked
+from mpc.prediction import Linear, Prediction, convolve, fed_back, follow, predict, stacked
 from mpc.qp import QP
 from mpc.regulation import CostToGo
 from mpc.rows import Rows
@@ -38,7 +38,7 @@ class Program:
         # Outputs without a weight stay out of the program.
         self._weighted = np.flatnonzero(cost.Q)
         self._effort = cost.R[decision.own] * decision.scale
-        self._no_terms = np.zeros((0, self._n)), np.zeros(0)
+        self._no_terms = np.zeros(0), np.zeros((0, self._n))
         # The newest prediction by the kernels, and its control law.
         self._predicted: Prediction | None = None
         self._law: FeedbackLaw | None = None
@@ -76,7 +76,7 @@ class Program:
             found = self._predicted = self._open if law is None else self._closed
             self._law = law
         else:
-            found = open_loop(discrete, u0, own, U) if law is None else closed_loop(discrete, u0, own, law)
+            found = predict(discrete, u0, own, U, law)
         if law is None or along is None:
             self._fed_back = None
         else:
@@ -98,7 +98,8 @@ class Program:
             terminal = 0.0  # the stage cost of the last state is part of the cost-to-go
             if law is not None:
                 responding, Q = self._responding, self._Q_with_others
-        slope, at_x0 = self._terms(linear.x0) if len(self._user_costs) else self._no_terms
+        at_x0, slope = self._user_costs.at(linear.x0) if len(self._user_costs) else self._no_terms
+        slope = np.ascontiguousarray(padded(slope, self._n))
         if prediction is not self._predicted:
             return self._plain(linear, prediction, y_ref, slope, at_x0, end, terminal, responding, Q)
         at, kept, problem, model = native.at, self._kept, self._problem, linear.model
@@ -150,11 +151,6 @@ class Program:
             answer = convolve(prediction.feedback[own, : k + 1], (U - U_free)[: k + 1])[-1]
             U[k] = before = decision.clip(np.clip(wanted[k] + answer, before - decision.rate, before + decision.rate))
         return U, c
-
-    def _terms(self, x0: Array) -> tuple[Array, Array]:
-        """Return slopes, (t, n), and values of the user's terms at a state."""
-        terms = self._user_costs.at(x0)
-        return np.ascontiguousarray(padded(terms.slope, self._n)), terms.value
 
     def _plain(
         self, linear: Linear, prediction: Prediction, y_ref: Array, slope: Array, at_x0: Array, end: CostToGo | None,

@@ -23,45 +23,47 @@ from mpc.settings import Constraint
 
 
 class Rows:
-    """Rows of all constraints that are set, in the order of their slacks; constant entries and bounds are here.
+    """Rows of all constraints that are set; constant entries and bounds are here.
 
-    Source: docs/equations.md (28)-(30); paper (26)-(27).
+    One slack for all separations and one for all tilts, one for each soft constraint of the user, one for all rod
+    tensions. Constraints without owned inputs are left to their owners.
 
-    Attributes:
-        A, lower, upper: Constant entries, zero where a step's are written, and bounds, infinite there.
-        penalties: Weights of all slacks, (slacks,).
-        pairs: UAVs whose distance is limited, (pairs, 2).
-        minimum_m: Smallest distance.
-        angles: Positions in x of the limited roll and pitch angles.
-        limit: Largest angle, rad.
-        on_tensions: Smallest allowed less the actual rod tension of the owned UAVs; none if it is not limited.
+    Source: docs/equations.md (28)-(30b); paper (20)-(21), (26)-(27).
     """
 
     def __init__(self, decision: Decision) -> None:
-        settings, steps, size = decision.settings, decision.settings.horizon, decision.size
-        separation, tilt, self._user = settings.separation, settings.tilt, UserRows(decision)
+        self._decision, settings, steps, size = decision, decision.settings, decision.settings.horizon, decision.size
+        separation, tilt, tension = settings.separation, settings.tilt, settings.tension
+        self.minimum_m = separation.minimum_m if separation else 0.0  # smallest distance of these pairs
         self.pairs = pairs_of(decision.system.N, decision.uavs)[: None if separation else 0]
+        self.limit = math.radians(tilt.limit_deg) if tilt else 0.0  # largest angle, rad
         starts = [state.uav_slice(uav).start + state.THETA.start for uav in decision.uavs if tilt]
+        # Positions in x of the limited roll and pitch angles.
         self.angles = np.array([start + axis for start in starts for axis in (0, 1)], dtype=np.intp)
-        self.minimum_m = separation.minimum_m if separation else 0.0
-        self.limit = math.radians(tilt.limit_deg) if tilt else 0.0
+        self._on_state, self._on_input = compile_constraints(settings.constraint, decision.system)
+        self._kept = self._on_input.expressions.depends[:, decision.own].any(axis=1)
+        self.on_tensions = tension_margins(decision)  # positive where a rod tension is too small
+        soft = np.flatnonzero(~np.isnan(self._on_state.penalty))
         own_slacks = [separation.penalty] * min(1, len(self.pairs)) if separation else []
         own_slacks += [tilt.penalty] if tilt else []
-        self.penalties = np.concatenate([np.array(own_slacks), self._user.penalties])
-        self._decision, self.on_tensions = decision, self._user.on_tensions
-        half, columns = steps * len(self.angles), size + len(own_slacks)
-        ends = np.cumsum(
-            [decision.size - len(decision.own), steps * len(self.pairs), half, half, len(self._user.slacks)]
-        )
-        rate, self._apart, self._up, self._down, self._users = map(slice, [0, *ends[:-1].tolist()], ends.tolist())
-        self.A = np.zeros((int(ends[-1]), size + len(self.penalties)))
+        last = [tension.penalty] if tension else []
+        self.penalties = np.concatenate([own_slacks, self._on_state.penalty[soft], last])  # weights of all slacks
+        each, half, columns = len(self._on_state.expressions), steps * len(self.angles), size + len(own_slacks)
+        user = [steps * each, steps * int(self._kept.sum()), steps * len(self.on_tensions)]
+        ends = np.cumsum([size - len(decision.own), steps * len(self.pairs), half, half, *user]).tolist()
+        parts = list(map(slice, [0, *ends[:-1]], ends))
+        rate, self._apart, self._up, self._down, self._states, self._inputs, self._tensions = parts
+        # Constant entries, zero where a step's are written, and bounds, infinite there.
+        self.A = np.zeros((ends[-1], size + len(self.penalties)))
         self.lower, self.upper = np.full(len(self.A), -np.inf), np.full(len(self.A), np.inf)
         self.A[rate, :size] = rate_rows(*decision.shape) * np.tile(decision.scale, steps)
         self.upper[rate] = np.tile(decision.rate, steps - 1)
         self.lower[rate] = -self.upper[rate]
         self.A[self._apart, size : size + 1] = 1.0
         self.A[self._up, columns - 1], self.A[self._down, columns - 1] = -1.0, 1.0
-        self.A[self._users, columns:] = self._user.slacks
+        for column, constraint in enumerate(soft, start=columns):
+            self.A[self._states.start + constraint : self._states.stop : each, column] = -1.0
+        self.A[self._tensions, -1:] = -1.0
 
     def fill(self, linear: Linear, prediction: Prediction, free: Array, effect: Array) -> tuple[Array, Array, Array]:
         """Return A, lower and upper of one step; the positions of the UAVs are the first of the weighted outputs.
@@ -81,10 +83,33 @@ class Rows:
         return A, lower, upper
 
     def fill_user(self, linear: Linear, prediction: Prediction, A: Array, lower: Array, upper: Array) -> None:
-        """Write the rows of the user's constraints."""
-        if len(self._user.slacks):
-            rows = self._users
-            self._user.fill(linear, prediction, A[rows], lower[rows], upper[rows])
+        """Write the rows of the user's constraints and of rod tensions."""
+        size, own, u0, scale = self._decision.size, self._decision.own, linear.u0, self._decision.scale
+        if len(self._on_state.expressions):
+            value, slope = self._on_state.expressions.at(linear.x0)
+            n = slope.shape[1]  # motors, which may be further states, are not in the expressions
+            effect = (slope @ prediction.effect[:n].reshape(n, -1)).reshape(-1, *self._decision.shape)
+            A[self._states, :size] = stacked(effect * scale)
+            values = value + prediction.dX_free[1:, :n] @ slope.T
+            lower[self._states], upper[self._states] = _bounds(self._on_state.equality, values)
+        if self._kept.any():
+            value, slope = (part[self._kept] for part in self._on_input.expressions.at(u0))
+            A[self._inputs, :size] = np.kron(np.eye(self._decision.settings.horizon), slope[:, own] * scale)
+            values = value + (prediction.U_all - u0) @ slope.T
+            lower[self._inputs], upper[self._inputs] = _bounds(self._on_input.equality[self._kept], values)
+        if len(self.on_tensions):
+            n = len(linear.x0)
+            value, slope = self.on_tensions.at(np.concatenate([linear.x0, u0]))
+            by_state, by_input = slope[:, :n], slope[:, n:].copy()
+            at_once = by_input[:, own]
+            by_input[:, own] = 0.0  # inputs of the others, which respond to the state
+            later = np.tensordot(by_state, prediction.effect, 1)
+            if len(prediction.feedback):
+                later += np.tensordot(by_input, prediction.feedback, 1)
+            effect = np.concatenate([at_once[:, None], later[:, :-1]], axis=1)
+            A[self._tensions, :size] = stacked(effect * scale)
+            values = value + prediction.dX_free[:-1] @ by_state.T + (prediction.U_all - u0) @ slope[:, n:].T
+            upper[self._tensions] = -values.reshape(-1)
 
 
 def rate_rows(steps: int, m: int) -> Array:
@@ -123,17 +148,11 @@ def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Arra
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UserConstraints:
-    """The user's constraints on states or on inputs, in the order given, inequalities and equalities mixed.
+    """The user's constraints on states or on inputs, in the order given, inequalities and equalities mixed."""
 
-    Attributes:
-        expressions: At most zero, or zero.
-        equality: Which are equalities, (c,).
-        penalty: Weight of the slack of a soft constraint, nan for a hard one, (c,).
-    """
-
-    expressions: Expressions
-    equality: npt.NDArray[np.bool_]
-    penalty: Array
+    expressions: Expressions  # at most zero, or zero
+    equality: npt.NDArray[np.bool_]  # which are equalities, (c,)
+    penalty: Array  # weight of the slack of a soft constraint, nan for a hard one, (c,)
 
 
 def compile_constraints(constraints: Sequence[Constraint], system: System) -> tuple[UserConstraints, UserConstraints]:
@@ -143,18 +162,17 @@ def compile_constraints(constraints: Sequence[Constraint], system: System) -> tu
     """
     symbols = Symbols.of(system.N, system.commands_rates)
     relations = [(read(constraint.expression, symbols), constraint) for constraint in constraints]
-    p, found = system.vector(), []
-    for on, variable in (("state", symbols.x), ("input", symbols.u)):
+
+    def compiled(on: str, variable: ca.SX) -> UserConstraints:
         chosen = [(relation, constraint) for relation, constraint in relations if relation.on == on]
         soft = [c.soft and on == "state" and relation.kind == "inequality" for relation, c in chosen]
-        found.append(
-            UserConstraints(
-                expressions=Expressions([relation.value for relation, _ in chosen], variable, symbols.p, p),
-                equality=np.array([relation.kind == "equality" for relation, _ in chosen], dtype=bool),
-                penalty=np.array([c.penalty if s else np.nan for s, (_, c) in zip(soft, chosen, strict=True)]),
-            )
+        return UserConstraints(
+            expressions=Expressions([relation.value for relation, _ in chosen], variable, symbols.p, system.vector()),
+            equality=np.array([relation.kind == "equality" for relation, _ in chosen], dtype=bool),
+            penalty=np.array([c.penalty if s else np.nan for s, (_, c) in zip(soft, chosen, strict=True)]),
         )
-    return found[0], found[1]
+
+    return compiled("state", symbols.x), compiled("input", symbols.u)
 
 
 def tension_margins(decision: Decision) -> Expressions:
@@ -168,66 +186,6 @@ def tension_margins(decision: Decision) -> Expressions:
         tensions = ca.substitute(motion(symbols).tensions, symbols.F, ca.SX.zeros(symbols.F.numel()))
         margins = [section.minimum_N - tensions[uav] for uav in decision.uavs]
     return Expressions(margins, ca.vertcat(symbols.x, symbols.u), symbols.p, decision.system.vector())
-
-
-class UserRows:
-    """Constraints on states, each soft one with a slack of its own, then those on inputs; rod tensions with one slack.
-
-    Constraints without owned inputs are left to their owners. Source: docs/equations.md (30), (30b); paper (20)-(21).
-
-    Attributes:
-        penalties: Weights of the slacks, (slacks,).
-        slacks: Their columns, (rows, slacks).
-    """
-
-    def __init__(self, decision: Decision) -> None:
-        self._decision, steps = decision, decision.settings.horizon
-        self._on_state, self._on_input = compile_constraints(decision.settings.constraint, decision.system)
-        self.on_tensions = tension_margins(decision)
-        self._kept = self._on_input.expressions.depends[:, decision.own].any(axis=1)
-        soft = np.flatnonzero(~np.isnan(self._on_state.penalty))
-        self.penalties = self._on_state.penalty[soft]
-        each = len(self._on_state.expressions)
-        self._state_rows = steps * each
-        self._tension_rows = self._state_rows + steps * int(self._kept.sum())
-        count, section = len(self.on_tensions), decision.settings.tension
-        if section is not None:
-            self.penalties = np.append(self.penalties, section.penalty)
-        self.slacks = np.zeros((self._tension_rows + steps * count, len(self.penalties)))
-        for slack, constraint in enumerate(soft):
-            self.slacks[constraint : self._state_rows : each, slack] = -1.0
-        self.slacks[self._tension_rows :, -1:] = -1.0
-
-    def fill(self, linear: Linear, prediction: Prediction, A: Array, lower: Array, upper: Array) -> None:
-        """Write the expressions' dependence on the decision, and their values where it is zero."""
-        end, size, u0, scale = self._state_rows, self._decision.size, linear.u0, self._decision.scale
-        last = self._tension_rows
-        if end:
-            on = self._on_state.expressions.at(linear.x0)
-            n = on.slope.shape[1]  # motors, which may be further states, are not in the expressions
-            effect = (on.slope @ prediction.effect[:n].reshape(n, -1)).reshape(-1, *self._decision.shape)
-            A[:end, :size] = stacked(effect * scale)
-            values = on.value + prediction.dX_free[1:, :n] @ on.slope.T
-            lower[:end], upper[:end] = _bounds(self._on_state.equality, values)
-        if self._kept.any():
-            on, own = self._on_input.expressions.at(u0), self._decision.own
-            slope = on.slope[self._kept]
-            A[end:last, :size] = np.kron(np.eye(self._decision.settings.horizon), slope[:, own] * scale)
-            values = on.value[self._kept] + (prediction.U_all - u0) @ slope.T
-            lower[end:last], upper[end:last] = _bounds(self._on_input.equality[self._kept], values)
-        if len(self.on_tensions):
-            n, own = len(linear.x0), self._decision.own
-            on = self.on_tensions.at(np.concatenate([linear.x0, u0]))
-            by_state, by_input = on.slope[:, :n], on.slope[:, n:].copy()
-            at_once = by_input[:, own]
-            by_input[:, own] = 0.0  # inputs of the others, which respond to the state
-            later = np.tensordot(by_state, prediction.effect, 1)
-            if len(prediction.feedback):
-                later += np.tensordot(by_input, prediction.feedback, 1)
-            effect = np.concatenate([at_once[:, None], later[:, :-1]], axis=1)
-            A[last:, :size] = stacked(effect * scale)
-            values = on.value + prediction.dX_free[:-1] @ by_state.T + (prediction.U_all - u0) @ on.slope[:, n:].T
-            upper[last:] = -values.reshape(-1)
 
 
 def _bounds(equality: npt.NDArray[np.bool_], values: Array) -> tuple[Array, Array]:

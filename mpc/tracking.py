@@ -11,7 +11,6 @@ zero where theirs are. Only where the trajectory under it violates a constraint 
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -42,32 +41,21 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gains:
-    """The regulator at an instant of a reference.
+    """The regulator at an instant of a reference."""
 
-    Attributes:
-        K: Feedback gain, (m, n).
-        feedforward: Response to the difference between the reference and the model's step along it, (m,).
-        M, A_closed, B: Expansion about the reference, as in `Expansion`.
-    """
-
-    K: Array
-    feedforward: Array
-    M: Array
+    K: Array  # feedback gain, (m, n)
+    feedforward: Array  # response to the difference between the reference and the model's step along it, (m,)
+    M: Array  # expansion about the reference, as in `Expansion`
     A_closed: Array
     B: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tracker:
-    """The regulator along a reference at instants 0..L-1 from `first` on; the last one, at rest, holds from then on.
+    """The regulator along a reference at instants 0..L-1 from `first` on; the last one, at rest, holds from then on."""
 
-    Attributes:
-        gains: At each instant; laws of several teams share them, as a copy would take as long as their computation.
-        first: Number of the first instant, that of the reference.
-    """
-
-    gains: Sequence[Gains]
-    first: int = 0
+    gains: Sequence[Gains]  # laws of several teams share them, as a copy would take as long as their computation
+    first: int = 0  # number of the first instant, that of the reference
 
     def over(self, start: int, steps: int) -> Sequence[Gains]:
         """Return the gains at some instants."""
@@ -88,14 +76,10 @@ class Recursion:
         cost: Q on the outputs, R on all inputs.
         terms: The user's terms.
         period_s: Sampling period, s.
-        uncontrolled: Inputs on the reference at an instant, (4,), and feedback from the state, (4, n), of each UAV
-            without an agent, by its 0-based number.
+        uncontrolled: What UAVs without an agent do.
         before: The regulator until then, of another team; None: this one holds from the start.
         since: First instant of this team.
     Source: docs/equations.md (70)-(72).
-
-    Attributes:
-        ready: Instant from which on the result holds; before, it is `meanwhile`.
     """
 
     def __init__(
@@ -105,17 +89,16 @@ class Recursion:
         self._model, self._track, self._regulator, self._cost, self._terms = model, track, regulator, cost, terms
         since -= track.first  # instants are rows from here on
         self._period_s, self._uncontrolled, self._since = period_s, uncontrolled or {}, since
-        moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
-        last = int(moving.max(initial=-1)) + 1
-        if before is not None:
-            last = len(before.gains) - 1
-        self._last = last
         self._found: list[Gains] = []  # from the end on
-        self._before = [] if before is None else before.gains
         self._P, self._p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(model.system.n)
-        self.ready = track.first + since
-        if before is not None:
-            self.ready += -(-max(last + 1 - since, 0) // INSTANTS)
+        self._before: Sequence[Gains] = []
+        self.ready = track.first + since  # instant from which on the result holds; before, it is `meanwhile`
+        if before is None:
+            moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
+            self._last = int(moving.max(initial=-1)) + 1
+        else:
+            self._before, self._last = before.gains, len(before.gains) - 1
+            self.ready += -(-max(self._last + 1 - since, 0) // INSTANTS)
 
     def meanwhile(self, off: Collection[int], horizon: int) -> Tracker:
         """Return the regulator over horizons until this one is ready: the gains before, but not of UAVs that are off.
@@ -177,14 +160,12 @@ class Recursion:
         A_closed = A - B @ gains[:, :-1]
         if k == self._last:
             K, feedforward = regulator.K, np.zeros(m)
+        else:
+            weighted = np.vstack([np.sqrt(cost.Q)[:, None] * at.C, padded(self._terms.about(x), n)]) @ across
+            P = weighted.T @ weighted + A.T @ P @ A - coupled.T @ gains[:, :-1]
+            self._P, self._p = (P + P.T) / 2.0, A_closed.T @ pushed
         frozen(K, feedforward, M, A_closed)
-        found = Gains(K=K, feedforward=feedforward, M=M, A_closed=A_closed, B=discrete.B)
-        if k == self._last:
-            return found
-        weighted = np.vstack([np.sqrt(cost.Q)[:, None] * at.C, padded(self._terms.about(x), n)]) @ across
-        P = weighted.T @ weighted + A.T @ P @ A - coupled.T @ gains[:, :-1]
-        self._P, self._p = (P + P.T) / 2.0, A_closed.T @ pushed
-        return found
+        return Gains(K=K, feedforward=feedforward, M=M, A_closed=A_closed, B=discrete.B)
 
 
 def _across(x: Array) -> Array:
@@ -229,25 +210,15 @@ def rollout(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """Trajectory under the control law with the corrections that are optimal without constraints.
+    """Trajectory under the control law with the corrections that are optimal without constraints."""
 
-    Attributes:
-        law: With these corrections.
-        along: Its expansion.
-        Z: States at steps 0..N_p, (N_p + 1, n).
-        U: Inputs, the owned ones without limits, (N_p, m).
-        u0: Inputs before the first step, (m,).
-        forces: Estimated external forces, (3 + 3 N,).
-        within: Whether no constraint is violated.
-    """
-
-    law: FeedbackLaw
-    along: Expansion
-    Z: Array
-    U: Array
-    u0: Array
-    forces: Array | None
-    within: bool
+    law: FeedbackLaw  # with these corrections
+    along: Expansion  # its expansion
+    Z: Array  # states at steps 0..N_p, (N_p + 1, n)
+    U: Array  # inputs, the owned ones without limits, (N_p, m)
+    u0: Array  # inputs before the first step, (m,)
+    forces: Array | None  # estimated external forces, (3 + 3 N,)
+    within: bool  # whether no constraint is violated
 
 
 class Along:
@@ -304,61 +275,41 @@ class Along:
             all_inputs[own, m * k : m * (k + 1)] += np.diag(scale)
             inputs[k] = all_inputs[own]
             if len(rows.on_tensions):
-                on = rows.on_tensions.at(np.concatenate([course.Z[k], course.U[k]]))
-                slack_N[k] = on.value
-                loosened.append(on.slope @ np.vstack([effect, all_inputs]))
+                slack_N[k], slope = rows.on_tensions.at(np.concatenate([course.Z[k], course.U[k]]))
+                loosened.append(slope @ np.vstack([effect, all_inputs]))
             effect = along.A_closed[k] @ effect
             effect[:, m * k : m * (k + 1)] += along.B[k][:, own] * scale
             states.append(effect)
-        distances, on_places = [], []
-        for x, effect in zip(course.Z[1:], states, strict=True):
-            distance, direction = separation_rows(model.outputs(x)[: 3 * model.system.N], rows.pairs)
-            distances.append(distance)
-            on_places.append(direction @ model.linearise(x, course.u0).C[: 3 * model.system.N] @ effect)
-        apart = np.array(on_places).reshape(-1, size)
-        tilted = np.array(states)[:, rows.angles].reshape(-1, size)
-        changes = np.diff(inputs, axis=0).reshape(-1, size)
-        clear, clear_m = self._clear_rows(model, course, states)
-        tensions = np.array(loosened).reshape(-1, size)
-        parts = [inputs.reshape(-1, size), changes, apart, tilted, tilted, tensions, *clear]
-        A = np.zeros((sum(map(len, parts)), size + slacks))
-        A[:, :size] = np.concatenate(parts)
-        ends, clearances = np.cumsum(list(map(len, parts))), size + len(rows.penalties)
-        A[ends[1] : ends[2], size : size + 1] = 1.0
-        tilt = clearances - 1 - int(len(tensions) > 0)
-        A[ends[2] : ends[3], tilt : tilt + 1], A[ends[3] : ends[4], tilt : tilt + 1] = -1.0, 1.0
-        A[ends[4] : ends[5], clearances - 1 : clearances] = -1.0
-        for slack, (begin, end) in enumerate(pairwise(ends[5:]), start=clearances):
-            A[begin:end, slack] = 1.0
-        nominal = course.U[:, own]
-        low, high = decision.bounds(nominal, course.u0)
+        N, Z, last = model.system.N, course.Z[1:], size + len(rows.penalties)
+        places, C = model.outputs_along(Z)[:, : 3 * N], [model.linearise(x, course.u0).C[: 3 * N] for x in Z]
+        far, directions = zip(*(separation_rows(at, rows.pairs) for at in places), strict=True)
+        apart = np.array([d @ C_k @ effect for d, C_k, effect in zip(directions, C, states, strict=True)])
+        nominal, angles = course.U[:, own], Z[:, rows.angles].reshape(-1)
+        (low, high), each = decision.bounds(nominal, course.u0), np.tile(scale, steps)
         changed, rate = np.diff(nominal, axis=0).reshape(-1), np.tile(decision.rate, steps - 1)
-        angles, none = course.Z[1:, rows.angles].reshape(-1), np.full(len(tilted), np.inf)
-        far, each = np.concatenate(distances), np.tile(scale, steps)
-        any_far, any_tension = np.full(len(far), np.inf), np.full(slack_N.size, -np.inf)
-        return QP(
-            H=H, g=g, lower=lower, upper=upper, A=A,
-            row_lower=np.concatenate([low * each, -rate - changed, rows.minimum_m - far, -none, -rows.limit - angles,
-                                      any_tension, -clear_m]),
-            row_upper=np.concatenate([high * each, rate - changed, any_far, rows.limit - angles, none,
-                                      -slack_N.reshape(-1), np.full(len(clear_m), np.inf)]),
-        )  # fmt: skip
-
-    def _clear_rows(self, model: Model, course: Course, states: list[Array]) -> tuple[Array, Array]:
-        """Return the decision's effect on distances from each obstacle, (obstacles, rows, size), and what they exceed.
-
-        The latter are the distances beyond the margins on the course, (obstacles * rows,), m.
-        """
-        size = self._decision.size
-        if self._clearance is None:
-            return np.zeros((0, 0, size)), np.zeros(0)
-        Z, keep = course.Z[1:], self._clearance
-        excess, normals = keep.excess(Z, self._places(model, course.Z).reshape(len(Z), -1, 3))
-        effects = [
-            keep.rows(model, x, course.u0, normals[:, k], effect)
-            for k, (x, effect) in enumerate(zip(Z, states, strict=True))
+        tilted, tilt = np.array(states)[:, rows.angles], last - 1 - int(len(loosened) > 0)
+        # Rows, column and sign of their slack, bounds.
+        table: list[tuple[Array, int, float, Array | float, Array | float]] = [
+            (inputs, 0, 0.0, low * each, high * each),
+            (np.diff(inputs, axis=0), 0, 0.0, -rate - changed, rate - changed),
+            (apart, size, 1.0, rows.minimum_m - np.concatenate(far), np.inf),
+            (tilted, tilt, -1.0, -np.inf, rows.limit - angles),
+            (tilted, tilt, 1.0, -rows.limit - angles, np.inf),
+            (np.array(loosened), last - 1, -1.0, -np.inf, -slack_N.reshape(-1)),
         ]
-        return np.stack(effects, axis=1).reshape(len(excess), -1, size), excess.reshape(-1)
+        if self._clearance is not None:
+            keep, (excess, normals) = self._clearance, self._clearance.excess(Z, places.reshape(len(Z), -1, 3))
+            clear = [keep.rows(Z[k], normals[:, k], effect, C[k] @ effect) for k, effect in enumerate(states)]
+            for i, beyond in enumerate(excess):
+                table.append((np.array([found[i] for found in clear]), last + i, 1.0, -beyond.reshape(-1), np.inf))
+        count = sum(part.size for part, *_ in table) // size
+        A, row_lower, row_upper, begin = np.zeros((count, size + slacks)), np.empty(count), np.empty(count), 0
+        for part, slack, sign, least, most in table:
+            at = slice(begin, begin + part.size // size)
+            A[at, :size], row_lower[at], row_upper[at], begin = part.reshape(-1, size), least, most, at.stop
+            if sign and part.size:
+                A[at, slack] = sign
+        return QP(H=H, g=g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper)
 
     def planned(self, model: Model, course: Course, announced: FeedbackLaw, z: Array, w: float) -> tuple[Array, Array]:
         """Return owned inputs and corrections of a plan, (N_p, m_own) each.
@@ -381,7 +332,7 @@ class Along:
             return False
         if not len(rows.pairs) and self._clearance is None:
             return True
-        places = self._places(model, Z).reshape(len(Z) - 1, -1, 3)
+        places = model.outputs_along(Z[1:])[:, : 3 * model.system.N].reshape(len(Z) - 1, -1, 3)
         if self._clearance is not None and (self._clearance.excess(Z[1:], places)[0] < -_ROUNDING).any():
             return False
         apart = np.linalg.norm(places[:, rows.pairs[:, 0]] - places[:, rows.pairs[:, 1]], axis=2)
@@ -390,9 +341,4 @@ class Along:
     def _taut(self, Z: Array, U: Array) -> bool:
         """Return whether rod tensions along a trajectory keep their limit."""
         on = self._rows.on_tensions
-        return all((on.at(np.concatenate(point)).value <= _ROUNDING).all() for point in zip(Z, U, strict=False))
-
-    @staticmethod
-    def _places(model: Model, Z: Array) -> Array:
-        """Return the positions of all UAVs at steps 1..N_p, (N_p, 3 N), inertial frame, m."""
-        return np.array([model.outputs(x)[: 3 * model.system.N] for x in Z[1:]])
+        return all((on.at(np.concatenate(point))[0] <= _ROUNDING).all() for point in zip(Z, U, strict=False))
