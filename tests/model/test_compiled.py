@@ -40,6 +40,7 @@ def results(built: dict[str, ca.Function]) -> list[Array]:
         "linearise": (x, u, p, F),
         "step": (x, u, p, F, 0.05),
         "sense": (x, u, p, F),
+        "sensed": (x, u, p, F),
     }
     assert built.keys() == arguments.keys()
     return [array for name, function in built.items() for array in Compiled(function)(*arguments[name])]
