@@ -19,10 +19,7 @@ class ShapeError(ValueError):
 
 
 def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
-    """Return a C-contiguous, read-only float64 copy of the given shape, None for an axis of any length.
-
-    Raises: ShapeError: wrong number of axes, wrong length, not numeric, not finite.
-    """
+    """Return a read-only, C-contiguous float64 copy of a shape, None for any length. Raises: ShapeError: not of it."""
     try:
         array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
@@ -64,8 +61,7 @@ def rows(start: int, steps: int, known: int) -> Rows:
 def continued(before: T, after: T, kept: int) -> T:
     """Return data of instants from their `first` on, a row each, with up to `kept` rows of earlier data ahead of them.
 
-    Both are objects of one dataclass whose other fields are arrays, lists, dataclasses of them, or functions, of which
-    the later one is taken.
+    Both are of one dataclass of arrays, lists, such dataclasses, or functions, of which the later one is taken.
     """
     first, now = before.first, after.first  # type: ignore[attr-defined]
     count = min(kept, now - first)

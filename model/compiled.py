@@ -1,7 +1,7 @@
 """Compiled model functions: built once per number of UAVs, kept on disk, called through CasADi's buffers.
 
-Building the Jacobians symbolically takes a second for large N, and every process of a run needs the same ones. They
-depend on N alone (physical parameters are arguments), so the next process loads them from the cache in milliseconds.
+Building the Jacobians takes a second for large N. They depend on N alone (physical parameters are arguments), so the
+next process loads them from the cache in milliseconds.
 """
 
 import ctypes
@@ -65,10 +65,7 @@ class Compiled:
             self._buffer.set_res(i, self._results[part].data)  # type: ignore[call-arg]
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
-        """Return one new array per output from one array (or float) per input.
-
-        Matrices with one column become vectors, sparse matrices their nonzero entries, column by column.
-        """
+        """Return one new array per output: vectors for single columns, the nonzero entries of sparse ones by column."""
         flat = self.flat(*arguments)
         found = [flat[part] for part in self.parts]
         for i, shape in self._matrices:
@@ -149,10 +146,9 @@ def needs_compilation(N: int, rates: bool = False) -> bool:
 
 
 def compile_functions(N: int, rates: bool = False) -> bool:
-    """Compile the functions of a system of N UAVs for this processor; return False if that is not possible.
+    """Compile the functions of N UAVs for this processor, in seconds; return False if that is not possible.
 
-    Later calls of `functions`, in all processes, return the compiled ones, with bit-identical results. Compilation
-    takes seconds: call this before the processes of a run are started.
+    Later calls of `functions`, in all processes, return the compiled ones, with bit-identical results.
     """
     if needs_compilation(N, rates):
         sources = [
@@ -232,8 +228,7 @@ def _sense(s: Symbols, motion: dynamics.Motion) -> ca.Function:
 def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
     """Return the derivatives of motion and outputs in the parts of `model.linearisation.Linearisation`.
 
-    UAVs notice each other by the payload's acceleration alone. It solves M a = b, so its derivative along x or u is
-    M^-1 times that of b - M a with a held.
+    The payload's acceleration solves M a = b, so its derivative is M^-1 times that of b - M a with a held.
     """
     a, Pi = ca.SX.sym("a", 6), dynamics.projection(s.x, s.N)
     given = dynamics.motion(s, a)

@@ -1,8 +1,6 @@
 """The cache folder, and C source compiled for this processor by the installed compiler and kept there.
 
-A cache that cannot be read or written only costs time.
-
-Compiled code is optional: each function has an uncompiled equivalent. PAYLOAD_TRANSPORT_NATIVE=0 switches it off.
+Both only save time: each compiled function has an uncompiled equivalent. PAYLOAD_TRANSPORT_NATIVE=0 switches them off.
 """
 
 import hashlib

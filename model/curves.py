@@ -18,16 +18,12 @@ from model.arrays import Array
 
 ShapeKind = Literal["circle", "eight", "spline"]
 
-# Order of the highest derivative that moments of UAVs need, and number of coefficients of such a jet.
-ORDERS = 7
-# Start of s' from rest: derivatives up to this order vanish at both ends.
-_FLAT = ORDERS - 1
-# Degree of splines: the sixth derivative is continuous between way points; minimum snap.
-_DEGREE = 7
+ORDERS = 7  # coefficients of a jet up to the highest derivative that moments of UAVs need
+_FLAT = ORDERS - 1  # derivatives of s' up to this order vanish at both ends
+_DEGREE = 7  # of splines: the sixth derivative is continuous between way points; minimum snap
 # Distance of the knots of a smoothed table, s, their least number, and samples of the table between two of them.
 _KNOTS_S, _FEWEST_KNOTS, _PER_KNOT = 0.25, 2 * _DEGREE, 8
-# Points of a shape at which its largest speed is sought.
-_SAMPLES = 2000
+_SAMPLES = 2000  # points of a shape at which its largest speed is sought
 
 _bell = Polynomial([0.0, 1.0]) ** _FLAT * Polynomial([1.0, -1.0]) ** _FLAT
 _step = _bell.integ()
@@ -39,8 +35,7 @@ _START = (_step / _step(1.0)).integ()
 class Curve:
     """A shape and its timing.
 
-    A circle is (a sin, b (1 - cos), c sin) of the angle 2 pi laps s, an eight (a sin, b sin of the double angle, c
-    sin), a spline leads through way points; None: straight.
+    A circle is (a sin, b (1 - cos), c sin) of the angle 2 pi laps s, an eight (a sin, b sin of twice that, c sin).
     """
 
     kind: ShapeKind | None

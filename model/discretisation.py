@@ -1,12 +1,9 @@
 """Exact zero-order hold of the affine linearisation, x' = f + A_c dx + B_c du, over one sampling period.
 
-[A B f_d] come from one matrix exponential. With Phi = integral of exp(A_c s) ds over the period,
+    A = I + A_c Phi,   B = Phi B_c,   f_d = Phi f,   Phi = integral of exp(A_c s) ds over the period
 
-    A = I + A_c Phi,   B = Phi B_c,   f_d = Phi f,
-
-so a Taylor series of Phi replaces the exponential of an augmented matrix of size n + m + 1. The number of terms follows
-from the remainder bound; long periods are halved until the series is short, then doubled back. The compiled kernel
-applies the series to [A_c B_c f], with A_c in factors, and does not form Phi.
+A Taylor series applied to [A_c B_c f], with A_c in factors, replaces the exponential of an augmented matrix, without
+Phi. Its length follows from the remainder bound; long periods are halved until it is short, then doubled back.
 """
 
 from dataclasses import dataclass
@@ -69,10 +66,7 @@ def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
 
 
 def euler(linear: Linearisation, period_s: float) -> Discrete:
-    """Discretise by one step of Euler's method, for comparison; error per step of order T_s^2.
-
-    Raises: ShapeError: A_c is not finite.
-    """
+    """Discretise by one step of Euler's method, for comparison. Raises: ShapeError: A_c is not finite."""
     if not np.isfinite(linear.A_c).all():
         raise ShapeError("A_c: expected finite numbers")
     A = np.eye(len(linear.A_c)) + period_s * linear.A_c

@@ -1,8 +1,7 @@
-"""The equations of motion as CasADi expressions.
+"""The equations of motion as CasADi expressions; docs/equations.md derives them.
 
 The paper's (7)-(9) are a linear system in (v0', omega0', Omega_1', ..., Omega_N'). Eliminating each Omega_i' leaves 6
 unknowns, and every remaining term is a rod tension: the only forces of the UAVs on the payload act along the rods.
-docs/equations.md derives it.
 """
 
 from dataclasses import dataclass
@@ -138,10 +137,7 @@ def velocities(symbols: Symbols) -> ca.SX:
 
 
 def outputs(symbols: Symbols) -> ca.SX:
-    """Return y = h(x) = [r_1..r_N, Theta_0, yaw rates of the UAVs, r_0, r_0'], (4 N + 9), SI.
-
-    Positions and the payload's velocity are in the inertial frame. Source: docs/equations.md (14).
-    """
+    """Return y = h(x) = [r_1..r_N, Theta_0, yaw rates of UAVs, r_0, r_0'], (4 N + 9), SI, inertial: paper (12)."""
     x = symbols.x
     yaw_rates = [x[state.uav_slice(i)][state.OMEGA][2] for i in range(symbols.N)]
     payload = [x[state.R0], rotation(x[state.THETA0]) @ x[state.V0]]
@@ -149,10 +145,7 @@ def outputs(symbols: Symbols) -> ca.SX:
 
 
 def sensed(symbols: Symbols, tensions: ca.SX) -> ca.SX:
-    """Return what the UAVs' own sensors measure under given tensions, (15 N,), in the layout of `model.state`.
-
-    Source: docs/equations.md (61).
-    """
+    """Return what the UAVs' own sensors measure under tensions, (15 N,), as in `model.state`: equations.md (61)."""
     x, velocity, found = symbols.x, velocities(symbols), list[ca.SX]()
     R0 = rotation(x[state.THETA0])
     for i, position in enumerate(uav_positions(symbols)):
@@ -193,10 +186,7 @@ def _symmetric(upper: ca.SX) -> ca.SX:
 
 
 def solve_positive_definite(M: ca.SX, b: ca.SX) -> ca.SX:
-    """Return M^-1 b, (size, columns), by an unrolled L D L^T factorisation.
-
-    Short expressions, no square roots, exact derivatives.
-    """
+    """Return M^-1 b, (size, columns), by an unrolled L D L^T factorisation: short, exact derivatives."""
     size = M.shape[0]
     L = [[ca.SX(0)] * size for _ in range(size)]
     D: list[ca.SX] = []

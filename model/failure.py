@@ -38,9 +38,7 @@ def failed_hover(
     """Return the hover of a team some of whose UAVs have no motors, the payload level.
 
     A motor-off UAV stands upright on its rod, as at the moment of failure; its weight on the payload is the same below.
-    Given may be the thrusts of the UAVs left to the fail-safe, N.
-
-    Raises: ParameterError: the remaining UAVs cannot hold the payload.
+    Given may be thrusts of UAVs left to the fail-safe, N. Raises: ParameterError: the others cannot hold the payload.
     """
     rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
     rods[sorted(released)] *= -1.0
@@ -49,10 +47,7 @@ def failed_hover(
 
 
 def motor_off_state(x: Array, uav: int) -> Array:
-    """Return the state with the rotation of a UAV stopped, (n,).
-
-    Without thrust its attitude has no effect, but undamped it would reach the singularity of docs/equations.md (3).
-    """
+    """Return the state with the rotation of a UAV stopped, (n,): undamped it would reach the singularity of (3)."""
     x = x.copy()
     x[state.uav_slice(uav)][state.OMEGA] = 0.0
     return x

@@ -2,8 +2,7 @@
 
 The payload stays level, so force and moment on it follow from its acceleration. Their least change from hover gives the
 rod forces, these the directions of the rods, these the motion of the UAVs, and that their attitudes, thrusts and
-moments: all by derivatives of the path (differential flatness: Sreenath, Kumar 2013; Mellinger, Kumar 2011). Rods lean
-out or in by forces that pull the attachment points apart or together, without force or moment on the payload.
+moments: all by derivatives of the path (differential flatness: Sreenath, Kumar 2013; Mellinger, Kumar 2011).
 """
 
 from collections.abc import Callable, Collection
@@ -19,14 +18,10 @@ from model.hover import Hover
 from model.maneuver import Maneuver
 from model.parameters import System
 
-# Smallest tension of a rod on a reference as a share of that at hover: below, gusts and errors would slacken a cable.
-LEAST_TENSION = 0.1
-# Largest tilt of a UAV on a reference, rad: Euler angles become singular at a right angle.
-MOST_TILT = 1.2
-# Rows of a reference whose derivatives with respect to forces are computed at once.
-_BLOCK = 16
-# Imaginary step of derivatives with respect to forces, N: without differences, so without rounding.
-_STEP_N = 1e-30
+LEAST_TENSION = 0.1  # of a rod on a reference, as a share of that at hover: gusts would slacken a cable with less
+MOST_TILT = 1.2  # of a UAV on a reference, rad: Euler angles become singular at a right angle
+_BLOCK = 16  # rows of a reference whose derivatives with respect to forces are computed at once
+_STEP_N = 1e-30  # imaginary step of these derivatives, N: without differences, so without rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,10 +45,7 @@ class Track:
     flown: Callable[[Array, Any], Flight]  # the motion of the team along such a path under forces, as `flight`
 
     def by_forces(self, at: Rows) -> tuple[Array, Array]:
-        """Return the change of X and U at k rows per external force and further mass of the payload, SI per N and kg.
-
-        Returns: (k, n, 4 + 3 N) and (k, m, 4 + 3 N), computed at the first use of a row, some rows at once.
-        """
+        """Return the change of X, (k, n, 4 + 3 N), and U, (k, m, 4 + 3 N), at k rows per external force and mass."""
         places = [divmod(row, _BLOCK) for row in np.arange(len(self.X))[at].tolist()]
         X_forces, U_forces = ([self._block(number)[part][row] for number, row in places] for part in (0, 1))
         return np.array(X_forces), np.array(U_forces)

@@ -1,8 +1,7 @@
 """Integration over an interval of constant input, with steps halved where they are not accurate.
 
-Calm motion takes equal steps in one compiled call. Violent motion, such as a body near the singularity of its Euler
-angles, takes shorter steps where its local error estimate demands them. Which steps are taken depends on the numbers
-alone, so the result has the same bits in every process.
+Calm motion takes equal steps in one compiled call. Violent motion takes shorter steps where its error estimate demands
+them. Which steps are taken depends on the numbers alone, so the result has the same bits in every process.
 """
 
 import math

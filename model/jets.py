@@ -31,7 +31,7 @@ def dot(a: Array, b: Array) -> Array:
 def composed(outer: Array, inner: Array) -> Array:
     """Return the jet of f(g(t)) from Taylor coefficients of f at g(t), by order along the first axis, and the jet of g.
 
-    Coefficients may have further axes at their end, along which the inner jet broadcasts.
+    Coefficients may have further axes at their end.
     """
     steps = inner.reshape(*inner.shape, *[1] * (outer.ndim - inner.ndim)).copy()
     steps[0] = 0.0

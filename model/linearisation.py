@@ -73,15 +73,16 @@ class Model:
         self._unforced = np.array([3 + 3 * uav + axis for uav in sorted(released) for axis in range(3)], dtype=np.intp)
         self._p = system.vector()
         found = functions(system.N, system.commands_rates)
-        self._derivative, self._tensions = Compiled(found["derivative"]), Compiled(found["tensions"])
-        self._velocities, self._outputs = Compiled(found["velocities"]), Compiled(found["outputs"])
-        self._outputs_of = found["outputs"]
+        self._compiled = {name: Compiled(function) for name, function in found.items()}
+        self._integrator, self._outputs_of = Integrator(found["step"]), found["outputs"]
         self._several_outputs: dict[int, Compiled] = {}
-        self._linearise, self._integrator = Compiled(found["linearise"]), Integrator(found["step"])
-        self._sense, held = Compiled(found["sense"]), found["sense"].sparsity_out(1)
-        self._sensed_alone = Compiled(found["sensed"])
+        held = found["sense"].sparsity_out(1)
         self._sensed = np.array(held.row()), np.array(held.get_triplet()[1])
-        self._pattern = _pattern(found["linearise"])
+        # Places of the entries of the factors, which the function returns transposed.
+        factors = [found["linearise"].sparsity_out(2 + i) for i in range(len(NAMES))]
+        shapes = [(factor.size2(), factor.size1()) for factor in factors]
+        columns = [row for factor in factors for row in factor.row()]
+        self._pattern = Pattern.of(shapes, [factor.colind() for factor in factors], columns)
         self._without_effect = np.concatenate([self._pattern.columns(name, self._off) for name in ("U", "V_u")])
         self._no_forces = np.zeros(3 + 3 * system.N)
 
@@ -111,15 +112,15 @@ class Model:
 
     def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
-        return self._derivative(*self._arguments(x, u, forces))[0]
+        return self._compiled["derivative"](*self._arguments(x, u, forces))[0]
 
     def tensions(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return the rod tensions, (N,), N; positive when the rod pulls. Source: docs/equations.md (9), (37)."""
-        return self._tensions(*self._arguments(x, u, forces))[0]
+        return self._compiled["tensions"](*self._arguments(x, u, forces))[0]
 
     def outputs(self, x: Array) -> Array:
         """Return y = h(x), (4 N + 9,), SI. Source: docs/equations.md (14)."""
-        return self._outputs(x, self._p)[0]
+        return self._compiled["outputs"](x, self._p)[0]
 
     def outputs_along(self, X: Array) -> Array:
         """Return the outputs of several states, (k, n), in one call, (k, 4 N + 9), with the same bits."""
@@ -131,39 +132,29 @@ class Model:
 
     def velocities(self, x: Array) -> Array:
         """Return the velocities of the centres of mass, (1 + N, 3), inertial frame, m/s. Source: equations.md (39)."""
-        return self._velocities(x, self._p)[0]
+        return self._compiled["velocities"](x, self._p)[0]
 
     def sense(self, x: Array, u: Array, *, forces: Array | None = None) -> tuple[Array, Array]:
-        """Return the measurements of the UAVs' own sensors, (15 N,), SI, and their derivatives by (x, F).
-
-        Returns: y in the layout of `model.state`, and dy/d(x, F), (15 N, n + 3 + 3 N).
-        Source: docs/equations.md (61).
-        """
-        y, values, by_acceleration, acceleration = self._sense(*self._arguments(x, u, forces))
+        """Return the sensors' measurements, (15 N,), SI, and their derivatives by (x, F), (15 N, n + 3 + 3 N): (61)."""
+        y, values, by_acceleration, acceleration = self._compiled["sense"](*self._arguments(x, u, forces))
         slopes: Array = by_acceleration @ acceleration
         slopes[self._sensed] += values
         return y, slopes
 
     def sensed(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return the measurements of `sense` alone, (15 N,)."""
-        return self._sensed_alone.flat(*self._arguments(x, u, forces))
+        return self._compiled["sensed"].flat(*self._arguments(x, u, forces))
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
-        """Return exact derivatives about (x, u) under constant forces.
-
-        Source: docs/equations.md (15), (15a), (37); paper (13).
-        """
-        flat = self._linearise.flat(*self._arguments(x, u, forces))
-        f, y, first = self._linearise.parts[:3]
+        """Return exact derivatives about (x, u) under constant forces: equations.md (15), (15a), (37); paper (13)."""
+        function = self._compiled["linearise"]
+        flat, (f, y, first) = function.flat(*self._arguments(x, u, forces)), function.parts[:3]
         values = flat[first.start :]
         values[self._without_effect] = 0.0
         return Linearisation(f=flat[f], y=flat[y], pattern=self._pattern, values=values)
 
     def force_effect(self, x: Array, u: Array) -> Array:
-        """Return df/dF, (n, 3 + 3 N), SI per N; the first three columns are those of the payload.
-
-        f is affine in the forces, so differences are exact. Source: docs/equations.md (38).
-        """
+        """Return df/dF, (n, 3 + 3 N), SI per N, exact, as f is affine in the forces. Source: equations.md (38)."""
         f = self.derivative(x, u)
         return np.column_stack([self.derivative(x, u, forces=unit) - f for unit in np.eye(len(self._no_forces))])
 
@@ -203,14 +194,6 @@ class Model:
     def _native(self) -> native.Step | None:
         found = library(self.system.N, self.system.commands_rates) if native.AVAILABLE else None
         return None if found is None else native.Step(found)
-
-
-def _pattern(linearise: ca.Function) -> Pattern:
-    """Return the places of the entries of the factors, which the function returns transposed."""
-    factors = [linearise.sparsity_out(2 + i) for i in range(len(NAMES))]
-    shapes = [(factor.size2(), factor.size1()) for factor in factors]
-    columns = [row for factor in factors for row in factor.row()]
-    return Pattern.of(shapes, [factor.colind() for factor in factors], columns)
 
 
 def _zeroed(vector: Array, entries: npt.NDArray[np.intp]) -> Array:

@@ -110,15 +110,11 @@ class Target:
         return found
 
     def joined(self, t_s: Array, found: Array) -> Array:
-        """Return jets of a path, (orders, k, 3), that leads to the target from then on. Source: docs/equations.md (75).
-
-        A weighted mean of path and target: as smooth as both, and never outside their convex hull.
-        """
+        """Return jets of a path since then, (orders, k, 3), led to the target by a mean of both, as smooth: (75)."""
         orders, goal = len(found), self.goal(t_s, len(found))
         share = self.approach.covered(t_s - self.since_s, orders)[..., None]
         mean = found + jets.product(share, goal - found)
-        on_the_way, there = t_s >= self.since_s, t_s >= self.reached_s
-        return np.asarray(np.where(there[:, None], goal, np.where(on_the_way[:, None], mean, found)))
+        return np.asarray(np.where((t_s >= self.reached_s)[:, None], goal, mean))
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -178,19 +174,16 @@ class Maneuver:
         return phase
 
     def path(self, t_s: Array) -> tuple[Array, Array]:
-        """Return r0, (k, 3), m, and its time derivative, (k, 3), m/s, at times t_s, (k,), s; both inertial.
-
-        A step has no velocity. Source: docs/equations.md (20).
-        """
+        """Return r0 and r0' at times t_s, (k,): (k, 3) each, m and m/s, inertial; a step has no velocity: (20)."""
         r, v = self._along(t_s, 2)
         return r, v
 
     def jets(self, t_s: Array) -> Array:
-        """Return the jets (`model.jets`) of a smooth path at times t_s, (k,): (`ORDERS`, k, 3), SI.
+        """Return the jets (`model.jets`) of a smooth path at times t_s, (k,): (`ORDERS`, k, 3), SI: equations.md (65).
 
         Where the formation changes, those of length and width of the team follow: (`ORDERS`, k, 5).
 
-        Raises: ParameterError: a phase is not smooth. Source: docs/equations.md (65).
+        Raises: ParameterError: a phase is not smooth.
         """
         for phase in self.phases:
             if self._curve(phase) is None and (phase.displacement_I.any() or phase.way is not None):
@@ -244,8 +237,7 @@ class Maneuver:
     def press(self, t_s: Array) -> tuple[Array, Array]:
         """Return how far below the payload's path the controllers' reference is, (k,), m, and its rate, (k,), m/s.
 
-        Zero in flight. On the ground the team then pulls with less than the payload's weight. Source: docs/equations.md
-        (59).
+        Zero in flight. On the ground the team pulls with less than the payload's weight. Source: equations.md (59).
         """
         level = np.full(len(t_s), float(self.phases[0].kind == "take_off"))
         rate = np.zeros(len(t_s))
@@ -281,12 +273,7 @@ class Reference:
         self._offsets = np.array([uav.rho - uav.rod_length * e for uav, e in zip(system.uavs, rods, strict=True)])
 
     def followed(self, t_s: Array) -> tuple[Array, Array]:
-        """Return the outputs and states that controllers are to follow at times t_s, (k, 4 N + 9) and (k, 12 + 12 N).
-
-        They are those of the maneuver, and below its path while the payload stands on the ground.
-
-        Source: docs/equations.md (59).
-        """
+        """Return outputs and states that controllers follow, lower while the payload is on the ground: (59)."""
         y, x, (depth, rate) = self.outputs(t_s), self.states(t_s), self.maneuver.press(t_s)
         y[:, 2 : 3 * self._system.N : 3] += depth[:, None]
         y[:, -4] += depth

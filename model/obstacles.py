@@ -1,7 +1,7 @@
 """Obstacles as rounded boxes, and their distances from UAVs, rods and payload.
 
-A box of half sizes h, zero and infinite ones among them, grown by a radius on all sides, is a sphere, an upright
-cylinder, a box or a wall. Distances are exact between bodies that do not touch, and zero or less between those that do.
+A box of half sizes h, zero and infinite ones among them, grown by a radius: a sphere, an upright cylinder, a box or a
+wall. Distances are exact between bodies that do not touch, and zero or less between those that do.
 """
 
 from dataclasses import dataclass
@@ -34,10 +34,7 @@ class Solid:
         return np.asarray(rotation(np.array([0.0, 0.0, self.heading_rad])))
 
     def from_points(self, r_I: Array) -> tuple[Array, Array]:
-        """Return distances of points, (..., 3), negative inside, (...,), m, and their gradients, (..., 3).
-
-        Source: docs/equations.md (69a).
-        """
+        """Return distances of points, (..., 3), negative inside, m, and their gradients, (..., 3): (69a)."""
         q = (r_I - self.centre_I) @ self.R
         beyond = q - np.clip(q, -self.half, self.half)
         outside, depth = np.linalg.norm(beyond, axis=-1), self.half - np.abs(q)
@@ -89,10 +86,7 @@ def bodies(N: int) -> list[str]:
 
 
 def clearances(system: System, obstacle: Obstacle, x: Array) -> Array:
-    """Return the distances of UAV centres, rods and payload from an obstacle at states, (k, n): (k, 2 N + 1), m.
-
-    Source: docs/equations.md (69a).
-    """
+    """Return distances of UAV centres, rods and payload from an obstacle at states, (k, n): (k, 2 N + 1), m: (69a)."""
     view, R = state.StateView(x), np.array([rotation(Theta) for Theta in x[:, state.THETA0]])
     rho, lengths = (np.array([getattr(uav, key) for uav in system.uavs]) for key in ("rho", "rod_length"))
     low = view.r0_I[:, None] + np.einsum("kij,nj->kni", R, rho)

@@ -11,10 +11,8 @@ from model.arrays import Array, ArrayLike, ShapeError, assign, checked, frozen
 
 GRAVITY = 9.81  # m/s^2; the paper gives none
 
-# Relative slack of the triangle inequality of the principal moments: exact flat bodies are allowed.
-_INERTIA_SLACK = 1e-9
-# Least half length of each edge of the payload's box, m.
-_LEAST_HALF_M = 0.05
+_INERTIA_SLACK = 1e-9  # of the triangle inequality of the principal moments: exact flat bodies are allowed
+_LEAST_HALF_M = 0.05  # half length of each edge of the payload's box, m
 
 
 class ParameterError(ValueError):
@@ -133,10 +131,9 @@ def _inertia(name: str, value: ArrayLike) -> Array:
 
 
 def payload_half_size(system: System) -> Array:
-    """Return half the edges of the payload's box, (3,), m: about its centre of mass, as far as its attachment points.
+    """Return half the edges of the payload's box, (3,), payload frame, m: as far as its attachment points.
 
-    The payload is taken for this box where it touches the ground; the equations of motion know no shape. Edges are
-    parallel to the axes of the payload frame.
+    The payload is taken for this box where it touches the ground; the equations of motion know no shape.
     """
     rho = np.array([uav.rho for uav in system.uavs])
     return np.asarray(np.maximum(np.abs(rho).max(axis=0), _LEAST_HALF_M))

@@ -46,16 +46,9 @@ class StepResult:
 class Controller:
     """Model predictive control of the owned UAVs, given the announced inputs of the others.
 
-    The stages are separate methods so that a caller can time them; `step` runs them all.
+    The stages are separate methods so that a caller can time them; `step` runs them all. The reference is X_ref,
+    (K, n), for the preview, or a flat track, which the shared control law follows, keeping clear of obstacles.
 
-    Args:
-        model: The system as the controller knows it.
-        hover: Its equilibrium.
-        settings: Rates, weights, limits.
-        owned: UAVs this controller decides for, 0-based, ascending.
-        X_ref: Reference states at instants 0..K-1 of the maneuver, (K, n), for the preview.
-        track: A flat reference at these instants, which the shared control law follows instead.
-        obstacles: To keep clear of along it.
     Raises: SettingsError: a constraint that cannot be read.
     """
 
@@ -89,13 +82,12 @@ class Controller:
         Args:
             x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
             u0: Inputs in force just before it, all UAVs, (m,): linearisation point and origin of the rates.
-            U: Announced inputs of all UAVs over the horizon, (N_p, m); the owned columns hold the
-                previous plan, shifted.
+            U: Announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan, shifted.
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
-            law: With closed-loop prediction, the shared control law over the horizon (`law`).
+            law: Shared control law over the horizon (`law`), with closed-loop prediction.
             forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
             ticks_since_start: Ticks since this controller began; see `conclude`.
-            end: With terminal "riccati", the cost after the horizon (`end`).
+            end: The cost after the horizon (`end`), with terminal "riccati".
         """
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
@@ -103,10 +95,7 @@ class Controller:
         return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
-        """Linearise the model about (x0, u0), under estimated external forces; with motor lag about the actual inputs.
-
-        Source: docs/equations.md (15), (37), (40), (55); paper (13).
-        """
+        """Linearise about (x0, u0), with motor lag about the actual inputs: equations.md (15), (37), (40), (55)."""
         u_target = self.cost.u_target
         if forces is not None and self.settings.weights.penalised_input == "deviation":
             u_target = u_target + self.regulation.target.M_u @ self.model.at_rest(forces)
@@ -137,10 +126,7 @@ class Controller:
         return self._held[1]
 
     def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction | Course:
-        """Predict the team over the horizon; valid until the next prediction, as is its QP (`mpc.program`).
-
-        Source: docs/equations.md (22)-(24), (35)-(36), (73).
-        """
+        """Predict the team; valid until the next prediction, as is its QP: equations.md (22)-(24), (35)-(36), (73)."""
         if law is not None and law.along is not None:
             return self._along.course(self.model, linear, law, law.along)
         found, self._curvature = None, None
@@ -149,10 +135,7 @@ class Controller:
         return self._program.predict(linear, discrete, U, law, found)
 
     def _trajectory(self, linear: Linear, law: FeedbackLaw) -> tuple[Array, Array] | None:
-        """Return states and inputs by the shared control law and the announced corrections, and keep their curvature.
-
-        None if they are too steep. Source: docs/equations.md (35a).
-        """
+        """Return states and inputs by the law and its corrections, None if too steep; keep their curvature: (35a)."""
         model, n = self.model, self.model.system.n
         z0 = linear.x0 if linear.actual is None else np.concatenate([linear.x0, linear.actual])
         Z, U = rollout(model, self.settings, z0, law, linear.forces)
@@ -167,10 +150,7 @@ class Controller:
         self, linear: Linear, prediction: Prediction | Course, y_ref: Array, law: FeedbackLaw | None = None,
         end: CostToGo | None = None,
     ) -> QP:  # fmt: skip
-        """Return the QP in the scaled decision and the slacks; arguments as those of `step`.
-
-        Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
-        """
+        """Return the QP in the scaled decision and the slacks; arguments as those of `step`: (22)-(30), (48)."""
         if isinstance(prediction, Course):
             return self._along.program(self.model, prediction)
         if self._curvature is not None:
@@ -185,16 +165,11 @@ class Controller:
         self, solution: Solution, prediction: Prediction | Course, U: Array, law: FeedbackLaw | None,
         ticks_since_start: int | None = None,
     ) -> StepResult:  # fmt: skip
-        """Return the plan to announce: w U* + (1 - w) U_previous, or the previous plan after a failure.
+        """Return the plan to announce: w U* + (1 - w) U_previous, or the previous plan after a failure: (30a), (36a).
 
         With a shared control law only the corrections are mixed: the stabilising feedback acts in full, and the inputs
-        follow from the control law and the mixed corrections.
-
-        Announced inputs and control law are those of `step`, the prediction that of the QP. In the first ticks since
-        this controller joined the relaxation weight w is at least 1 / (ticks + 1), as there is no previous plan to
-        average with; `ticks_since_start` is None for a member from the start.
-
-        Source: docs/equations.md (30a), (36a).
+        follow from the control law and the mixed corrections. Within `ticks_since_start`, None for a member from the
+        start, w is at least 1 / (ticks + 1), as there is no previous plan to average with.
         """
         w, decision, solved = self._relaxation, self._decision, solution.status == "solved"
         if ticks_since_start is not None:
@@ -222,10 +197,7 @@ class Controller:
         return StepResult(U=self._decision.clip(U[:, self.own]), c=c, solution=solution)
 
     def foreseen(self, prediction: Prediction | Course, inputs: Array) -> Array:
-        """Return the inputs of all UAVs over the horizon as this controller expects them, within bounds, (N_p, m).
-
-        The owned inputs are given, (N_p, m_own). Source: docs/equations.md (35), (36).
-        """
+        """Return the inputs of all UAVs that this controller expects with given owned ones, within bounds, (N_p, m)."""
         if isinstance(prediction, Course):
             U: Array = prediction.U.copy()
         else:
@@ -235,10 +207,9 @@ class Controller:
         return np.clip(U, self.settings.lower(N), self.settings.upper(N))
 
     def adapted(self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, columns: Places) -> FeedbackLaw:
-        """Return the control law whose corrections, in some columns of u, reproduce inputs announced under another one.
+        """Return the law whose corrections, in some columns of u, reproduce inputs U announced under another one.
 
-        Given are the shared control law over the horizon, the expansion about (x0, u0), its zero-order hold, and the
-        announced inputs of all UAVs, (N_p, m). Source: docs/equations.md (46).
+        Given are also the expansion about (x0, u0) and its zero-order hold. Source: equations.md (46).
         """
         c = law.c.copy()
         if law.along is not None:
@@ -253,7 +224,7 @@ class Controller:
     def without(self, uavs: Collection[int], since: int | None = None) -> None:
         """Set the UAVs without an agent, 0-based: they follow the fail-safe and are predicted so.
 
-        Along a reference, `Regulation.advance` completes the control law if the present instant is given.
+        `since` is the present instant, if `Regulation.advance` completes the control law along a reference.
         """
         self._gone = frozenset(uavs)
         # UAVs without agents obstruct the others: several agents correct the same distances, each its share of them.
@@ -262,11 +233,9 @@ class Controller:
         self._form(since)
 
     def fail(self, off: Collection[int], released: Collection[int], since: int | None = None) -> None:
-        """Set the UAVs without motors, 0-based, and those of them that are released from their rods.
+        """Set the UAVs without motors, 0-based, and those of them that are released from their rods: (50), (51).
 
         If the remaining UAVs cannot stabilise the team, cost and control law ignore the failure; the model has it.
-
-        Source: docs/equations.md (50), (51).
         """
         self._off, self._released = frozenset(off), frozenset(released)
         self.model = failed_model(self._whole.system, off, released) if off else self._whole

@@ -14,10 +14,7 @@ from mpc.settings import CostTerm, SettingsError, Weights
 
 
 class Cost:
-    """A quadratic cost with diagonal weights of the whole team.
-
-    Yaw rates of UAVs without motors, `off`, and all outputs of those released from their rods, 0-based, have no weight.
-    """
+    """Quadratic cost of the team; yaw rates of UAVs that are `off`, and outputs of `released` ones, have no weight."""
 
     def __init__(
         self, weights: Weights, system: System, hover: Hover, off: Collection[int] = (), released: Collection[int] = ()
@@ -33,19 +30,13 @@ class Cost:
         self.u_target = hover.u if weights.penalised_input == "deviation" else np.zeros_like(hover.u)
 
     def stage(self, y: Array, y_ref: Array, u: Array) -> float:
-        """Return the cost of one sampling instant, (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target).
-
-        Output y and its reference, (p,); input u, (m,). Source: docs/equations.md (21); paper (17).
-        """
+        """Return (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target): equations.md (21); paper (17)."""
         error, effort = y - y_ref, u - self.u_target
         return float(error @ (self.Q * error) + effort @ (self.R * effort))
 
 
 class UserCosts:
-    """Weighted squares of the user's expressions of the state, with exact derivatives.
-
-    Raises: SettingsError: one cannot be read; the text says which and why.
-    """
+    """Weighted squares of the user's expressions of the state. Raises: SettingsError: one cannot be read."""
 
     def __init__(self, terms: Sequence[CostTerm], model: Model) -> None:
         symbols = Symbols.of(model.system.N, model.system.commands_rates)
@@ -62,10 +53,7 @@ class UserCosts:
         return self._expressions.at(x)
 
     def about(self, x: Array) -> Array:
-        """Return the square roots of the weights times the gradients at a state, (t, n).
-
-        Raises: SettingsError: a term has no finite value and slope there.
-        """
+        """Return the roots of the weights times the gradients, (t, n). Raises: SettingsError: one is not finite."""
         values, slopes = self.at(x)
         for term, value, slope in zip(self._terms, values, slopes, strict=True):
             if not np.isfinite([value, *slope]).all():

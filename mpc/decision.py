@@ -35,8 +35,8 @@ class Decision:
     def bounds(self, U_free: Array, u0: Array) -> tuple[Array, Array]:
         """Return the bounds on the scaled decision, (N_p m_own,) each; the first step's rate limit is one of them.
 
-        The owned inputs are U_free, (N_p, m_own), where the decision is zero, and were u0[own] before the first step.
-        Inputs in force outside their bounds return at once: the bounds are the actuators', the rates a preference.
+        The owned inputs are U_free, (N_p, m_own), without it, and were u0[own] before. Inputs in force outside their
+        bounds return at once: the bounds are the actuators', the rates a preference.
         """
         lower, upper = self.lower - U_free, self.upper - U_free
         first = u0[self.own] - U_free[0]

@@ -25,22 +25,14 @@ from model.dynamics import Symbols, uav_positions
 from mpc.settings import SettingsError
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
-    ast.USub: operator.neg,
-    ast.UAdd: operator.pos,
-}
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+    ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos,
+}  # fmt: skip
 # Added under the root of a norm: the slope at zero is then zero instead of undefined, the value off by 1e-9.
 _NORM_FLOOR = 1e-18
-
 _CASADI_FUNCTIONS = ("dot", "cross", "sin", "cos", "tan", "sqrt", "exp", "fabs", "fmin", "fmax")
-_FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "norm": lambda a: ca.sqrt(ca.sumsqr(a) + _NORM_FLOOR),
-    **{name: getattr(ca, name) for name in _CASADI_FUNCTIONS},
-}
+_FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(ca, name) for name in _CASADI_FUNCTIONS}
+_FUNCTIONS["norm"] = lambda a: ca.sqrt(ca.sumsqr(a) + _NORM_FLOOR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +46,7 @@ class Relation:
 
 
 def read(text: str, symbols: Symbols) -> Relation:
-    """Read one constraint, two sides and one of <=, >=, ==, as an expression of the system's symbols.
-
-    Raises: SettingsError: not readable, an unknown name, not scalar, or states and inputs mixed.
-    """
+    """Read a constraint: two sides and one of <=, >=, ==. Raises: SettingsError: not readable, or mixed."""
     what = f"constraint {text!r}"
     tree = _parsed(text, what)
     if not (isinstance(tree, ast.Compare) and len(tree.ops) == 1):
@@ -76,10 +65,7 @@ def read(text: str, symbols: Symbols) -> Relation:
 
 
 def read_term(text: str, symbols: Symbols) -> ca.SX:
-    """Read a cost term as a scalar expression of the system's symbols.
-
-    Raises: SettingsError: not readable, an unknown name, not scalar, or not of states alone.
-    """
+    """Read a cost term, a scalar expression of states alone. Raises: SettingsError: not readable, or another."""
     what = f"cost {text!r}"
     value = _scalar(_parsed(text, what), symbols, what)
     if ca.depends_on(value, symbols.u):
@@ -90,10 +76,7 @@ def read_term(text: str, symbols: Symbols) -> ca.SX:
 
 
 class Expressions:
-    """Scalar expressions of the user, compiled with exact derivatives.
-
-    They depend on a variable, state or input, and on the parameters of the system, whose values are p.
-    """
+    """The user's scalar expressions of a variable, state or input, and of parameters, whose values are p."""
 
     def __init__(self, values: Sequence[ca.SX], variable: ca.SX, parameters: ca.SX, p: Array) -> None:
         value = ca.vertcat(ca.SX(0, 1), *values)

@@ -16,33 +16,25 @@ from model.parameters import ParameterError, System
 from model.rotations import rotation
 
 # Attitude loop: slow enough for the moment limits of small quadrotors, faster than the pendulum of a rod.
-_FREQUENCY_RAD_S = 6.0
-_DAMPING = 0.8
+_FREQUENCY_RAD_S, _DAMPING = 6.0, 0.8
 # Attitude gain around an inner loop on body rates, 1/s: critical damping, but not faster than usual autopilots.
 _CRITICAL, _LARGEST_GAIN = 0.25, 6.0
 # Loop of the horizontal position around it: as fast as the pendulum of a rod, slower than the attitude.
-_FOLLOWING_RAD_S = 1.5
-_FOLLOWING_DAMPING = 1.0
-# Largest roll or pitch that it asks for, rad.
-_STEEPEST = 0.2
+_FOLLOWING_RAD_S, _FOLLOWING_DAMPING = 1.5, 1.0
+_STEEPEST = 0.2  # largest roll or pitch that it asks for, rad
 
 
 class FailSafe:
     """The fail-safes of all UAVs.
 
-    Args:
-        system: Physical parameters.
-        u_hover: Hover input with the thrusts to hold, (4 N,).
-        X_ref: Reference states at the sampling instants, (K, n), the last one held, for UAVs that measure their
-            position and velocity and follow them; None for UAVs that keep level.
-        track: A flat reference, whose inputs take the place of hover.
+    They hold the thrusts of u_hover, (4 N,), or with a flat track its inputs. X_ref, (K, n), the last one held, is for
+    UAVs that measure their position and velocity and follow it; None for UAVs that keep level.
     """
 
     def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None, track: Track | None = None) -> None:
         self.u_hover, self._X_ref, self.track = u_hover, X_ref, track
         self._system, self._uavs = system, system.uavs
-        self._gains = []
-        level = np.diag([1.0, 1.0, 0.0])  # the heading is free
+        self._gains, level = [], np.diag([1.0, 1.0, 0.0])  # the heading is free
         for uav in system.uavs:
             gain = np.zeros((state.INPUTS, state.PER_UAV))
             if system.rate_gains is not None:
@@ -59,10 +51,7 @@ class FailSafe:
         return found
 
     def of_team(self, off: Collection[int], released: Collection[int]) -> "FailSafe":
-        """Return the fail-safe of the UAVs left, whose thrusts hold the payload without those off or released, 0-based.
-
-        The same one if they have no hover. Source: docs/equations.md (51), (66).
-        """
+        """Return the fail-safe whose thrusts hold the payload without UAVs off or released, if it has a hover: (51)."""
         found = copy(self)
         if not off:
             return found
@@ -81,10 +70,7 @@ class FailSafe:
         return found
 
     def gain(self, uav: int) -> Array:
-        """Return the linearised feedback from the state to a UAV's inputs, (4, n).
-
-        Source: docs/equations.md (31), (31a), (45), (58).
-        """
+        """Return the linearised feedback from the state to a UAV's inputs, (4, n): (31), (31a), (45), (58)."""
         gain = np.zeros((state.INPUTS, state.PAYLOAD + state.PER_UAV * len(self._uavs)))
         own = state.uav_slice(uav)
         gain[:, own] = self._gains[uav]
@@ -100,10 +86,7 @@ class FailSafe:
         return gain
 
     def inputs(self, uav: int, x: Array, tick: int) -> Array:
-        """Return the inputs of one UAV, 0-based, at a state of the system at t_k, (n,), before limits, (4,), SI.
-
-        Source: docs/equations.md (31), (31a), (58).
-        """
+        """Return the inputs of one UAV, 0-based, at a state at t_k, (n,), before limits, (4,): (31), (31a), (58)."""
         own = x[state.uav_slice(uav)].copy()
         if self._X_ref is not None:
             position, velocity = self._motion(uav, x)

@@ -1,14 +1,12 @@
 """The shared linear-quadratic regulator: the infinite-horizon optimum of the team's cost about hover.
 
 Every agent computes the same gain and cost-to-go, decides its own corrections c to the shared control law
-u = u_rest + K (x - x_ref) + feedforward + c, and takes the others' corrections as announced. Near the unconstrained
-optimum the corrections are small, so little depends on the network.
+u = u_rest + K (x - x_ref) + feedforward + c, and takes the others' corrections as announced.
 
-The regulator is the optimum for a reference at rest without external forces. A moving reference is a known
-disturbance of the deviation from it: one backward recursion along the maneuver gives the preview, the optimum under it
-(Anderson and Moore 1990, chapter 4; Tomizuka 1975), once per maneuver and team. Under constant forces, steering towards
-hover leaves an offset; steering towards the target, the steady state that balances them, does not (offset-free MPC:
-Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
+A moving reference is a known disturbance: one backward recursion along the maneuver is the preview, the optimum under
+it (Anderson and Moore 1990, chapter 4; Tomizuka 1975). Under constant forces, steering towards hover leaves an offset;
+steering towards the target, the steady state that balances them, does not (offset-free MPC: Pannocchia, Rawlings 2003;
+Maeder, Borrelli, Morari 2009).
 """
 
 import math
@@ -28,18 +26,14 @@ from model.motors import lagged
 from model.state import input_indices
 from mpc.cost import Cost
 
-# Doublings of the Riccati recursion: 2^k steps after k of them. The slowest mode of a load on rods of a few metres
-# decays within some thousand sampling periods.
+# Doublings of the Riccati recursion: 2^k steps after k of them; the slowest modes decay within some thousand periods.
 _DOUBLINGS = 20
 _CONVERGED = 1e-12
-# Square root of the discount of the cost per sampling period, used only where the undiscounted cost is infinite;
-# 1e-4 is a time constant of 500 s at 50 ms.
+# Root of the discount of the cost per sampling period, where it is infinite without; 500 s at 50 ms.
 _DISCOUNT = 1.0 - 1e-4
-# Largest growth rate of the closed loop, 1/s. Headings and the positions of UAVs without agents are constant (growth
-# zero), a UAV that falls over has 2 1/s; growth by e in 50 s is within the error of the linearisation.
+# Largest growth rate of the closed loop, 1/s: headings have zero, a UAV that falls over has 2 1/s.
 _GROWTH = 0.02
-# Largest gain relative to sqrt(Q / R), the gain of a single integrator: 0.1 to 2 for teams that can be stabilised, 500
-# and more for modes that inputs reach through rounding only.
+# Largest gain relative to sqrt(Q / R): 0.1 to 2 for most teams, 500 and more for modes reached through rounding only.
 _GAIN = 100.0
 # Directions whose cost is below this share of the largest count as free (headings).
 _RANK = 1e-12
@@ -101,23 +95,14 @@ def regulator(
     model: Model, hover: Hover, cost: Cost, period_s: float, uncontrolled: Mapping[int, Array] | None = None,
     further: Array | None = None, off: Collection[int] = (), released: Collection[int] = (), motor_lag_s: float = 0.0,
 ) -> Regulator:  # fmt: skip
-    """Return the linear-quadratic regulator of the team about hover.
+    """Return the linear-quadratic regulator of the team about hover: equations.md (33)-(34), (45), (55).
 
-    UAVs without an agent follow a control law of their own; the gain of the others is the optimum given that law.
-    Directions off |e| = 1 and e . Omega = 0 can be neither reached nor left: the recursion has no coordinates for them.
+    UAVs without an agent follow a control law of their own, a feedback from the state, (4, n), by 0-based numbers;
+    the gain of the others is the optimum given that law. Directions off |e| = 1 and e . Omega = 0 can be neither
+    reached nor left: the recursion has no coordinates for them, and none for UAVs that are off or released (`tangent`).
+    Further terms of the cost are roots of weights times slopes at hover, (t, n). With motor lag inputs are states.
 
-    Args:
-        model: The system as the controller knows it.
-        hover: Its equilibrium.
-        cost: Q on the outputs, R on all inputs.
-        period_s: Sampling period, s.
-        uncontrolled: Feedback from the state, (4, n), of each UAV without an agent, by its 0-based number.
-        further: Further terms of the cost, (t, n): square roots of the weights times slopes at hover.
-        off: UAVs without motors, 0-based; their attitudes are decoupled from all else and left out.
-        released: UAVs no longer on their rods, 0-based; all their states are left out.
-        motor_lag_s: Time constant of the motors, s; their actual inputs are further states if it is positive.
     Raises: FeedbackError: the recursion does not converge, or its feedback does not stabilise the team.
-    Source: docs/equations.md (33)-(34), (45), (55).
     """
     linear = model.linearise(hover.x, hover.u)
     T = tangent(hover.x, off, released)
@@ -140,8 +125,7 @@ def regulator(
     except FeedbackError:
         if not uncontrolled:
             raise
-        # Equal UAVs without agents can swing against each other undamped and out of reach of the other inputs: the
-        # infinite sum of that cost is finite only with a discount.
+        # UAVs without agents can swing against each other undamped, out of reach: their cost is infinite without it.
         P, discount = _riccati(_DISCOUNT * A, _DISCOUNT * B, weighted, R), _DISCOUNT
     preview_gain = np.negative(np.linalg.solve(np.diag(R) / discount**2 + B.T @ P @ B, B.T), dtype=np.float64)
     K[controlled] = preview_gain @ P @ A @ T.T
@@ -163,8 +147,7 @@ def regulator(
 def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
     """Return the least positive semidefinite solution of the discrete algebraic Riccati equation, by doubling.
 
-    H after k doublings is the Riccati recursion from zero after 2^k steps, so modes without cost (a UAV's heading) stay
-    without cost instead of making the equation unsolvable.
+    H is the Riccati recursion from zero after 2^k steps, so modes without cost (a UAV's heading) stay without cost.
     """
     identity = np.eye(len(A))
     G = (B / R) @ B.T
@@ -182,8 +165,7 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
 def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = ()) -> Array:
     """Return an orthonormal basis of the directions the state can take at x, (n,): (n, n - 2 N).
 
-    Attitudes and rates of UAVs without motors, `off`, are left out, 6 columns less for each, and all states of those
-    released, 10 columns less; both 0-based.
+    Attitudes of UAVs that are `off` are left out, 6 columns less for each, and all states of `released` ones, 10 less.
     """
     blocks = [np.eye(state.PAYLOAD)]
     for e in state.StateView(x).e_P:
@@ -203,10 +185,7 @@ def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = ())
 
 
 def with_motors(T: Array, off: Collection[int]) -> Array:
-    """Return a basis of directions of states and actual inputs from that of states, (n, r): (n + m, r + m).
-
-    The inputs of UAVs without motors, 0-based, are left out: 4 columns less for each.
-    """
+    """Return a basis of states and actual inputs, but of UAVs that are `off`, from that of states: (n + m, r + m)."""
     n, r = T.shape
     m = (n - state.PAYLOAD) // state.PER_UAV * state.INPUTS
     kept = np.setdiff1d(np.arange(m), input_indices(sorted(off)))
@@ -259,12 +238,10 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> 
 
 
 def at_rest(regulator: Regulator, pulled: Array) -> Array:
-    """Return the slope of the cost-to-go under a constant pull: the solution of p = A_closed' p + pulled.
+    """Return the slope of the cost-to-go under a constant pull, (r,) or (r, columns): p = A_closed' p + pulled.
 
     Directions without cost (headings) are neither pulled nor damped; the slope has no part along them. A_closed' maps
     the other directions into themselves, and there the solution is unique: the sum of all future pulls.
-
-    Pull, half the gradient of the stage cost, and slope are in the regulator's coordinates, (r,) or (r, columns).
     """
     costly = np.linalg.svd(regulator.root @ regulator.T, full_matrices=False)[2]  # orthonormal basis, (rank, r)
     within = np.eye(len(costly)) - costly @ regulator.A_closed.T @ costly.T

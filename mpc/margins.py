@@ -1,9 +1,7 @@
 """Linear analysis of the sampled loop about hover: plant, actuators, estimators and control laws of a whole team.
 
-The plant between the sampling instants is exact: motor lag, delay of the actuators, their gain, and bodies other than
-those that the controllers know. The controllers are those of a run, without limits and constraints. The eigenvalues of
-the step from one sampling instant to the next tell whether the hover is stable, and bisection tells up to which
-difference between plant and model it is.
+The plant between the sampling instants is exact. The controllers are those of a run, without limits and constraints.
+The eigenvalues of the step from one sampling instant to the next tell whether the hover is stable.
 """
 
 import math
@@ -23,18 +21,12 @@ from mpc.controller import Controller, Linear
 from mpc.feedback import tangent, with_motors
 from mpc.solvers import unsolved
 
-# Fastest growth that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them.
-GROWTH = 0.02
-# Slowest decay that is one, 1/s: undamped modes have zero, and rounding moves them.
-_DECAY = 1e-3
-# Steps of the search: coarse until the first unstable plant, then bisection to a share of the value.
-_COARSE, _FINE = 1.4, 0.005
-# Farthest factors, and farthest lag and delay, s.
-FARTHEST, FARTHEST_S = 10.0, 0.6
-# Size of the perturbations that are fed to the controllers, whose limits must not bind.
-_PROBE = 1e-3
-# Shortest lag and delay that are tried, s.
-_FIRST_S = 1e-3
+GROWTH = 0.02  # fastest that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them
+_DECAY = 1e-3  # slowest that is one, 1/s: undamped modes have zero, and rounding moves them
+_COARSE, _FINE = 1.4, 0.005  # steps of the search: until the first unstable plant, then by bisection
+FARTHEST, FARTHEST_S = 10.0, 0.6  # factors, and lag and delay, s
+_FIRST_S = 1e-3  # shortest lag and delay that are tried, s
+_PROBE = 1e-3  # perturbations that are fed to the controllers, whose limits must not bind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,10 +108,7 @@ class Loop:
         return np.asarray(self._T.T @ (known[:, None] * self._T))
 
     def _planned(self, controller: Controller, x: Array, u0: Array, U: Array, c: Array) -> tuple[Array, Array]:
-        """Return a controller's plan and corrections without limits and constraints, as deviations from hover.
-
-        Given are deviations from hover: state in tangent coordinates, inputs in force, announced inputs, corrections.
-        """
+        """Return a controller's plan and corrections without limits and constraints; all are deviations from hover."""
         steps, hover = self._settings.horizon, self._hover
         dx = self._T @ x
         known = np.concatenate([hover.x, hover.u])[: len(dx)]
@@ -155,10 +144,7 @@ class Loop:
         return np.array(columns).T
 
     def matrix(self, plant: Mismatch) -> Array:
-        """Return the step of the loop from one sampling instant to the next.
-
-        Raises: ParameterError: the actual bodies have no hover.
-        """
+        """Return the step from one sampling instant to the next. Raises: ParameterError: the bodies have no hover."""
         actual = hover(plant.system(self._system))
         motion = Model(plant.system(self._system)).linearise(actual.x, actual.u)
         T, period_s, m, r = self._T[: self._system.n, : self._r], self.period_s, self._m, self._r
@@ -218,10 +204,9 @@ class Loop:
     def _estimate(
         self, agent: int, known: Sequence[Array], commands: Sequence[Array], guess: Array
     ) -> tuple[Array, Array]:
-        """Return an agent's estimate of the state that its plan begins with, and that of the UAVs without agents later.
+        """Return an agent's estimate of the state of its plan, and what it assumes of UAVs without agents.
 
-        Given are the states of now and before, and the commands of before, newest first, and what the agent assumes of
-        the UAVs without agents at the oldest of these instants; it is returned for the instant after that.
+        Given are states, of now and before, and commands, newest first, and that assumption one instant earlier.
         """
         own, age, ahead = self._controllers[agent].own, self._age, int(self._next_tick)
         x, offset = known[age].copy(), np.zeros(0)
@@ -288,10 +273,7 @@ class Margin:
 
 
 def margins(loop: Loop) -> dict[str, Margin]:
-    """Return the margin of a loop to each property of `Mismatch`, the others as the controllers know them.
-
-    A loop that is unstable with the plant as known has no margins.
-    """
+    """Return the margin to each property of `Mismatch`, the others as known; none if the loop is unstable as known."""
     nominal = Mismatch(lag_s=loop.known_lag_s)
     if loop.growth(nominal) > GROWTH:
         return {}

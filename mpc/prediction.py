@@ -1,8 +1,4 @@
-"""Prediction over the horizon: the free response with held owned inputs, and the effect of each owned input.
-
-A prediction is affine in the decision v (one row per step) and time-invariant over the horizon, so the free response
-and one impulse response describe it fully.
-"""
+"""Prediction over the horizon, affine in the decision v and time-invariant: a free response and an impulse response."""
 
 from dataclasses import dataclass
 
@@ -48,17 +44,12 @@ class Prediction:
 def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackLaw | None = None) -> Prediction:
     """Predict with the owned inputs held at u0 and the others' as announced, as in the paper, or by a shared law.
 
-    Input of UAV j by the law: u_rest + K_j (x - x_ref) + c_j. That prediction includes the others' feedback, so an
-    agent does not correct an error that they already correct.
+    By the law u = u_rest + K (x - x_ref) + c. That prediction includes the others' feedback, so an agent does not
+    correct an error that they already correct.
 
-    Args:
-        discrete: Zero-order hold about (x0, u0).
-        u0: Input of the linearisation, (m,).
-        own: Positions of the owned inputs in u, (m_own,).
-        U: Announced inputs of all UAVs over the horizon, (N_p, m); owned columns are not read.
-        law: The control law over the horizon with the announced corrections, which replaces U.
-    Returns: Prediction whose decision is the deviation of the owned inputs from u0.
-    Source: docs/equations.md (22)-(24), (35)-(36); paper (15)-(16), (22)-(24), with B_i in (23) and delta X in (24).
+    Given are the zero-order hold about (x0, u0), the positions of the owned inputs in u, (m_own,), and all announced
+    inputs, (N_p, m), or the law over the horizon with the announced corrections, which replaces them. The decision is
+    the deviation of the owned inputs from u0. Source: equations.md (22)-(24), (35)-(36); paper (15)-(16), (22)-(24).
     """
     at_x0 = U if law is None else law.uncorrected + law.c
     (n, _), steps, B_others = discrete.B.shape, len(at_x0), discrete.B.copy()
@@ -80,10 +71,9 @@ def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackL
 def follow(
     prediction: Prediction, A: Array, B: Array, u0: Array, own: Places, law: FeedbackLaw, Z: Array, U: Array
 ) -> None:
-    """Change the free response of a prediction by a law so that it is exact along a trajectory.
+    """Change the free response of a prediction by a law so that it is exact along states Z, (N_p + 1, n): (35a).
 
-    The owned ones of the inputs U, (N_p, m), which follow the shared control law, then lead to the states Z,
-    (N_p + 1, n). A includes the others' feedback (`fed_back`). Source: docs/equations.md (35a).
+    The owned ones of the inputs U, (N_p, m), lead there. A includes the others' feedback (`fed_back`).
     """
     V = U[:, own] - u0[own]
     response = native.free_response if native.AVAILABLE else free_response
@@ -102,10 +92,7 @@ def fed_back(discrete: Discrete, own: Places, K: Array) -> Array:
 
 
 def convolve(effect: Array, v: Array) -> Array:
-    """Return the deviations of signals caused by decisions v, (N_p, m): sum_{j < k} effect(k-1-j) v(j), (N_p, signals).
-
-    Given is the effect on the signals, (signals, N_p, m). Source: docs/equations.md (24).
-    """
+    """Return deviations of signals by decisions v: sum_{j < k} effect(k-1-j) v(j), (N_p, signals). Source: (24)."""
     found = np.zeros((len(v), len(effect)))
     for k in range(1, len(v)):
         found[k] = np.einsum("sjm,jm->s", effect[:, :k], v[:k][::-1])
@@ -113,10 +100,7 @@ def convolve(effect: Array, v: Array) -> Array:
 
 
 def free_response(A: Array, W: Array) -> Array:
-    """Return the response from zero to a drive W, (N_p, n): dx(0) = 0, dx(k+1) = A dx(k) + W(k), (N_p + 1, n).
-
-    Source: docs/equations.md (23); paper (15), (23).
-    """
+    """Return dx(0) = 0, dx(k+1) = A dx(k) + W(k), (N_p + 1, n), to a drive W, (N_p, n): (23); paper (15), (23)."""
     dX = np.zeros((len(W) + 1, A.shape[0]))
     for k, w in enumerate(W):
         np.dot(A, dX[k], out=dX[k + 1])
@@ -125,10 +109,9 @@ def free_response(A: Array, W: Array) -> Array:
 
 
 def stacked(effect: Array) -> Array:
-    """Return the prediction matrix of signals at steps 1..N_p, lower block-Toeplitz, (N_p s, N_p m).
+    """Return the prediction matrix of signals at steps 1..N_p, lower block-Toeplitz, (N_p s, N_p m): (25); paper (16).
 
     Given is the effect of one decision on them 1, 2, .. steps later, (s, N_p, m).
-    Source: docs/equations.md (25); paper (16).
     """
     s, steps, m = effect.shape
     matrix = np.zeros((steps, s, steps, m))

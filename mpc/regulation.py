@@ -29,8 +29,8 @@ T = TypeVar("T")
 # Instants before a change of the reference for which its law is kept: more than estimators look back.
 KEPT = 128
 _NO_CORRECTIONS = np.zeros((1, 0))
-# Regulators and previews by model and team: computed once for all controllers of a process. Keys have the identities of
-# what else they follow from, which is kept beside the result; the oldest are forgotten.
+# Regulators and previews by model, team and identities of what else they follow from, kept beside them: computed once
+# for all controllers of a process; the oldest are forgotten.
 _MOST_FOUND = 64
 _FOUND: WeakKeyDictionary[Model, dict[tuple[Any, ...], tuple[Any, tuple[object, ...]]]] = WeakKeyDictionary()
 
@@ -56,12 +56,8 @@ class Ahead:
 class Regulation:
     """The shared control law and cost-to-go of one maneuver, for the UAVs that have agents.
 
-    Args:
-        model: The system as the controller knows it.
-        hover: Its equilibrium.
-        settings: Weights, prediction, cost-to-go.
-        X_ref: Reference states at instants 0..K-1, (K, n), for the preview; the last one is held.
-        track: A flat reference at these instants, which the control law follows instead.
+    The reference, X_ref, (K, n), for the preview, or a flat track, is that at instants 0..K-1; the last one is held.
+
     Raises: FeedbackError: the settings need a regulator and none stabilises the team.
     """
 
@@ -93,9 +89,8 @@ class Regulation:
     def target(self) -> Target:
         """Steady state under external forces; computed at the first use."""
         if self._target is None:
-            self._target = feedback.target(
-                self._model, self.hover, self.cost, self._uncontrolled, self._off, self._released
-            )
+            team = self._uncontrolled, self._off, self._released
+            self._target = feedback.target(self._model, self.hover, self.cost, *team)
         return self._target
 
     def form(
@@ -103,14 +98,12 @@ class Regulation:
     ) -> None:
         """Set the UAVs, 0-based, without an agent, without motors, and of these those released from their rods.
 
-        The shared control law depends on nothing else, so it is the same in all agents. UAVs without an agent follow
-        the fail-safe. Along a reference, the law for a team not met before takes the work of several instants: if the
-        present instant is given, `advance` completes it.
+        The shared control law depends on nothing else: it is the same in all agents. Along a reference, that of a new
+        team takes the work of several instants: if the present one is given, `advance` completes it.
         If the remaining UAVs have no hover or cannot stabilise the team, the regulator ignores the lost agents, else
-        the failures, else both. Source: docs/equations.md (40), (45), (50), (51).
+        the failures, else both. Source: equations.md (40), (45), (50), (51).
         """
-        none: frozenset[int] = frozenset()
-        gone, off, released = frozenset(gone), frozenset(off), frozenset(released)
+        gone, off, released, none = frozenset(gone), frozenset(off), frozenset(released), frozenset[int]()
         for team in ((gone, off, released), (none, off, released), (gone, none, none)):
             with contextlib.suppress(FeedbackError, ParameterError):
                 return self._form(*team, since)
@@ -127,11 +120,9 @@ class Regulation:
         return True
 
     def head(self, X_ref: Array, ahead: Ahead) -> bool:
-        """Follow another reference from the present instant on; the control law before it stays as it was.
+        """Follow another reference from the present instant on; the law before it stays as it was.
 
-        Given are the reference states at all instants, (K, n), for UAVs without an agent, and the new part.
-
-        Returns: Whether the law of a new team, on which `advance` works, holds from this instant on.
+        Given are all reference states, (K, n), for UAVs without an agent, and the new part. Returns: as `advance`.
         """
         completed = self._recursion is not None and self.advance(self._recursion.ready)
         self._ahead, self._preview_before = (ahead,), self._preview
@@ -178,15 +169,10 @@ class Regulation:
             self._track = self.fail_safe.track
 
     def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
-        """Return the shared control law over the horizon; None with open-loop prediction.
+        """Return the shared control law over the horizon; None with open-loop prediction: equations.md (35), (40).
 
-        Args:
-            x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
-            x_ref: Reference states at steps 0..N_p-1, (N_p, n).
-            c: Announced corrections of all UAVs, (N_p, m).
-            forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
-            start: Instant of the first step.
-        Source: docs/equations.md (35), (40).
+        Given are the state at its first step, (n,), with motor lag [x, actual inputs], (n + m,), reference states,
+        (N_p, n), announced corrections, (N_p, m), estimated forces (`Model`), and the instant of the first step.
         """
         if self.regulator is None or self._settings.prediction != "closed_loop":
             return None
@@ -233,9 +219,9 @@ class Regulation:
         return self.regulator.K
 
     def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
-        """Return the cost after the horizon; None if it is a multiple of the stage cost, or part of the law's weights.
+        """Return the cost after the horizon, (36d); None if a multiple of the stage cost, or part of the law's weights.
 
-        Reference state, (n,), and instant are those of step N_p; the rest as in `law`. Source: docs/equations.md (36d).
+        Reference state, (n,), and instant are those of step N_p; the rest as in `law`.
         """
         if self.regulator is None or self._settings.terminal != "riccati" or self._track is not None:
             return None
@@ -316,8 +302,7 @@ class Regulation:
     def _shared(self, what: str, compute: Callable[[], T]) -> T:
         """Return a result for this team, computed by the first controller of the reference that needs it.
 
-        Not for others, such as a check of the scenario: the number of BLAS threads, which decides the order of sums,
-        may differ.
+        Not for others: the number of BLAS threads, which decides the order of sums, may differ.
         """
         origin = self._follows_from if what == "regulator" else (*self._follows_from, *self._ahead)
         found, key = _FOUND.setdefault(self._whole, {}), (what, *map(id, origin), *self._team)
@@ -329,10 +314,7 @@ class Regulation:
         return result
 
     def _forced(self, regulator: Regulator) -> tuple[Array, Array]:
-        """Return feedforward (m, 3 + 3 N) and slope of the cost-to-go (n, 3 + 3 N) per newton.
-
-        They are nonzero where the target misses outputs. Source: docs/equations.md (40a).
-        """
+        """Return feedforward and slope of the cost-to-go per newton, where the target misses outputs: (40a)."""
         if self._by_forces is None:
             C = self._model.linearise(self.hover.x, self.hover.u).C
             missed = C.T @ (self.cost.Q[:, None] * (C @ self.target.M_x))

@@ -15,7 +15,9 @@ import numpy.typing as npt
 from model import state
 from model.arrays import Array
 from model.dynamics import Symbols, motion
-from model.parameters import System
+from model.obstacles import Obstacle
+from model.parameters import System, payload_corners
+from model.rotations import euler_rates, rotation
 from mpc.decision import Decision
 from mpc.expressions import Expressions, read
 from mpc.prediction import Linear, Prediction, stacked
@@ -23,12 +25,10 @@ from mpc.settings import Constraint
 
 
 class Rows:
-    """Rows of all constraints that are set; constant entries and bounds are here.
+    """Rows of all constraints that are set, (28)-(30b); constant entries and bounds are here.
 
     One slack for all separations and one for all tilts, one for each soft constraint of the user, one for all rod
     tensions. Constraints without owned inputs are left to their owners.
-
-    Source: docs/equations.md (28)-(30b); paper (20)-(21), (26)-(27).
     """
 
     def __init__(self, decision: Decision) -> None:
@@ -68,8 +68,7 @@ class Rows:
     def fill(self, linear: Linear, prediction: Prediction, free: Array, effect: Array) -> tuple[Array, Array, Array]:
         """Return A, lower and upper of one step; the positions of the UAVs are the first of the weighted outputs.
 
-        Given are these without decision, (N_p, outputs), and the effect of the scaled decision on them, (outputs, N_p,
-        m_own).
+        Given are these without decision, (N_p, outputs), and the scaled decision's effect, (outputs, N_p, m_own).
         """
         A, lower, upper = self.A.copy(), self.lower.copy(), self.upper.copy()
         size, N = self._decision.size, self._decision.system.N
@@ -112,6 +111,38 @@ class Rows:
             upper[self._tensions] = -values.reshape(-1)
 
 
+class Clearance:
+    """Distances of owned UAVs and of the payload's corners from obstacles; a rod lies between them: (74a)."""
+
+    def __init__(self, decision: Decision, obstacles: Sequence[Obstacle]) -> None:
+        self._obstacles, self._own = obstacles, list(decision.uavs)
+        self._corners = payload_corners(decision.system)
+        margins = [[obstacle.margin_m] * len(self._own) + [obstacle.load_margin_m] * 8 for obstacle in obstacles]
+        self._margins = np.array(margins).reshape(len(obstacles), -1)
+        self.penalties = np.array([obstacle.penalty for obstacle in obstacles])  # weight of the slack of each
+
+    def excess(self, Z: Array, places: Array) -> tuple[Array, Array]:
+        """Return distances beyond the margins, (obstacles, k, points), m, and gradients, at states and UAV places."""
+        R = np.array([rotation(Theta) for Theta in Z[:, state.THETA0]])
+        corners = Z[:, None, state.R0] + np.einsum("kij,cj->kci", R, self._corners)
+        points = np.concatenate([places[:, self._own], corners], axis=1)
+        distances, normals = zip(*(obstacle.from_points(points) for obstacle in self._obstacles), strict=True)
+        return np.array(distances) - self._margins[:, None], np.array(normals)
+
+    def rows(self, x: Array, normals: Array, effect: Array, on_places: Array) -> Array:
+        """Return the effect of a decision on the distances at one state, (obstacles, points, size).
+
+        Given are gradients, (obstacles, points, 3), and effects on the state, (n, size), and on places, (3 N, size).
+        """
+        R, omegas = rotation(x[state.THETA0]), np.linalg.inv(euler_rates(x[state.THETA0])).T
+        turned = np.array([np.cross(omega, self._corners) @ R.T for omega in omegas])
+        # All agents correct the payload's distance: each its share of what they do together.
+        on_corners = effect[state.R0] + np.einsum("aci,as->cis", turned, effect[state.THETA0])
+        on_corners *= len(on_places) // 3 / len(self._own)
+        on_points = np.concatenate([on_places.reshape(-1, 3, effect.shape[1])[self._own], on_corners])
+        return np.asarray(np.einsum("opi,pis->ops", normals, on_points))
+
+
 def rate_rows(steps: int, m: int) -> Array:
     """Return the differences of successive decisions, ((steps - 1) m, steps m). Source: docs/equations.md (28a)."""
     return np.eye((steps - 1) * m, steps * m, m) - np.eye((steps - 1) * m, steps * m)
@@ -124,15 +155,10 @@ def pairs_of(N: int, owned: tuple[int, ...]) -> npt.NDArray[np.intp]:
 
 
 def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return pairwise distances of the UAVs as linear functions of their positions.
+    """Return pairwise distances, (pairs,), m, and rows with distance = row . positions, (pairs, 3 N): (29).
 
     |r_i - r_j| is replaced by d' (r_i - r_j), d the present direction: a lower bound, so that keeping it
-    above the limit keeps the actual distance above it too.
-
-    The positions are those at the linearisation point, (3 N,), m; the pairs are UAVs, 0-based, (pairs, 2).
-
-    Returns: Distances now, (pairs,), m; rows with distance = row . positions, (pairs, 3 N).
-    Source: docs/equations.md (29).
+    above the limit keeps the actual distance above it too. Given are positions, (3 N,), and pairs, (pairs, 2).
     """
     r = positions.reshape(-1, 3)
     apart = r[pairs[:, 0]] - r[pairs[:, 1]]
@@ -156,10 +182,7 @@ class UserConstraints:
 
 
 def compile_constraints(constraints: Sequence[Constraint], system: System) -> tuple[UserConstraints, UserConstraints]:
-    """Read and compile the user's constraints on states and on inputs.
-
-    Raises: SettingsError: one cannot be read; the text says which and why.
-    """
+    """Read the user's constraints on states and on inputs. Raises: SettingsError: one cannot be read."""
     symbols = Symbols.of(system.N, system.commands_rates)
     relations = [(read(constraint.expression, symbols), constraint) for constraint in constraints]
 
@@ -176,10 +199,7 @@ def compile_constraints(constraints: Sequence[Constraint], system: System) -> tu
 
 
 def tension_margins(decision: Decision) -> Expressions:
-    """Return tension.minimum_N less the rod tensions of the owned UAVs, of states and inputs, (n + m,); none unlimited.
-
-    Source: docs/equations.md (9), (30b).
-    """
+    """Return minimum_N less the rod tensions of the owned UAVs, of states and inputs: (30b); none if unlimited."""
     symbols, section = Symbols.of(decision.system.N, decision.system.commands_rates), decision.settings.tension
     margins: list[ca.SX] = []
     if section is not None:

@@ -1,8 +1,7 @@
 """Settings of a controller: rates, horizon, weights, limits; and the base of all sections of a scenario.
 
-These classes are sections of a scenario file as well: each field has its key, type, range, default and meaning here
-alone. docs/keys.md, labels of figures, short names in Python and options of commands are made from them
-(`protocol.scenario.keys`).
+Each field has its key, type, range, default and meaning here alone: docs/keys.md, labels of figures, short names in
+Python and options of commands are made from them (`protocol.scenario.keys`).
 """
 
 from dataclasses import dataclass
@@ -187,10 +186,7 @@ class Tension(Section):
 
 
 class Constraint(Section):
-    """A constraint of the user as text over the model's variables (see `mpc.expressions`).
-
-    Every agent corrects the whole violation it predicts: use `relaxation` where the constraint becomes active.
-    """
+    """A constraint of the user as text over the variables of the model (see `mpc.expressions`)."""
 
     expression: str
     """such as `"r0[2] >= -12.0"`"""

@@ -46,10 +46,9 @@ def unsolved(n: int, rows: int, solver: str) -> Solution:
 def within_bounds(qp: QP) -> Solution | None:
     """Return the solution of the QP with its bounds alone if it passes the residual check of the whole QP.
 
-    Most QPs of a run have no active row, and preparing the rows is most of a solver's work. The kernel is a primal-dual
-    active-set method (Hintermueller, Ito, Kunisch 2003): guess the active bounds; solve the remaining equations;
-    release bounds whose multiplier has the wrong sign, add violated ones; repeat until the guess is consistent. None
-    without compiled kernels, and if the method cycles.
+    Most QPs have no active row, and preparing the rows is most of a solver's work. The kernel guesses active bounds,
+    solves, releases and adds bounds until the guess is consistent (primal-dual active-set method: Hintermueller, Ito,
+    Kunisch 2003). None without compiled kernels, and if the method cycles.
     """
     if not native.AVAILABLE:
         return None

@@ -3,10 +3,10 @@
 All agents compute the same gains once, by the Riccati recursion backwards from the regulator at hover. In deviations
 from the reference, with inputs u = u_ref + K(k) (x - x_ref) + feedforward + c, the team's cost is
 
-    constant + sum_k c(k)' M(k) c(k),    M(k) = R + B(k)' P(k+1) B(k),
+    constant + sum_k c(k)' M(k) c(k),    M(k) = R + B(k)' P(k+1) B(k).
 
-by completion of squares. So an agent's optimum without constraints follows from the others' corrections alone, and is
-zero where theirs are. Only where the trajectory under it violates a constraint is a QP solved, about that trajectory.
+So an agent's optimum without constraints follows from the others' corrections alone, and is zero where theirs are. Only
+where the trajectory under it violates a constraint is a QP solved, about that trajectory.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -20,23 +20,19 @@ from model.discretisation import zero_order_hold
 from model.flat import Track
 from model.linearisation import Model
 from model.obstacles import Obstacle
-from mpc.clearance import Clearance
 from mpc.cost import Cost, UserCosts
 from mpc.decision import Decision
 from mpc.feedback import Expansion, FeedbackLaw, Regulator
 from mpc.prediction import Linear
 from mpc.qp import QP
-from mpc.rows import Rows, separation_rows
+from mpc.rows import Clearance, Rows, separation_rows
 from mpc.settings import ControllerSettings
 
-# Gains computed in a sampling period while the team flies: 8 ms of processor time for four UAVs.
-INSTANTS = 16
+INSTANTS = 16  # gains computed in a sampling period while the team flies: 8 ms of processor time for four UAVs
 # Inputs on the reference at an instant, (4,), and feedback from the state, (4, n), of UAVs by their 0-based numbers.
 Uncontrolled = Mapping[int, tuple[Callable[[int], Array], Array]]
-# Integration steps per sampling period of the difference of reference and model.
-_STEPS = 2
-# A constraint counts as violated from this share of the range of inputs on, or of m or rad: rounding otherwise.
-_ROUNDING = 1e-9
+_STEPS = 2  # integration steps per sampling period of the difference of reference and model
+_ROUNDING = 1e-9  # from this share of the range of inputs on, or of m or rad, a constraint counts as violated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,19 +63,13 @@ class Recursion:
     """Linear-quadratic regulator along a reference in the making, some instants at a time, backwards from its end.
 
     States are deviations from the reference; the cost is blind to those off the manifold, as the expansion is. The
-    user's terms count as deviations from their values on the reference.
+    user's terms count as deviations from their values on the reference. Source: equations.md (70)-(72).
 
     Args:
-        model: The system as the controller knows it.
-        track: The reference.
-        regulator: Of the team at hover.
-        cost: Q on the outputs, R on all inputs.
-        terms: The user's terms.
-        period_s: Sampling period, s.
+        model, track, regulator, cost, terms, period_s: System, reference, regulator at hover, weights, user's terms.
         uncontrolled: What UAVs without an agent do.
         before: The regulator until then, of another team; None: this one holds from the start.
         since: First instant of this team.
-    Source: docs/equations.md (70)-(72).
     """
 
     def __init__(
@@ -101,9 +91,9 @@ class Recursion:
             self.ready += -(-max(self._last + 1 - since, 0) // INSTANTS)
 
     def meanwhile(self, off: Collection[int], horizon: int) -> Tracker:
-        """Return the regulator over horizons until this one is ready: the gains before, but not of UAVs that are off.
+        """Return the regulator until this one is ready: the gains before, but not of UAVs that are off, 0-based.
 
-        These, 0-based, and what they do count no more: a bob in the place of a released one swings freely.
+        What these do counts no more: a bob in the place of a released one swings freely.
         """
         gains = list(self._before)
         for k in range(self._since, min(self.ready - self._track.first + horizon, len(gains))):
@@ -186,7 +176,7 @@ def rollout(
     """Return states, (N_p + 1, n), with motor lag (N_p + 1, n + m), and inputs, (N_p, m), under the control law.
 
     Inputs include the law's corrections and are within bounds. Those of a decision are free, or also within rates if
-    the owned inputs before the first step are given, (m_own,). Source: docs/equations.md (35a), (73).
+    the owned inputs before the first step are given, (m_own,). Source: equations.md (35a), (73).
     """
     lower, upper = bounds = settings.lower(model.system.N), settings.upper(model.system.N)
     period_s, lag_s, at_x0 = settings.sampling_period_s, settings.motor_lag_s, law.uncorrected + law.c
@@ -312,10 +302,7 @@ class Along:
         return QP(H=H, g=g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper)
 
     def planned(self, model: Model, course: Course, announced: FeedbackLaw, z: Array, w: float) -> tuple[Array, Array]:
-        """Return owned inputs and corrections of a plan, (N_p, m_own) each.
-
-        Given are the law with the announced corrections, the solution of the QP and the weight of the new corrections.
-        """
+        """Return owned inputs and corrections of a plan, (N_p, m_own) each, by a solution and its weight w."""
         own = self._decision.own
         if course.within and (w == 1.0 or np.array_equal(course.law.c[:, own], announced.c[:, own])):
             return self._decision.clip(course.U[:, own]), course.law.c[:, own]
