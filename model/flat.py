@@ -75,16 +75,17 @@ class FlatReference:
         self._system, self._hover = system, hover
 
     def outputs(self, t_s: Array) -> Array:
-        """Return y_ref at times t_s, (k,), s: (k, 4 N + 9), SI. Source: docs/equations.md (14), (66)-(68)."""
+        """Return y_ref at times t_s, (k,), s: (k, 4 N + 9), SI: equations.md (14), (66)-(68)."""
         return self.followed(t_s)[0]
 
     def states(self, t_s: Array) -> Array:
-        """Return x_ref at times t_s, (k,), s: (k, 12 + 12 N), SI. Source: docs/equations.md (66)-(68)."""
+        """Return x_ref at times t_s, (k,), s: (k, 12 + 12 N), SI: equations.md (66)-(68)."""
         return self.flight(t_s).x
 
     def followed(self, t_s: Array) -> tuple[Array, Array]:
         """Return outputs and states, which controllers follow, at times t_s, (k, 4 N + 9) and (k, 12 + 12 N)."""
-        path, x = self.maneuver.jets(t_s), self.flight(t_s).x
+        path = self.maneuver.jets(t_s)
+        x = flight(self._system, self._hover, path).x
         view = state.StateView(x)
         rho = np.array([uav.rho for uav in self._system.uavs])
         lengths = np.array([uav.rod_length for uav in self._system.uavs])
@@ -112,17 +113,12 @@ def track(system: System, hover: Hover, by_instant: Array, first: int = 0, relea
 
 
 def flight(system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()) -> Flight:
-    """Return the motion of a team whose level payload follows a path.
+    """Return the motion of a team whose level payload follows a path: equations.md (66)-(68).
 
-    Args:
-        system: Physical parameters.
-        hover: Its equilibrium, whose rod forces the others deviate least from.
-        path: Jets of the payload's position, inertial frame, m, and of length and width of the team as multiples of
-            those at hover, (7, k, 5); without these, (7, k, 3), the team keeps its formation.
-        forces: Constant external forces and the payload's further mass, (4 + 3 N,), inertial frame, N and kg; may be
-            complex; or of each instant, (k, 4 + 3 N).
-        released: UAVs, 0-based, in whose place bobs hang from their rods (`model.failure`), in system and hover too.
-    Source: docs/equations.md (66)-(68).
+    Given are jets of the payload's position, inertial frame, m, and of length and width of the team as multiples of
+    those at hover, (7, k, 5), or (7, k, 3) if it keeps its formation. Forces, constant or of each instant, are external
+    ones and the payload's further mass, (4 + 3 N,), N and kg, and may be complex. Rod forces deviate least from those
+    of the hover. In the place of released UAVs, 0-based, bobs hang from their rods, in system and hover too.
     """
     N, k = system.N, path.shape[1]
     path, formation = path[..., :3], path[..., 3:]
@@ -182,10 +178,9 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
 
 
 def _apart(hover: Hover, rho: Array, lengths: Array, formation: Array, W: Array) -> Array:
-    """Return the jets of rod forces that hold a formation without force or moment on the payload, (7, k, N, 3), N.
+    """Return the jets of rod forces that hold a formation without effect on the payload, (7, k, N, 3), N: (66a).
 
     Given are attachments, (N, 3), m, rods' lengths, (N, 1), m, jets of the formation, (7, k, 2), and W, (6, 3 N).
-    Source: docs/equations.md (66a).
     """
     away = np.zeros((*formation.shape[:2], *rho.shape))
     away[0, ..., :2] = -rho[:, :2]

@@ -24,16 +24,12 @@ class Hover:
 
 
 def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int, float] | None = None) -> Hover:
-    """Return the equilibrium with given rod directions, the payload at the origin.
+    """Return the equilibrium with rod directions, (N, 3), payload frame, straight down by default.
 
     The rods hold the payload's weight and no moment: sum_i T_i [e_i; rho_i x e_i] = [m0 g k; 0], the
-    least-norm solution when several exist. Each UAV then pulls against its rod and its own weight. A given thrust
-    (zero without motors) fixes the tension of that UAV's vertical rod; the others balance it.
+    least-norm solution when several exist. Each UAV then pulls against its rod and its own weight. Given thrusts, N, by
+    0-based numbers (zero without motors), fix the tensions of these UAVs' vertical rods; the others balance them.
 
-    Args:
-        system: Physical parameters.
-        rods_P: Rod directions from UAV to attachment point, (N, 3), payload frame, unit; straight down when None.
-        thrusts: Given thrusts, N, by UAV, 0-based; these UAVs have vertical rods.
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
     Source: docs/equations.md (18)-(19), (51).
     """
@@ -67,18 +63,13 @@ def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int,
                 f"no hover equilibrium: UAV{i + 1} would have to push down or sideways ({force_I[2]:.3g} N)"
             )
         block = x[state.uav_slice(i)]
-        block[state.E], block[state.THETA] = e[i], _level_attitude(force_I, thrust)
+        block[state.E] = e[i]
+        if thrust > 0.0:
+            # Zero yaw keeps b1 in the inertial x-z plane, so it is orthogonal to the inertial y axis.
+            b3 = -force_I / thrust
+            b1 = np.cross([0.0, 1.0, 0.0], b3)
+            b1 /= np.linalg.norm(b1)
+            block[state.THETA] = euler_angles(np.column_stack([b1, np.cross(b3, b1), b3]))
         u[state.input_slice(i)][0] = thrust
     frozen(x, u, tensions)
     return Hover(x=x, u=u, tensions=tensions)
-
-
-def _level_attitude(force_I: Array, thrust: float) -> Array:
-    """Return roll and pitch that point -b3 along the force, with zero yaw, (3,), rad."""
-    if thrust == 0.0:
-        return np.zeros(3)
-    b3 = -force_I / thrust
-    # Zero yaw keeps b1 in the inertial x-z plane, so it is orthogonal to the inertial y axis.
-    b1 = np.cross([0.0, 1.0, 0.0], b3)
-    b1 /= np.linalg.norm(b1)
-    return euler_angles(np.column_stack([b1, np.cross(b3, b1), b3]))

@@ -40,7 +40,10 @@ class Integrator:
         for begin in range(0, steps, _BLOCK):
             count = min(_BLOCK, steps - begin)
             if count not in self._blocks:
-                self._blocks[count] = Compiled(_last_and_error(self._step, count))
+                x_s, *held_s = (ca.MX.sym(f"argument{i}", self._step.size1_in(i)) for i in range(self._step.n_in()))
+                states, errors = self._step.mapaccum(count)(x_s, *[ca.repmat(each, 1, count) for each in held_s])
+                results = [states[:, -1], ca.mmax(ca.fabs(errors))]  # the last state, the largest error
+                self._blocks[count] = Compiled(ca.Function("integrate", [x_s, *held_s], results))
             flat = self._blocks[count].flat(end, *held, length_s)
             end, error = flat[:-1], float(flat[-1])
             if not error <= tolerance and tolerance < math.inf:
@@ -71,10 +74,3 @@ class Integrator:
             if not np.isfinite(x).all():
                 break
         return x, largest
-
-
-def _last_and_error(step: ca.Function, steps: int) -> ca.Function:
-    """Return a function of several steps: the last state and the largest local error estimate."""
-    x, *held = (ca.MX.sym(f"argument{i}", step.size1_in(i)) for i in range(step.n_in()))
-    states, errors = step.mapaccum(steps)(x, *[ca.repmat(argument, 1, steps) for argument in held])
-    return ca.Function("integrate", [x, *held], [states[:, -1], ca.mmax(ca.fabs(errors))])

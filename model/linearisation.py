@@ -60,11 +60,7 @@ class Model:
 
     External forces, where a method takes them, are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs,
     (3 + 3 N,), inertial frame, N; zero by default. A mass that the payload has beyond the known one, kg, may follow.
-
-    Args:
-        system: Physical parameters.
-        off: UAVs without motors, 0-based; their inputs have no effect.
-        released: UAVs no longer on their rods, 0-based; forces on them have no effect.
+    Inputs of UAVs that are off, 0-based, and forces on those released from their rods have no effect.
     """
 
     def __init__(self, system: System, off: Collection[int] = (), released: Collection[int] = ()) -> None:
@@ -162,14 +158,13 @@ class Model:
         self, x: Array, u: Array, duration_s: float, steps: int, *, forces: Array | None = None,
         tolerance: float = math.inf,
     ) -> tuple[Array, float]:  # fmt: skip
-        """Return the state after `duration_s` of constant input, by Dormand-Prince steps of order 5.
+        """Return the state after `duration_s` of constant input, by Dormand-Prince steps of order 5: (13b), (13c).
 
         The steps, >= 1, are equal if none of their error estimates exceeds the tolerance. Otherwise the interval is
         integrated again, with steps halved where their estimate exceeds it. The rods are projected back after each.
 
         Returns: State, (n,), and the largest local error estimate of any step and component, SI. It exceeds the
             tolerance only where the shortest or the most possible steps (model/integration.py) do not suffice.
-        Source: docs/equations.md (13b), (13c).
         """
         x, *held = self._arguments(x, u, forces)
         return self._integrator.integrate(x, held, duration_s, steps, tolerance)
@@ -182,9 +177,9 @@ class Model:
     def rollout(
         self, x: Array, at_x: Array, K: Array, bounds: tuple[Array, Array], duration_s: float, forces: Array | None
     ) -> tuple[Array, Array] | None:
-        """Return states, (N_p + 1, n), and inputs, (N_p, m), under u = at_x + K (x(k) - x) within bounds, in one call.
+        """Return states and inputs under u = at_x + K (x(k) - x) within bounds, in one call; steps as in `stepper`.
 
-        None without compiled kernels, or if the model is not compiled or motors are off. Steps as in `stepper`.
+        None without compiled kernels, or if the model is not compiled or motors are off.
         """
         if self._native is None or len(self._off):
             return None

@@ -35,22 +35,15 @@ class Cost:
         return float(error @ (self.Q * error) + effort @ (self.R * effort))
 
 
-class UserCosts:
+class UserCosts(Expressions):
     """Weighted squares of the user's expressions of the state. Raises: SettingsError: one cannot be read."""
 
     def __init__(self, terms: Sequence[CostTerm], model: Model) -> None:
         symbols = Symbols.of(model.system.N, model.system.commands_rates)
+        values = [read_term(term.expression, symbols) for term in terms]
+        super().__init__(values, symbols.x, symbols.p, model.system.vector())
         self._terms = tuple(terms)
         self.weights = np.array([term.weight for term in terms])  # of each term, per square of its unit, (t,)
-        values = [read_term(term.expression, symbols) for term in terms]
-        self._expressions = Expressions(values, symbols.x, symbols.p, model.system.vector())
-
-    def __len__(self) -> int:
-        return len(self._terms)
-
-    def at(self, x: Array) -> tuple[Array, Array]:
-        """Return values, (t,), and gradients, (t, n), at a state. Source: docs/equations.md (48)."""
-        return self._expressions.at(x)
 
     def about(self, x: Array) -> Array:
         """Return the roots of the weights times the gradients, (t, n). Raises: SettingsError: one is not finite."""

@@ -55,7 +55,7 @@ class FeedbackLaw:
     error: Array  # x0 - x_ref, x_ref shifted likewise, at steps 0..N_p-1, (N_p, n)
     feedforward: Array  # response to the reference ahead, (N_p, m)
     c: Array  # announced corrections of all UAVs, (N_p, m); the owned columns hold the previous ones, shifted
-    along: "Expansion | None" = None  # along a reference; None about hover
+    along: "Sequence[Gains] | None" = None  # along a reference; None about hover
 
     @cached_property
     def uncorrected(self) -> Array:
@@ -66,12 +66,14 @@ class FeedbackLaw:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Expansion:
-    """Difference equation of the team about a reference under its control law, at each step of a horizon."""
+class Gains:
+    """The regulator at an instant of a reference, and the difference equation of the team about it."""
 
-    M: Array  # weight of the corrections, (N_p, m, m)
-    A_closed: Sequence[Array]  # state matrix with all feedback, (n, n) each
-    B: Sequence[Array]  # input matrix, (n, m) each
+    K: Array  # feedback gain, (m, n)
+    feedforward: Array  # response to the difference between the reference and the model's step along it, (m,)
+    M: Array  # weight of the corrections, (m, m)
+    A_closed: Array  # state matrix with all feedback, (n, n)
+    B: Array  # input matrix, (n, m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -55,13 +55,9 @@ class Mismatch:
 class Loop:
     """The sampled loop of a team about hover, as a function of the plant.
 
-    Args:
-        controllers: One per agent, for the whole team.
-        next_tick: Inputs act one sampling period after the measurement.
-        age: Sampling periods until an agent knows another agent's state, >= 1.
-        uncontrolled: Feedback from the state, (4, n), of each UAV without an agent, by its 0-based number: the
-            fail-safe, which acts on the present state. No agent measures these UAVs. The shared control law of the
-            others, which must exist, is then taken without corrections.
+    There is a controller per agent. With `next_tick` inputs act one sampling period after the measurement; `age` are
+    the periods until an agent knows another agent's state, >= 1. UAVs without an agent, by 0-based numbers, follow a
+    fail-safe, (4, n), on the present state, unmeasured; the others then follow their control law without corrections.
     """
 
     def __init__(
@@ -83,7 +79,14 @@ class Loop:
         self._model, self._T = model, T
         discrete = zero_order_hold(model, self.period_s)
         self._A, self._B = T.T @ discrete.A @ T, T.T @ discrete.B
-        self._measured = [self._measured_by(controller.owned) for controller in controllers]
+        # Projections of states in tangent coordinates on what the agents measure at once.
+        self._measured: list[Array] = []
+        for controller in controllers:
+            known = np.zeros(len(T))
+            known[: state.PAYLOAD] = 1.0
+            for uav in controller.owned:
+                known[state.uav_slice(uav)] = 1.0
+            self._measured.append(T.T @ (known[:, None] * T))
         regulator = first.regulation.regulator
         self._law = None if regulator is None or self._settings.prediction != "closed_loop" else regulator.K @ T
         lost = np.zeros(len(self._T), dtype=bool)
@@ -98,14 +101,6 @@ class Loop:
             self._law is not None and self._settings.terminal == "riccati" and self._settings.discretisation == "exact"
         )
         self._plans = () if alone else tuple(map(self._plan_map, self._controllers))
-
-    def _measured_by(self, owned: Sequence[int]) -> Array:
-        """Return the projection of a state in tangent coordinates on what an agent measures at once."""
-        known = np.zeros(len(self._T))
-        known[: state.PAYLOAD] = 1.0
-        for uav in owned:
-            known[state.uav_slice(uav)] = 1.0
-        return np.asarray(self._T.T @ (known[:, None] * self._T))
 
     def _planned(self, controller: Controller, x: Array, u0: Array, U: Array, c: Array) -> tuple[Array, Array]:
         """Return a controller's plan and corrections without limits and constraints; all are deviations from hover."""
@@ -149,7 +144,14 @@ class Loop:
         motion = Model(plant.system(self._system)).linearise(actual.x, actual.u)
         T, period_s, m, r = self._T[: self._system.n, : self._r], self.period_s, self._m, self._r
         F, G = T.T @ motion.A_c @ T, plant.gain * (T.T @ motion.B_c)
-        by_state, by_command = self._inner_loop()
+        # Thrust and moments by state and by command, (57).
+        by_state, by_command = np.zeros((m, self._system.n)), np.eye(m)
+        if self._system.rate_gains is not None:
+            for i, uav in enumerate(self._system.uavs):
+                moments, gains = state.input_slice(i), uav.inertia * self._system.rate_gains
+                by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
+                by_command[moments, moments][1:, 1:] = gains
+        by_state = by_state @ T
         if plant.lag_s == 0.0:
             F, G = F + G @ by_state, G @ by_command
         else:
@@ -159,16 +161,6 @@ class Loop:
             G = np.vstack([np.zeros((r, m)), by_command / (unit * plant.lag_s)[:, None]])
         late, part_s = divmod(plant.delay_s, period_s)
         return self._step_matrix(_held(F, G, part_s), _held(F, G, period_s - part_s), round(late))
-
-    def _inner_loop(self) -> tuple[Array, Array]:
-        """Return thrust and moments by state, in coordinates of the motion, and by command. Source: (57)."""
-        by_state, by_command = np.zeros((self._m, self._system.n)), np.eye(self._m)
-        if self._system.rate_gains is not None:
-            for i, uav in enumerate(self._system.uavs):
-                moments, gains = state.input_slice(i), uav.inertia * self._system.rate_gains
-                by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
-                by_command[moments, moments][1:, 1:] = gains
-        return by_state @ self._T[: self._system.n, : self._r], by_command
 
     def _step_matrix(self, before: tuple[Array, Array], after: tuple[Array, Array], late: int) -> Array:
         """Return the step of the loop from the plant's steps before and after the arrival of a delayed command."""

@@ -20,7 +20,7 @@ from model.state import input_slice
 from mpc import feedback
 from mpc.cost import Cost, UserCosts
 from mpc.fail_safe import FailSafe
-from mpc.feedback import Expansion, FeedbackError, FeedbackLaw, Preview, Regulator, Target, at_rest
+from mpc.feedback import FeedbackError, FeedbackLaw, Preview, Regulator, Target, at_rest
 from mpc.settings import ControllerSettings
 from mpc.tracking import Recursion, Tracker
 
@@ -196,9 +196,8 @@ class Regulation:
             X_forces, U_forces = track.by_forces(where)
             u_rest = u_rest + U_forces[..., : len(forces)] @ forces
             error = error - X_forces[..., : len(forces)] @ forces
-        K, feedforward, M = (np.array([getattr(at, name) for at in gains]) for name in ("K", "feedforward", "M"))
-        along = Expansion(M=M, A_closed=[at.A_closed for at in gains], B=[at.B for at in gains])
-        return FeedbackLaw(K=K, u_rest=u_rest, error=error, feedforward=feedforward, c=c, along=along)
+        K, feedforward = (np.array([getattr(at, name) for at in gains]) for name in ("K", "feedforward"))
+        return FeedbackLaw(K=K, u_rest=u_rest, error=error, feedforward=feedforward, c=c, along=gains)
 
     @property
     def version(self) -> object:

@@ -242,11 +242,9 @@ class ControllerSettings(Section):
     inputs: InputsName = "moments"
     """what agents command beside the thrust: moments, or body rates that an inner loop on each UAV follows,
     [equations.md](equations.md#body-rates) (57)"""
-    rate_time_constant_s: Annotated[PositiveVector, Key(label="time constant of the inner loop", shown="ms")] = (
-        0.04,
-        0.04,
-        0.04,
-    )
+    rate_time_constant_s: Annotated[
+        PositiveVector, Key(label="time constant of the inner loop", shown="ms")
+    ] = (0.04, 0.04, 0.04)  # fmt: skip
     """time constant of the inner loop about each body axis, of controllers and plant; only with `inputs=rates`"""
     motor_lag_s: Annotated[NotNegative, Key(label="motor lag of the model", shown="ms")] = 0.0
     """time constant of the motors that the controller predicts with, [equations.md](equations.md#motors) (55); 0, or

@@ -22,7 +22,7 @@ from model.linearisation import Model
 from model.obstacles import Obstacle
 from mpc.cost import Cost, UserCosts
 from mpc.decision import Decision
-from mpc.feedback import Expansion, FeedbackLaw, Regulator
+from mpc.feedback import FeedbackLaw, Gains, Regulator
 from mpc.prediction import Linear
 from mpc.qp import QP
 from mpc.rows import Clearance, Rows, separation_rows
@@ -33,17 +33,6 @@ INSTANTS = 16  # gains computed in a sampling period while the team flies: 8 ms 
 Uncontrolled = Mapping[int, tuple[Callable[[int], Array], Array]]
 _STEPS = 2  # integration steps per sampling period of the difference of reference and model
 _ROUNDING = 1e-9  # from this share of the range of inputs on, or of m or rad, a constraint counts as violated
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gains:
-    """The regulator at an instant of a reference."""
-
-    K: Array  # feedback gain, (m, n)
-    feedforward: Array  # response to the difference between the reference and the model's step along it, (m,)
-    M: Array  # expansion about the reference, as in `Expansion`
-    A_closed: Array
-    B: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,13 +52,8 @@ class Recursion:
     """Linear-quadratic regulator along a reference in the making, some instants at a time, backwards from its end.
 
     States are deviations from the reference; the cost is blind to those off the manifold, as the expansion is. The
-    user's terms count as deviations from their values on the reference. Source: equations.md (70)-(72).
-
-    Args:
-        model, track, regulator, cost, terms, period_s: System, reference, regulator at hover, weights, user's terms.
-        uncontrolled: What UAVs without an agent do.
-        before: The regulator until then, of another team; None: this one holds from the start.
-        since: First instant of this team.
+    user's terms count as deviations from their values on the reference. The regulator is that of the team at hover;
+    until the instant `since` that of another team, `before`, holds, or this one from the start. Source: (70)-(72).
     """
 
     def __init__(
@@ -162,10 +146,9 @@ def _across(x: Array) -> Array:
     """Return the projection onto deviations with the rods' lengths kept, (n, n)."""
     projection = np.eye(len(x))
     for i, e in enumerate(state.StateView(x).e_P):
+        own = projection[state.uav_slice(i), state.uav_slice(i)]
         for part in (state.E, state.ROD_RATE):
-            block = state.uav_slice(i)
-            at = slice(block.start + part.start, block.start + part.stop)
-            projection[at, at] -= np.outer(e, e)
+            own[part, part] -= np.outer(e, e)
     return projection
 
 
@@ -203,11 +186,10 @@ class Course:
     """Trajectory under the control law with the corrections that are optimal without constraints."""
 
     law: FeedbackLaw  # with these corrections
-    along: Expansion  # its expansion
+    along: Sequence[Gains]  # its expansion
+    linear: Linear  # of the step
     Z: Array  # states at steps 0..N_p, (N_p + 1, n)
     U: Array  # inputs, the owned ones without limits, (N_p, m)
-    u0: Array  # inputs before the first step, (m,)
-    forces: Array | None  # estimated external forces, (3 + 3 N,)
     within: bool  # whether no constraint is violated
 
 
@@ -223,10 +205,10 @@ class Along:
         clear = () if self._clearance is None else self._clearance.penalties
         self._penalties = np.concatenate([self._rows.penalties, clear])
 
-    def course(self, model: Model, linear: Linear, law: FeedbackLaw, along: Expansion) -> Course:
+    def course(self, model: Model, linear: Linear, law: FeedbackLaw, along: Sequence[Gains]) -> Course:
         """Return the trajectory of a step. Source: docs/equations.md (72), (73)."""
         own, others, c = self._decision.own, self._decision.others, law.c.copy()
-        M = along.M
+        M = np.array([at.M for at in along])
         c[:, own] = 0.0
         if c.any():
             pushed = np.einsum("kij,kj->ki", M[:, own[:, None], others], c[:, others])
@@ -236,9 +218,8 @@ class Along:
         low, high, rate = self._decision.lower, self._decision.upper, self._decision.rate
         changes = np.diff(np.vstack([linear.u0[own], U[:, own]]), axis=0)
         over = [low - U[:, own], U[:, own] - high, np.abs(changes) - rate]
-        within = all((part <= _ROUNDING * (high - low)).all() for part in over) and self._apart(model, Z)
-        within = within and self._taut(Z, U)
-        return Course(law=law, along=along, Z=Z, U=U, u0=linear.u0, forces=linear.forces, within=within)
+        within = all((part <= _ROUNDING * (high - low)).all() for part in over) and self._keeps(model, Z, U)
+        return Course(law=law, along=along, linear=linear, Z=Z, U=U, within=within)
 
     def program(self, model: Model, course: Course) -> QP:
         """Return the QP of a course: without rows if it violates no constraint. Source: docs/equations.md (74)."""
@@ -249,7 +230,7 @@ class Along:
         H = np.zeros((size + slacks, size + slacks))
         for k in range(steps):
             at = slice(m * k, m * (k + 1))
-            H[at, at] = 2.0 * scale[:, None] * along.M[k][np.ix_(own, own)] * scale
+            H[at, at] = 2.0 * scale[:, None] * along[k].M[np.ix_(own, own)] * scale
         H[range(size, size + slacks), range(size, size + slacks)] = penalties
         g = np.concatenate([np.zeros(size), penalties])
         lower = np.concatenate([np.full(size, -np.inf), np.zeros(slacks)])
@@ -267,15 +248,15 @@ class Along:
             if len(rows.on_tensions):
                 slack_N[k], slope = rows.on_tensions.at(np.concatenate([course.Z[k], course.U[k]]))
                 loosened.append(slope @ np.vstack([effect, all_inputs]))
-            effect = along.A_closed[k] @ effect
-            effect[:, m * k : m * (k + 1)] += along.B[k][:, own] * scale
+            effect = along[k].A_closed @ effect
+            effect[:, m * k : m * (k + 1)] += along[k].B[:, own] * scale
             states.append(effect)
-        N, Z, last = model.system.N, course.Z[1:], size + len(rows.penalties)
-        places, C = model.outputs_along(Z)[:, : 3 * N], [model.linearise(x, course.u0).C[: 3 * N] for x in Z]
+        N, Z, last, u0 = model.system.N, course.Z[1:], size + len(rows.penalties), course.linear.u0
+        places, C = model.outputs_along(Z)[:, : 3 * N], [model.linearise(x, u0).C[: 3 * N] for x in Z]
         far, directions = zip(*(separation_rows(at, rows.pairs) for at in places), strict=True)
         apart = np.array([d @ C_k @ effect for d, C_k, effect in zip(directions, C, states, strict=True)])
         nominal, angles = course.U[:, own], Z[:, rows.angles].reshape(-1)
-        (low, high), each = decision.bounds(nominal, course.u0), np.tile(scale, steps)
+        (low, high), each = decision.bounds(nominal, u0), np.tile(scale, steps)
         changed, rate = np.diff(nominal, axis=0).reshape(-1), np.tile(decision.rate, steps - 1)
         tilted, tilt = np.array(states)[:, rows.angles], last - 1 - int(len(loosened) > 0)
         # Rows, column and sign of their slack, bounds.
@@ -309,13 +290,16 @@ class Along:
         c = announced.c.copy()
         c[:, own] = w * (course.law.c[:, own] + self._decision.inputs(z)) + (1.0 - w) * announced.c[:, own]
         law = replace(course.law, c=c)
-        _, U = rollout(model, self._settings, course.Z[0], law, course.forces, self._decision, course.u0[own])
+        u0, forces = course.linear.u0, course.linear.forces
+        _, U = rollout(model, self._settings, course.Z[0], law, forces, self._decision, u0[own])
         return U[:, own], c[:, own]
 
-    def _apart(self, model: Model, Z: Array) -> bool:
-        """Return whether distances, from obstacles too, and angles along a trajectory keep their limits."""
-        rows = self._rows
+    def _keeps(self, model: Model, Z: Array, U: Array) -> bool:
+        """Return whether distances, from obstacles too, angles and tensions along a trajectory keep their limits."""
+        rows, taut = self._rows, self._rows.on_tensions
         if not np.isfinite(Z).all() or (np.abs(Z[1:, rows.angles]) > rows.limit + _ROUNDING).any():
+            return False
+        if not all((taut.at(np.concatenate(point))[0] <= _ROUNDING).all() for point in zip(Z, U, strict=False)):
             return False
         if not len(rows.pairs) and self._clearance is None:
             return True
@@ -324,8 +308,3 @@ class Along:
             return False
         apart = np.linalg.norm(places[:, rows.pairs[:, 0]] - places[:, rows.pairs[:, 1]], axis=2)
         return bool((apart >= rows.minimum_m - _ROUNDING).all())
-
-    def _taut(self, Z: Array, U: Array) -> bool:
-        """Return whether rod tensions along a trajectory keep their limit."""
-        on = self._rows.on_tensions
-        return all((on.at(np.concatenate(point))[0] <= _ROUNDING).all() for point in zip(Z, U, strict=False))

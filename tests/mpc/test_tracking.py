@@ -17,8 +17,9 @@ from model.maneuver import Maneuver, Phase
 from model.obstacles import Obstacle, Solid, clearances
 from model.state import R0, StateView, input_slice
 from mpc.controller import Controller, StepResult
+from mpc.feedback import Gains
 from mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
-from mpc.tracking import INSTANTS, Course, Gains, Recursion, rollout
+from mpc.tracking import INSTANTS, Course, Recursion, rollout
 from tests.model.test_flat import unequal
 
 PERIOD_S = 0.05
@@ -70,11 +71,11 @@ def test_cost_is_the_sum_of_squares_of_corrections() -> None:
             y = model.linearise(track.X[start + k], track.U[start + k]).C @ xi
             u = law.K[k] @ xi + c[k]
             found += y @ (cost.Q * y) + u @ (cost.R * u)
-            xi = along.A_closed[k] @ xi + along.B[k] @ c[k]
+            xi = along[k].A_closed @ xi + along[k].B @ c[k]
             xi = _on_manifold(track.X[start + k + 1], xi)
         return float(found + np.sum((regulator.root @ xi) ** 2))
 
-    added = float(np.einsum("km,kmn,kn->", c, along.M, c))
+    added = float(np.einsum("km,kmn,kn->", c, np.array([at.M for at in along]), c))
     assert total(c) - total(0.0 * c) == pytest.approx(added, rel=SAME_COST)
 
 
