@@ -267,7 +267,7 @@ class ControllerSettings(Section):
 
     def lower(self, uavs: int) -> Array:
         """Return the smallest inputs of that many UAVs, (4 uavs,)."""
-        return np.tile([self.limits.thrust_N[0], *np.negative(self._turning[0])], uavs)
+        return np.tile([self.limits.thrust_N[0], *(-largest for largest in self._turning[0])], uavs)
 
     def upper(self, uavs: int) -> Array:
         """Return the largest inputs of that many UAVs, (4 uavs,)."""
