@@ -212,7 +212,7 @@ class Planner:
         else:
             with np.errstate(over="ignore", invalid="ignore"):
                 prediction = controller.predict(step.linear, step.discrete, step.U, step.law)
-                qp = controller.condense(step.linear, prediction, step.U, step.y_ref, step.law, step.end)
+                qp = controller.condense(step.linear, prediction, step.y_ref, step.law, step.end)
                 watch.append(self._stopwatch())
                 solution = controller.solve(qp)
                 result = controller.conclude(solution, prediction, step.U, step.law, step.known.ticks_since_start)

@@ -85,7 +85,7 @@ class TeamEstimate:
     def head(self, setup: Setup) -> None:
         """Take the reference from a run with a further target."""
         self._setup = setup
-        if setup.ahead is not None and self._controller.head(setup.X_ref, setup.ahead):
+        if setup.ahead is not None and self._controller.regulation.head(setup.X_ref, setup.ahead):
             self.announced.law_since = setup.ahead.first
         self.announced.fail_safe = self._controller.regulation.fail_safe
 

@@ -18,26 +18,17 @@ class ShapeError(ValueError):
     """An array of the wrong shape or not finite; the text names it, the expected and the actual value."""
 
 
-class NotFiniteError(ShapeError):
-    """An array of the right shape with an infinite entry or nan."""
-
-
 def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
-    """Return a C-contiguous, read-only float64 copy of the given shape, None for an axis of any length.
-
-    Raises: ShapeError: wrong number of axes, wrong length, not numeric; NotFiniteError: not finite.
-    """
+    """Return a read-only, C-contiguous float64 copy of a shape, None for any length. Raises: ShapeError: not of it."""
     try:
         array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name}: expected an array of numbers, got {value!r}") from error
-    if array.shape != shape:
-        matches = [want in (None, length) for want, length in zip(shape, array.shape, strict=False)]
-        if len(array.shape) != len(shape) or not all(matches):
-            expected = ["any" if want is None else want for want in shape]
-            raise ShapeError(f"{name}: expected shape {_text(expected)}, got {_text(array.shape)}")
+    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
+        expected, got = (", ".join(map(str, lengths)) for lengths in (shape, array.shape))
+        raise ShapeError(f"{name}: expected shape ({expected.replace('None', 'any')}), got ({got})")
     if not np.isfinite(array).all():
-        raise NotFiniteError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
+        raise ShapeError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
     frozen(array)
     return array
 
@@ -46,6 +37,12 @@ def frozen(*arrays: npt.NDArray[Any]) -> None:
     """Make arrays read-only."""
     for array in arrays:
         array.setflags(write=False)
+
+
+def assign(instance: object, **values: Any) -> None:
+    """Set the fields of a frozen dataclass while it is constructed."""
+    for name, value in values.items():
+        object.__setattr__(instance, name, value)
 
 
 def padded(rows: Array, columns: int) -> Array:
@@ -64,8 +61,7 @@ def rows(start: int, steps: int, known: int) -> Rows:
 def continued(before: T, after: T, kept: int) -> T:
     """Return data of instants from their `first` on, a row each, with up to `kept` rows of earlier data ahead of them.
 
-    Both are objects of one dataclass whose other fields are arrays, lists, dataclasses of them, or functions, of which
-    the later one is taken.
+    Both are of one dataclass of arrays, lists, such dataclasses, or functions, of which the later one is taken.
     """
     first, now = before.first, after.first  # type: ignore[attr-defined]
     count = min(kept, now - first)
@@ -85,7 +81,3 @@ def continued(before: T, after: T, kept: int) -> T:
         return both
 
     return replace(joined(before, after), first=now - count)  # type: ignore[no-any-return]
-
-
-def _text(shape: Sequence[object]) -> str:
-    return "(" + ", ".join(str(length) for length in shape) + ")"

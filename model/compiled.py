@@ -1,7 +1,7 @@
 """Compiled model functions: built once per number of UAVs, kept on disk, called through CasADi's buffers.
 
-Building the Jacobians symbolically takes a second for large N, and every process of a run needs the same ones. They
-depend on N alone (physical parameters are arguments), so the next process loads them from the cache in milliseconds.
+Building the Jacobians takes a second for large N. They depend on N alone (physical parameters are arguments), so the
+next process loads them from the cache in milliseconds.
 """
 
 import ctypes
@@ -17,7 +17,6 @@ import numpy as np
 
 from model import compiler, dynamics, rotations, state
 from model.arrays import Array, ShapeError
-from model.compiler import cache_folder, replace_atomically
 from model.dynamics import Symbols
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
@@ -45,18 +44,14 @@ _DP_FOURTH = (5179 / 57600, 0.0, 7571 / 16695, 393 / 640, -92097 / 339200, 187 /
 
 
 class Compiled:
-    """A CasADi function behind preallocated buffers, arrays in, arrays out; inputs are dense.
-
-    Attributes:
-        parts: Places of the outputs in what `flat` returns.
-    """
+    """A CasADi function behind preallocated buffers, arrays in, arrays out; inputs are dense."""
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = function.buffer()
         self._name: str = function.name()
         self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
         ends = np.cumsum([0, *(function.nnz_out(i) for i in range(function.n_out()))]).tolist()
-        self.parts = [slice(begin, end) for begin, end in itertools.pairwise(ends)]
+        self.parts = [slice(begin, end) for begin, end in itertools.pairwise(ends)]  # of the outputs in that of `flat`
         # Matrices, as opposed to vectors and the nonzero entries of sparse outputs; CasADi is column-major.
         self._matrices = [
             (i, function.size_out(i))
@@ -70,12 +65,7 @@ class Compiled:
             self._buffer.set_res(i, self._results[part].data)  # type: ignore[call-arg]
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
-        """Return one new array per output from one array (or float) per input.
-
-        Matrices with one column become vectors, sparse matrices their nonzero entries, column by column.
-
-        Raises: ShapeError: an argument of the wrong length.
-        """
+        """Return one new array per output: vectors for single columns, the nonzero entries of sparse ones by column."""
         flat = self.flat(*arguments)
         found = [flat[part] for part in self.parts]
         for i, shape in self._matrices:
@@ -111,7 +101,7 @@ class Compiled:
 
 
 def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
-    """Return the CasADi functions of a system of N UAVs, from the cache if it holds them.
+    """Return the CasADi functions of a system of N UAVs: compiled ones, others from the cache if it holds them.
 
     With `rates` the inputs are thrust and commanded body rates.
 
@@ -126,78 +116,85 @@ def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
                 (x, F) with the payload's acceleration held, sparse, by that acceleration, and its own by (x, F)
     sensed      (x, u, p, F) -> the measurements alone
     """
-    return _loaded(N, rates, compiler.enabled(), _stamp(_compiled_file(N, rates)), _stamp(_cache_path(N, rates)))
-
-
-def _stamp(path: Path) -> tuple[Path, int, int]:
-    """Return a file with time and size, zero if it is not there: it is read again when they have changed."""
-    try:
-        found = path.stat()
-    except OSError:
-        return path, 0, 0
-    return path, found.st_mtime_ns, found.st_size
+    return _loaded(N, rates, _library(N, rates), compiler.cache_folder())
 
 
 @lru_cache(maxsize=4)
-def _loaded(N: int, rates: bool, *_: object) -> dict[str, ca.Function]:
-    """Return what `functions` returns, which takes 0.1 s to read: a sweep needs it for each of its points."""
-    compiled = _compiled(N, rates)
-    if len(compiled) == len(_FUNCTIONS):
+def _loaded(N: int, rates: bool, path: Path | None, folder: Path) -> dict[str, ca.Function]:
+    compiled: dict[str, ca.Function] = {}
+    if path is not None:
+        importer = ca.Importer(str(path), "dll")
+        compiled = {name: ca.external(name, importer) for name in _FUNCTIONS if importer.has_function(name)}
+    missing = [name for name in _FUNCTIONS if name not in compiled]
+    if not missing:
         return compiled
-    path, missing = _cache_path(N, rates), [name for name in _FUNCTIONS if name not in compiled]
-    found = _read_cache(path, missing)
-    if found is None:
+    cached = folder / f"{_name(N, rates)}-{_digest()[:16]}.casadi"
+    try:
+        texts = dict(zip(_FUNCTIONS, cached.read_bytes().decode("latin-1").split("\n"), strict=True))
+    except (OSError, ValueError):
         found = _build(N, rates)
-        _write_cache(path, found)
-    return found | compiled
+        body = "\n".join(found[name].serialize() for name in _FUNCTIONS)
+        compiler.replace_atomically(cached, body.encode("latin-1"))
+        return found | compiled
+    # Only those that are missing, as the functions of large teams are large.
+    return {name: ca.Function.deserialize(texts.pop(name)) for name in missing} | compiled
 
 
 def needs_compilation(N: int, rates: bool = False) -> bool:
     """Return whether `compile_functions` would compile: a compiler is there, and the functions are not compiled yet."""
-    return compiler.enabled() and compiler.find_compiler() is not None and not compiler.intact(_compiled_file(N, rates))
+    return compiler.enabled() and compiler.find_compiler() is not None and _library(N, rates) is None
 
 
 def compile_functions(N: int, rates: bool = False) -> bool:
-    """Compile the functions of a system of N UAVs for this processor; return False if that is not possible.
+    """Compile the functions of N UAVs for this processor, in seconds; return False if that is not possible.
 
-    Later calls of `functions`, in all processes, return the compiled ones, with bit-identical results. Compilation
-    takes seconds: call this before the processes of a run are started.
+    Later calls of `functions`, in all processes, return the compiled ones, with bit-identical results.
     """
-    path = _compiled_file(N, rates)
-    if not compiler.enabled() or compiler.find_compiler() is None:
-        return False
-    if compiler.intact(path):
-        return True
-    sources = [
-        _OFTEN.format(_source(function)) if name == "step" else _source(function)
-        for name, function in functions(N, rates).items()
-        if function.n_instructions() <= _MAX_LENGTH
-    ]
-    return compiler.compile_library(path, "\n".join(sources).encode(), _FLAGS)
+    if needs_compilation(N, rates):
+        sources = [
+            _OFTEN.format(_source(function)) if name == "step" else _source(function)
+            for name, function in functions(N, rates).items()
+            if function.n_instructions() <= _MAX_LENGTH
+        ]
+        compiler.compile_library(_compiled_file(N, rates), "\n".join(sources).encode(), _FLAGS)
+    return _library(N, rates) is not None
 
 
 def library(N: int, rates: bool = False) -> Any:
     """Return the library of the compiled functions of a system of N UAVs for kernels that call them, or None."""
-    path = _compiled_file(N, rates)
-    found = ctypes.CDLL(str(path)) if compiler.enabled() and compiler.intact(path) else None
+    path = _library(N, rates)
+    found = None if path is None else ctypes.CDLL(str(path))
     return found if hasattr(found, "step") else None
+
+
+def _library(N: int, rates: bool) -> Path | None:
+    """Return the file of the functions compiled for this processor; None if there is none."""
+    path = _compiled_file(N, rates)
+    return path if compiler.enabled() and compiler.intact(path) else None
+
+
+def _compiled_file(N: int, rates: bool) -> Path:
+    return compiler.compiled_file(_name(N, rates), _digest().encode(), (*_FLAGS, str(_MAX_LENGTH)))
+
+
+def _name(N: int, rates: bool) -> str:
+    return f"model-{'rates-' if rates else ''}N{N}"
+
+
+@lru_cache
+def _digest() -> str:
+    """Return a hash of all code that determines the functions, as it is when this process first asks."""
+    digest = hashlib.sha256(ca.CasadiMeta.version().encode())
+    for source in (__file__, dynamics.__file__, rotations.__file__, state.__file__):
+        digest.update(Path(str(source)).read_bytes())
+    return digest.hexdigest()
 
 
 def _source(function: ca.Function) -> str:
     """Return a function in C. The generator's name prefixes its helpers, so that sources can be concatenated."""
     generator = ca.CodeGenerator(f"{function.name()}_source.c", {"with_header": False})
     generator.add(function)
-    text: str = generator.dump()
-    return text
-
-
-def _compiled(N: int, rates: bool) -> dict[str, ca.Function]:
-    """Return the functions already compiled for this processor."""
-    path = _compiled_file(N, rates)
-    if not compiler.enabled() or not compiler.intact(path):
-        return {}
-    library = ca.Importer(str(path), "dll")
-    return {name: ca.external(name, library) for name in _FUNCTIONS if library.has_function(name)}
+    return str(generator.dump())
 
 
 def _build(N: int, rates: bool) -> dict[str, ca.Function]:
@@ -231,8 +228,7 @@ def _sense(s: Symbols, motion: dynamics.Motion) -> ca.Function:
 def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
     """Return the derivatives of motion and outputs in the parts of `model.linearisation.Linearisation`.
 
-    UAVs notice each other by the payload's acceleration alone. It solves M a = b, so its derivative along x or u is
-    M^-1 times that of b - M a with a held.
+    The payload's acceleration solves M a = b, so its derivative is M^-1 times that of b - M a with a held.
     """
     a, Pi = ca.SX.sym("a", 6), dynamics.projection(s.x, s.N)
     given = dynamics.motion(s, a)
@@ -248,8 +244,8 @@ def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
 
 def _step(s: Symbols, f: ca.Function) -> ca.Function:
     """Return one Dormand-Prince step; the derivative is called, not repeated, so that the code stays short."""
-    x, u, p, F, h = (ca.MX.sym(name, length) for name, length in _lengths(s).items())
-    slopes: list[ca.MX] = []
+    x, u, p, F = (ca.MX.sym(name, getattr(s, name).numel()) for name in ("x", "u", "p", "F"))
+    h, slopes = ca.MX.sym("h"), list[ca.MX]()
     for coefficients in _DP_STAGES:
         slopes.append(f(x + _weighted(h, coefficients, slopes), u, p, F))
     fifth = x + _weighted(h, _DP_FIFTH, slopes)
@@ -258,53 +254,7 @@ def _step(s: Symbols, f: ca.Function) -> ca.Function:
     return ca.Function("step", [x, u, p, F, h], [project(fifth), error])
 
 
-def _lengths(s: Symbols) -> dict[str, int]:
-    return {"x": s.x.numel(), "u": s.u.numel(), "p": s.p.numel(), "F": s.F.numel(), "h": 1}
-
-
 def _weighted(h: ca.MX, coefficients: Sequence[float], slopes: Sequence[ca.MX]) -> ca.MX:
     """Return h times the weighted sum of slopes."""
     terms = [b * slope for b, slope in zip(coefficients, slopes, strict=True) if b]
     return h * sum(terms[1:], start=terms[0]) if terms else ca.MX(0)
-
-
-def _cache_path(N: int, rates: bool) -> Path:
-    return cache_folder() / f"{_name(N, rates)}-{_digest()[:16]}.casadi"
-
-
-def _compiled_file(N: int, rates: bool) -> Path:
-    return compiler.compiled_file(_name(N, rates), _digest().encode(), (*_FLAGS, str(_MAX_LENGTH)))
-
-
-def _name(N: int, rates: bool) -> str:
-    return f"model-{'rates-' if rates else ''}N{N}"
-
-
-@lru_cache
-def _digest() -> str:
-    """Return a hash of all code that determines the functions, as it is when this process first asks."""
-    sources: Sequence[str | None] = (__file__, dynamics.__file__, rotations.__file__, state.__file__)
-    digest = hashlib.sha256(ca.CasadiMeta.version().encode())
-    for source in sources:
-        if source is not None:
-            digest.update(Path(source).read_bytes())
-    return digest.hexdigest()
-
-
-def _read_cache(path: Path, names: Sequence[str]) -> dict[str, ca.Function] | None:
-    """Return some of the functions; only these are built, as those of large teams are large."""
-    try:
-        checksum, *lines = path.read_bytes().split(b"\n")
-    except OSError:
-        return None
-    # CasADi could crash on a truncated file; a process whose source changed while it ran wrote other functions.
-    if hashlib.sha256(b"\n".join(lines)).hexdigest().encode() != checksum or len(lines) != len(_FUNCTIONS):
-        return None
-    texts = dict(zip(_FUNCTIONS, lines, strict=True))
-    return {name: ca.Function.deserialize(texts.pop(name).decode("latin-1")) for name in names}
-
-
-def _write_cache(path: Path, built: dict[str, ca.Function]) -> None:
-    body = "\n".join(built[name].serialize() for name in _FUNCTIONS).encode("latin-1")
-    checksum = hashlib.sha256(body).hexdigest().encode()
-    replace_atomically(path, checksum + b"\n" + body)

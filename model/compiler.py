@@ -1,8 +1,6 @@
 """The cache folder, and C source compiled for this processor by the installed compiler and kept there.
 
-A cache that cannot be read or written only costs time.
-
-Compiled code is optional: each function has an uncompiled equivalent. PAYLOAD_TRANSPORT_NATIVE=0 switches it off.
+Both only save time: each compiled function has an uncompiled equivalent. PAYLOAD_TRANSPORT_NATIVE=0 switches them off.
 """
 
 import hashlib
@@ -28,7 +26,7 @@ def cache_folder() -> Path:
 
 
 def replace_atomically(path: Path, content: bytes) -> bool:
-    """Write a file that other processes see in full or not at all; return False if that fails."""
+    """Write a file that other processes see in full or not at all; return False if that fails, as on a full disk."""
     temporary: Path | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -37,7 +35,6 @@ def replace_atomically(path: Path, content: bytes) -> bool:
             file.write(content)
         os.replace(temporary, path)
     except OSError:
-        # A read-only home or a full disk must not stop a run.
         if temporary is not None:
             temporary.unlink(missing_ok=True)
         return False
@@ -62,13 +59,10 @@ def compiled_file(name: str, source: bytes, flags: Sequence[str]) -> Path:
 
 
 def intact(path: Path) -> bool:
-    """Return whether a library is complete and of this user or root; a truncated one would crash the process."""
+    """Return whether a library is there, and this user's or root's."""
     try:
-        if path.stat().st_uid not in (0, os.getuid()):
-            return False
-        checksum = path.with_suffix(".sha256").read_text(encoding="ascii").strip()
-        return hashlib.sha256(path.read_bytes()).hexdigest() == checksum
-    except (OSError, ValueError):
+        return path.stat().st_uid in (0, os.getuid())
+    except OSError:
         return False
 
 
@@ -85,11 +79,9 @@ def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
                 [compiler, *_COMMON, *flags, "-o", made, text, "-lm"],
                 check=True, capture_output=True, timeout=_TIMEOUT_S, stdin=subprocess.DEVNULL,
             )  # fmt: skip
-            content = made.read_bytes()
+            return replace_atomically(path, made.read_bytes())
     except (OSError, subprocess.SubprocessError):
         return False
-    checksum = hashlib.sha256(content).hexdigest()
-    return replace_atomically(path, content) and replace_atomically(path.with_suffix(".sha256"), checksum.encode())
 
 
 @lru_cache

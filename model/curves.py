@@ -18,16 +18,12 @@ from model.arrays import Array
 
 ShapeKind = Literal["circle", "eight", "spline"]
 
-# Order of the highest derivative that moments of UAVs need, and number of coefficients of such a jet.
-ORDERS = 7
-# Start of s' from rest: derivatives up to this order vanish at both ends.
-_FLAT = ORDERS - 1
-# Degree of splines: the sixth derivative is continuous between way points; minimum snap.
-_DEGREE = 7
+ORDERS = 7  # coefficients of a jet up to the highest derivative that moments of UAVs need
+_FLAT = ORDERS - 1  # derivatives of s' up to this order vanish at both ends
+_DEGREE = 7  # of splines: the sixth derivative is continuous between way points; minimum snap
 # Distance of the knots of a smoothed table, s, their least number, and samples of the table between two of them.
 _KNOTS_S, _FEWEST_KNOTS, _PER_KNOT = 0.25, 2 * _DEGREE, 8
-# Points of a shape at which its largest speed is sought.
-_SAMPLES = 2000
+_SAMPLES = 2000  # points of a shape at which its largest speed is sought
 
 _bell = Polynomial([0.0, 1.0]) ** _FLAT * Polynomial([1.0, -1.0]) ** _FLAT
 _step = _bell.integ()
@@ -39,27 +35,19 @@ _START = (_step / _step(1.0)).integ()
 class Curve:
     """A shape and its timing.
 
-    Attributes:
-        kind: "circle": (a sin, b (1 - cos), c sin) of the angle 2 pi laps s; "eight": (a sin, b sin of the double
-            angle, c sin); "spline": through way points; None: straight.
-        duration_s: From rest to rest.
-        ramp_s: Time of speeding up, and of slowing down; in between, s grows at constant rate. At most half the
-            duration.
-        size_I: a, b, c of circle and eight, m; the displacement of a straight curve.
-        laps: Of circle and eight.
-        points_I: Way points of a spline after its start at zero, (k, 3), m.
-        times_s: Their times; None: s is proportional to the distance between way points.
-        table: Times since the start and displacements then, (k, 4), s and m, the path at constant speed between rows.
-            The curve is the spline from rest to rest that is closest to it, instead of a shape and its timing.
+    A circle is (a sin, b (1 - cos), c sin) of the angle 2 pi laps s, an eight (a sin, b sin of twice that, c sin).
     """
 
     kind: ShapeKind | None
-    duration_s: float
+    duration_s: float  # from rest to rest
+    # Time of speeding up, and of slowing down, at most half the duration; in between, s grows at constant rate.
     ramp_s: float
-    size_I: tuple[float, ...] = (0.0, 0.0, 0.0)
-    laps: float = 1.0
-    points_I: Sequence[Sequence[float]] = ()
-    times_s: Sequence[float] | None = None
+    size_I: tuple[float, ...] = (0.0, 0.0, 0.0)  # a, b, c of circle and eight, m; the displacement of a straight curve
+    laps: float = 1.0  # of circle and eight
+    points_I: Sequence[Sequence[float]] = ()  # way points of a spline after its start at zero, (k, 3), m
+    times_s: Sequence[float] | None = None  # of them; None: s is proportional to the distance between way points
+    # Times since the start and displacements then, (k, 4), s and m, the path at constant speed between rows. The curve
+    # is the spline from rest to rest that is closest to it, instead of a shape and its timing.
     table: Sequence[Sequence[float]] = ()
 
     def path(self, t_s: Array, orders: int = ORDERS) -> Array:

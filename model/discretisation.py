@@ -1,12 +1,9 @@
 """Exact zero-order hold of the affine linearisation, x' = f + A_c dx + B_c du, over one sampling period.
 
-[A B f_d] come from one matrix exponential. With Phi = integral of exp(A_c s) ds over the period,
+    A = I + A_c Phi,   B = Phi B_c,   f_d = Phi f,   Phi = integral of exp(A_c s) ds over the period
 
-    A = I + A_c Phi,   B = Phi B_c,   f_d = Phi f,
-
-so a Taylor series of Phi replaces the exponential of an augmented matrix of size n + m + 1. The number of terms follows
-from the remainder bound; long periods are halved until the series is short, then doubled back. The compiled kernel
-applies the series to [A_c B_c f], with A_c in factors, and does not form Phi.
+A Taylor series applied to [A_c B_c f], with A_c in factors, replaces the exponential of an augmented matrix, without
+Phi. Its length follows from the remainder bound; long periods are halved until it is short, then doubled back.
 """
 
 from dataclasses import dataclass
@@ -27,17 +24,11 @@ _REMAINDER = 2.0**-53  # relative to T: below the rounding of the sum itself
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Discrete:
-    """dx(k+1) = f_d + A dx(k) + B du(k) over one sampling period.
+    """dx(k+1) = f_d + A dx(k) + B du(k) over one sampling period."""
 
-    Attributes:
-        A: State matrix, (n, n).
-        B: Input matrix, (n, m).
-        f_d: Drift per step, (n,).
-    """
-
-    A: Array
-    B: Array
-    f_d: Array
+    A: Array  # state matrix, (n, n)
+    B: Array  # input matrix, (n, m)
+    f_d: Array  # drift per step, (n,)
 
 
 def zero_order_hold(
@@ -51,12 +42,12 @@ def zero_order_hold(
     Raises: ShapeError: A_c or its exponential is not finite.
     Source: docs/equations.md (16)-(17).
     """
-    if native.AVAILABLE:
-        bounds, is_known = (_THETA_MAX, _THETA_POSSIBLE, remainder), known is not None
-        theta, A, B, f_d = native.zero_order_hold(linear.pattern, linear.values, linear.f, period_s, bounds, is_known)
-        _check_growth(theta, period_s)
-        return Discrete(A=A, B=B, f_d=f_d) if known is None else Discrete(A=known.A, B=known.B, f_d=f_d)
-    return _zero_order_hold(linear, period_s)
+    if not native.AVAILABLE:
+        return _zero_order_hold(linear, period_s)
+    bounds, is_known = (_THETA_MAX, _THETA_POSSIBLE, remainder), known is not None
+    theta, A, B, f_d = native.zero_order_hold(linear.pattern, linear.values, linear.f, period_s, bounds, is_known)
+    _check_growth(theta, period_s)
+    return Discrete(A=A, B=B, f_d=f_d) if known is None else Discrete(A=known.A, B=known.B, f_d=f_d)
 
 
 def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
@@ -75,10 +66,7 @@ def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
 
 
 def euler(linear: Linearisation, period_s: float) -> Discrete:
-    """Discretise by one step of Euler's method, for comparison; error per step of order T_s^2, T_s > 0, s.
-
-    Raises: ShapeError: A_c is not finite.
-    """
+    """Discretise by one step of Euler's method, for comparison. Raises: ShapeError: A_c is not finite."""
     if not np.isfinite(linear.A_c).all():
         raise ShapeError("A_c: expected finite numbers")
     A = np.eye(len(linear.A_c)) + period_s * linear.A_c

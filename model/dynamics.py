@@ -1,8 +1,7 @@
-"""The equations of motion as CasADi expressions.
+"""The equations of motion as CasADi expressions; docs/equations.md derives them.
 
 The paper's (7)-(9) are a linear system in (v0', omega0', Omega_1', ..., Omega_N'). Eliminating each Omega_i' leaves 6
 unknowns, and every remaining term is a rod tension: the only forces of the UAVs on the payload act along the rods.
-docs/equations.md derives it.
 """
 
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from model.rotations import euler_rates, rotation
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Symbols:
-    """The symbols of a system of N UAVs: state x, input u, parameters p and external forces F, in their named parts.
+    """The symbols of a system of N UAVs: state x, input u, parameters p and external forces F.
 
     p holds g, m0, the upper triangle of J0, and for each UAV m_i, the upper triangle of J_i, rho_i, l_i
     (`System.vector`), so that compiled functions serve any system of N UAVs; with commanded body rates the gains of the
@@ -35,30 +34,14 @@ class Symbols:
         sizes = {"x": 12 + 12 * N, "u": 4 * N, "p": 8 + 11 * N + 3 * rates, "F": 3 + 3 * N}
         return Symbols(N, **{name: ca.SX.sym(name, size) for name, size in sizes.items()}, rates=rates)
 
-    @property
-    def gravity(self) -> ca.SX:
-        """g, m/s^2."""
-        return self.p[0]
-
-    @property
-    def payload_mass(self) -> ca.SX:
-        """m0, kg."""
-        return self.p[1]
-
-    @property
-    def payload_inertia(self) -> ca.SX:
-        """J0, (3, 3), payload frame, kg m^2."""
-        return _symmetric(self.p[2:8])
+    def payload(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """g (m/s^2), m0 (kg), J0 (3, 3, payload frame, kg m^2)."""
+        return self.p[0], self.p[1], _symmetric(self.p[2:8])
 
     def uav(self, i: int) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """m_i (kg), J_i (3, 3, kg m^2), rho_i (3, m), l_i (m) of UAV i (0-based)."""
         q = self.p[8 + 11 * i : 8 + 11 * (i + 1)]
         return q[0], _symmetric(q[1:7]), q[7:10], q[10]
-
-    @property
-    def rate_gains(self) -> ca.SX:
-        """K of the inner loops, (3,), 1/s; with commanded body rates only."""
-        return self.p[8 + 11 * self.N :]
 
     def force(self, body: int) -> ca.SX:
         """External force on the payload (0) or on UAV 1..N, (3,), inertial frame, N."""
@@ -67,19 +50,12 @@ class Symbols:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """Right-hand side and rod tensions.
+    """Right-hand side and rod tensions, SI."""
 
-    Attributes:
-        derivative: x' = f(x, u, F), (12 + 12 N,), SI.
-        tensions: (N,), N, positive when the rod pulls.
-        acceleration: Payload's acceleration and angular acceleration, payload frame, (6,), SI: all that a UAV and its
-            rod notice of the other UAVs.
-        mass: M of the equation M acceleration = b, (6, 6).
-        unbalanced: b - M times the acceleration, zero unless that is given, (6,).
-    """
-
-    derivative: ca.SX
-    tensions: ca.SX
+    derivative: ca.SX  # x' = f(x, u, F), (12 + 12 N,)
+    tensions: ca.SX  # (N,), positive when the rod pulls
+    # Payload's acceleration and angular acceleration, payload frame, (6,): all that a UAV and its rod notice of the
+    # other UAVs; M of the equation M acceleration = b, (6, 6); b - M acceleration, zero unless that is given, (6,).
     acceleration: ca.SX
     mass: ca.SX
     unbalanced: ca.SX
@@ -93,13 +69,13 @@ def motion(symbols: Symbols, given: ca.SX | None = None) -> Motion:
     x, u, N = symbols.x, symbols.u, symbols.N
     v0, omega0 = x[state.V0], x[state.OMEGA0]
     R0 = rotation(x[state.THETA0])
-    g_P = symbols.gravity * R0[2, :].T  # gravity in the payload frame
-    J0 = symbols.payload_inertia
+    g, m0, J0 = symbols.payload()
+    gains = symbols.p[8 + 11 * N :]  # K of the inner loops, (3,), 1/s; with commanded body rates only
+    g_P = g * R0[2, :].T  # gravity in the payload frame
 
     # 6 x 6 system in the payload's acceleration a0 = v0' + omega0 x v0 and omega0', both in the payload frame.
-    M = ca.diagcat(symbols.payload_mass * ca.SX.eye(3), J0)
-    own_M = M
-    own_b = b = ca.vertcat(symbols.payload_mass * g_P + R0.T @ symbols.force(0), -ca.cross(omega0, J0 @ omega0))
+    own_M = M = ca.diagcat(m0 * ca.SX.eye(3), J0)
+    own_b = b = ca.vertcat(m0 * g_P + R0.T @ symbols.force(0), -ca.cross(omega0, J0 @ omega0))
     rods = []
     for i in range(N):
         m, _, rho, length = symbols.uav(i)
@@ -128,30 +104,23 @@ def motion(symbols: Symbols, given: ca.SX | None = None) -> Motion:
         attachment = a0 + ca.cross(omega0_dot, rho) + centripetal  # acceleration of the attachment point
         Omega_dot = ca.cross(e, attachment - s_P) / length - ca.cross(omega0, Omega)
         if symbols.rates:
-            omega_dot = symbols.rate_gains * (command - omega)
+            omega_dot = gains * (command - omega)
         else:
             omega_dot = solve_positive_definite(J, command - ca.cross(omega, J @ omega))
         derivative += [ca.cross(Omega - omega0, e), Omega_dot, euler_rates(block[state.THETA]) @ omega, omega_dot]
         tensions.append(m * (along + ca.dot(wrench, acceleration)))
         unbalanced = unbalanced - tensions[-1] * wrench
     return Motion(
-        derivative=ca.vertcat(*derivative),
-        tensions=ca.vertcat(*tensions),
-        acceleration=solved,
-        mass=M,
+        derivative=ca.vertcat(*derivative), tensions=ca.vertcat(*tensions), acceleration=solved, mass=M,
         unbalanced=unbalanced,
-    )
+    )  # fmt: skip
 
 
 def uav_positions(symbols: Symbols) -> list[ca.SX]:
     """Return r_i = r0 + R0 (rho_i - l_i e_i) for each UAV, (3,), inertial frame, m. Source: paper (1)."""
-    R0 = rotation(symbols.x[state.THETA0])
-    positions = []
-    for i in range(symbols.N):
-        _, _, rho, length = symbols.uav(i)
-        e = symbols.x[state.uav_slice(i)][state.E]
-        positions.append(symbols.x[state.R0] + R0 @ (rho - length * e))
-    return positions
+    x, R0 = symbols.x, rotation(symbols.x[state.THETA0])
+    bodies = [(x[state.uav_slice(i)][state.E], *symbols.uav(i)) for i in range(symbols.N)]
+    return [x[state.R0] + R0 @ (rho - length * e) for e, _, _, rho, length in bodies]
 
 
 def velocities(symbols: Symbols) -> ca.SX:
@@ -168,10 +137,7 @@ def velocities(symbols: Symbols) -> ca.SX:
 
 
 def outputs(symbols: Symbols) -> ca.SX:
-    """Return y = h(x) = [r_1..r_N, Theta_0, yaw rates of the UAVs, r_0, r_0'], (4 N + 9), SI.
-
-    Positions and the payload's velocity are in the inertial frame. Source: docs/equations.md (14).
-    """
+    """Return y = h(x) = [r_1..r_N, Theta_0, yaw rates of UAVs, r_0, r_0'], (4 N + 9), SI, inertial: paper (12)."""
     x = symbols.x
     yaw_rates = [x[state.uav_slice(i)][state.OMEGA][2] for i in range(symbols.N)]
     payload = [x[state.R0], rotation(x[state.THETA0]) @ x[state.V0]]
@@ -179,11 +145,8 @@ def outputs(symbols: Symbols) -> ca.SX:
 
 
 def sensed(symbols: Symbols, tensions: ca.SX) -> ca.SX:
-    """Return what the UAVs' own sensors measure under given tensions, (15 N,), in the layout of `model.state`.
-
-    Source: docs/equations.md (61).
-    """
-    x, velocity, found = symbols.x, velocities(symbols), []
+    """Return what the UAVs' own sensors measure under tensions, (15 N,), as in `model.state`: equations.md (61)."""
+    x, velocity, found = symbols.x, velocities(symbols), list[ca.SX]()
     R0 = rotation(x[state.THETA0])
     for i, position in enumerate(uav_positions(symbols)):
         block, m = x[state.uav_slice(i)], symbols.uav(i)[0]
@@ -191,8 +154,7 @@ def sensed(symbols: Symbols, tensions: ca.SX) -> ca.SX:
         lift = ca.vertcat(0.0, 0.0, symbols.u[state.INPUTS * i])
         force = (rotation(block[state.THETA]).T @ pull - lift) / m
         found += [position, velocity[i + 1, :].T, block[state.THETA], block[state.OMEGA], force]
-    measured: ca.SX = ca.vertcat(*found)
-    return measured
+    return ca.vertcat(*found)
 
 
 def project(x: ca.SX, N: int) -> ca.SX:
@@ -224,10 +186,7 @@ def _symmetric(upper: ca.SX) -> ca.SX:
 
 
 def solve_positive_definite(M: ca.SX, b: ca.SX) -> ca.SX:
-    """Return M^-1 b, (size, columns), by an unrolled L D L^T factorisation.
-
-    Short expressions, no square roots, exact derivatives.
-    """
+    """Return M^-1 b, (size, columns), by an unrolled L D L^T factorisation: short, exact derivatives."""
     size = M.shape[0]
     L = [[ca.SX(0)] * size for _ in range(size)]
     D: list[ca.SX] = []

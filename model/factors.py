@@ -22,17 +22,11 @@ NAMES = ("X", "U", "P", "V_x", "V_u", "C")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pattern:
-    """Places of the entries of all factors, one list of rows after the other.
+    """Places of the entries of all factors, one list of rows after the other."""
 
-    Attributes:
-        shapes: Of the factors, in the order of `NAMES`.
-        begin: First entry of each row, and the end of the last, (rows of all + 1,).
-        index: Column of each entry.
-    """
-
-    shapes: tuple[tuple[int, int], ...]
-    begin: npt.NDArray[np.intp]
-    index: npt.NDArray[np.intp]
+    shapes: tuple[tuple[int, int], ...]  # of the factors, in the order of `NAMES`
+    begin: npt.NDArray[np.intp]  # first entry of each row, and the end of the last, (rows of all + 1,)
+    index: npt.NDArray[np.intp]  # column of each entry
 
     @staticmethod
     def of(shapes: Sequence[tuple[int, int]], begins: Sequence[Sequence[int]], columns: Sequence[int]) -> "Pattern":
@@ -45,7 +39,7 @@ class Pattern:
         return Pattern(shapes=tuple(shapes), begin=begin, index=index)
 
     @cached_property
-    def rows(self) -> npt.NDArray[np.intp]:
+    def _rows(self) -> npt.NDArray[np.intp]:
         """Row of each entry, counted through all factors."""
         return np.repeat(np.arange(len(self.begin) - 1), np.diff(self.begin))
 
@@ -61,24 +55,25 @@ class Pattern:
 
     def dense(self, values: Array, name: str) -> Array:
         """Return a factor as a matrix."""
-        which = NAMES.index(name)
+        which, entries = NAMES.index(name), self._entries(name)
         found = np.zeros(self.shapes[which])
-        first, end = (self.begin[self.first_rows[which + i]] for i in (0, 1))
-        found[self.rows[first:end] - self.first_rows[which], self.index[first:end]] = values[first:end]
+        found[self._rows[entries] - self.first_rows[which], self.index[entries]] = values[entries]
         return found
 
     def columns(self, name: str, columns: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
         """Return the entries in some columns of a factor."""
+        entries = self._entries(name)
+        return np.arange(entries.start, entries.stop)[np.isin(self.index[entries], columns)]
+
+    def _entries(self, name: str) -> slice:
         which = NAMES.index(name)
-        first, end = (self.begin[self.first_rows[which + i]] for i in (0, 1))
-        found: npt.NDArray[np.intp] = first + np.flatnonzero(np.isin(self.index[first:end], columns))
-        return found
+        return slice(*(int(self.begin[self.first_rows[which + i]]) for i in (0, 1)))
 
 
 def of_matrices(A_c: Array, B_c: Array, C: Array) -> tuple[Pattern, Array]:
     """Return pattern and entries of a system whose factors are not known: X = A_c, U = B_c, no P and V."""
-    (n, m), none = B_c.shape, 0
-    matrices = [A_c, B_c, np.zeros((n, none)), np.zeros((none, n)), np.zeros((none, m)), C]
+    n, m = B_c.shape
+    matrices = [A_c, B_c, np.zeros((n, 0)), np.zeros((0, n)), np.zeros((0, m)), C]
     begins = [[row * matrix.shape[1] for row in range(len(matrix) + 1)] for matrix in matrices]
     columns = np.concatenate([np.tile(np.arange(matrix.shape[1]), len(matrix)) for matrix in matrices])
     pattern = Pattern.of([matrix.shape for matrix in matrices], begins, columns.tolist())

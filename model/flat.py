@@ -2,8 +2,7 @@
 
 The payload stays level, so force and moment on it follow from its acceleration. Their least change from hover gives the
 rod forces, these the directions of the rods, these the motion of the UAVs, and that their attitudes, thrusts and
-moments: all by derivatives of the path (differential flatness: Sreenath, Kumar 2013; Mellinger, Kumar 2011). Rods lean
-out or in by forces that pull the attachment points apart or together, without force or moment on the payload.
+moments: all by derivatives of the path (differential flatness: Sreenath, Kumar 2013; Mellinger, Kumar 2011).
 """
 
 from collections.abc import Callable, Collection
@@ -19,62 +18,39 @@ from model.hover import Hover
 from model.maneuver import Maneuver
 from model.parameters import System
 
-# Smallest tension of a rod on a reference as a share of that at hover: below, gusts and errors would slacken a cable.
-LEAST_TENSION = 0.1
-# Largest tilt of a UAV on a reference, rad: Euler angles become singular at a right angle.
-MOST_TILT = 1.2
-# Rows of a reference whose derivatives with respect to forces are computed at once.
-_BLOCK = 16
-# Imaginary step of derivatives with respect to forces, N: without differences, so without rounding.
-_STEP_N = 1e-30
+LEAST_TENSION = 0.1  # of a rod on a reference, as a share of that at hover: gusts would slacken a cable with less
+MOST_TILT = 1.2  # of a UAV on a reference, rad: Euler angles become singular at a right angle
+_BLOCK = 16  # rows of a reference whose derivatives with respect to forces are computed at once
+_STEP_N = 1e-30  # imaginary step of these derivatives, N: without differences, so without rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flight:
-    """Motion of the team along a path at k instants.
+    """Motion of the team along a path at k instants."""
 
-    Attributes:
-        x: States, (k, n).
-        u: Inputs, (k, m).
-        tensions: Of the rods, (k, N), N.
-    """
-
-    x: Array
-    u: Array
-    tensions: Array
+    x: Array  # states, (k, n)
+    u: Array  # inputs, (k, m)
+    tensions: Array  # of the rods, (k, N), N
 
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
-    """What controllers follow at instants 0..K-1 from `first` on, one sampling period apart; the last one is held.
+    """What controllers follow at instants 0..K-1 from `first` on, one sampling period apart; the last one is held."""
 
-    Attributes:
-        X: States, (K, n).
-        U: Inputs for the period after each instant: those of its middle, (K, m).
-        X_middle: States there, (K, n).
-        paths: Jets of the payload's path at the instants and in the middle after each, (K, 2, 7, 3).
-        first: Number of the first instant.
-        flown: The motion of the team along such a path under forces, as `flight`.
-    """
-
-    X: Array
-    U: Array
-    X_middle: Array
-    paths: Array
-    first: int = 0
-    flown: Callable[[Array, Any], Flight]
+    X: Array  # states, (K, n)
+    U: Array  # inputs for the period after each instant: those of its middle, (K, m)
+    X_middle: Array  # states there, (K, n)
+    paths: Array  # jets of the payload's path at the instants and in the middle after each, (K, 2, 7, 3)
+    first: int = 0  # number of the first instant
+    flown: Callable[[Array, Any], Flight]  # the motion of the team along such a path under forces, as `flight`
 
     def by_forces(self, at: Rows) -> tuple[Array, Array]:
-        """Return the change of X and U at k rows per external force and further mass of the payload, SI per N and kg.
-
-        Returns: (k, n, 4 + 3 N) and (k, m, 4 + 3 N), computed at the first use of a row, some rows at once.
-        """
-        found = [self._block(row // _BLOCK) for row in np.arange(len(self.X))[at]]
-        wanted = [row % _BLOCK for row in np.arange(len(self.X))[at]]
-        X_forces, U_forces = ([block[part][row] for block, row in zip(found, wanted, strict=True)] for part in (0, 1))
+        """Return the change of X, (k, n, 4 + 3 N), and U, (k, m, 4 + 3 N), at k rows per external force and mass."""
+        places = [divmod(row, _BLOCK) for row in np.arange(len(self.X))[at].tolist()]
+        X_forces, U_forces = ([self._block(number)[part][row] for number, row in places] for part in (0, 1))
         return np.array(X_forces), np.array(U_forces)
 
-    def _block(self, number: int) -> tuple[Array, Array]:
+    def _block(self, number: int) -> list[Array]:
         """Return the change of rows `number * _BLOCK` on by each force."""
         if number not in self._blocks:
             paths = self.paths[number * _BLOCK : (number + 1) * _BLOCK]
@@ -83,11 +59,11 @@ class Track:
             steps = np.tile(1j * _STEP_N * np.eye(forces), (len(paths), 1))
             changed = self.flown(path, steps).x, self.flown(middle, steps).u
             by_row = [part.imag.reshape(len(paths), forces, -1) / _STEP_N for part in changed]
-            self._blocks[number] = by_row[0].transpose(0, 2, 1), by_row[1].transpose(0, 2, 1)
+            self._blocks[number] = [part.transpose(0, 2, 1) for part in by_row]
         return self._blocks[number]
 
     @cached_property
-    def _blocks(self) -> dict[int, tuple[Array, Array]]:
+    def _blocks(self) -> dict[int, list[Array]]:
         return {}
 
 
@@ -99,16 +75,17 @@ class FlatReference:
         self._system, self._hover = system, hover
 
     def outputs(self, t_s: Array) -> Array:
-        """Return y_ref at times t_s, (k,), s: (k, 4 N + 9), SI. Source: docs/equations.md (14), (66)-(68)."""
+        """Return y_ref at times t_s, (k,), s: (k, 4 N + 9), SI: equations.md (14), (66)-(68)."""
         return self.followed(t_s)[0]
 
     def states(self, t_s: Array) -> Array:
-        """Return x_ref at times t_s, (k,), s: (k, 12 + 12 N), SI. Source: docs/equations.md (66)-(68)."""
+        """Return x_ref at times t_s, (k,), s: (k, 12 + 12 N), SI: equations.md (66)-(68)."""
         return self.flight(t_s).x
 
     def followed(self, t_s: Array) -> tuple[Array, Array]:
         """Return outputs and states, which controllers follow, at times t_s, (k, 4 N + 9) and (k, 12 + 12 N)."""
-        path, x = self.maneuver.jets(t_s), self.flight(t_s).x
+        path = self.maneuver.jets(t_s)
+        x = flight(self._system, self._hover, path).x
         view = state.StateView(x)
         rho = np.array([uav.rho for uav in self._system.uavs])
         lengths = np.array([uav.rod_length for uav in self._system.uavs])
@@ -136,17 +113,12 @@ def track(system: System, hover: Hover, by_instant: Array, first: int = 0, relea
 
 
 def flight(system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()) -> Flight:
-    """Return the motion of a team whose level payload follows a path.
+    """Return the motion of a team whose level payload follows a path: equations.md (66)-(68).
 
-    Args:
-        system: Physical parameters.
-        hover: Its equilibrium, whose rod forces the others deviate least from.
-        path: Jets of the payload's position, inertial frame, m, and of length and width of the team as multiples of
-            those at hover, (7, k, 5); without these, (7, k, 3), the team keeps its formation.
-        forces: Constant external forces and the payload's further mass, (4 + 3 N,), inertial frame, N and kg; may be
-            complex; or of each instant, (k, 4 + 3 N).
-        released: UAVs, 0-based, in whose place bobs hang from their rods (`model.failure`), in system and hover too.
-    Source: docs/equations.md (66)-(68).
+    Given are jets of the payload's position, inertial frame, m, and of length and width of the team as multiples of
+    those at hover, (7, k, 5), or (7, k, 3) if it keeps its formation. Forces, constant or of each instant, are external
+    ones and the payload's further mass, (4 + 3 N,), N and kg, and may be complex. Rod forces deviate least from those
+    of the hover. In the place of released UAVs, 0-based, bobs hang from their rods, in system and hover too.
     """
     N, k = system.N, path.shape[1]
     path, formation = path[..., :3], path[..., 3:]
@@ -155,7 +127,8 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
     rho = np.array([uav.rho for uav in system.uavs])
     masses, lengths = np.array([[uav.mass, uav.rod_length] for uav in system.uavs]).T[:, :, None]
     # Force and moment on the payload per force of each rod, (6, 3 N).
-    W = np.hstack([np.vstack([np.eye(3), _skew(r)]) * (i not in released) for i, r in enumerate(rho)])
+    crosses = [np.cross(r, np.eye(3), axisb=0, axisc=0) for r in rho]
+    W = np.hstack([np.vstack([np.eye(3), cross]) * (i not in released) for i, cross in enumerate(crosses)])
     share = np.linalg.pinv(W)[:, :3].reshape(N, 3, 3)
     needed = (system.payload.mass + F[..., -1:]) * jets.derivative(jets.derivative(path))
     needed[0] -= F[..., :3] + F[..., -1:] * gravity
@@ -205,10 +178,9 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
 
 
 def _apart(hover: Hover, rho: Array, lengths: Array, formation: Array, W: Array) -> Array:
-    """Return the jets of rod forces that hold a formation without force or moment on the payload, (7, k, N, 3), N.
+    """Return the jets of rod forces that hold a formation without effect on the payload, (7, k, N, 3), N: (66a).
 
     Given are attachments, (N, 3), m, rods' lengths, (N, 1), m, jets of the formation, (7, k, 2), and W, (6, 3 N).
-    Source: docs/equations.md (66a).
     """
     away = np.zeros((*formation.shape[:2], *rho.shape))
     away[0, ..., :2] = -rho[:, :2]
@@ -223,8 +195,3 @@ def _apart(hover: Hover, rho: Array, lengths: Array, formation: Array, W: Array)
 def slowed(path: Array, factor: float) -> Array:
     """Return the jets of a path at a number of its places when it takes `factor` times as long."""
     return np.asarray(path / factor ** np.arange(len(path), dtype=np.float64)[:, None, None])
-
-
-def _skew(r: Array) -> Array:
-    """Return the matrix of the cross product r x, (3, 3)."""
-    return np.cross(r, np.eye(3), axisb=0, axisc=0)

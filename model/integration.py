@@ -1,12 +1,11 @@
 """Integration over an interval of constant input, with steps halved where they are not accurate.
 
-Calm motion takes equal steps in one compiled call. Violent motion, such as a body near the singularity of its Euler
-angles, takes shorter steps where its local error estimate demands them. Which steps are taken depends on the numbers
-alone, so the result has the same bits in every process.
+Calm motion takes equal steps in one compiled call. Violent motion takes shorter steps where its error estimate demands
+them. Which steps are taken depends on the numbers alone, so the result has the same bits in every process.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
@@ -16,22 +15,17 @@ from model.compiled import Compiled
 
 # Shortest step, relative to the equal steps: 2.4 us of 10 ms.
 SHORTEST = 2.0**-12
-
 # Most steps tried in one integration, so that its time is bounded: about a second.
 MOST_STEPS = 20_000
 
 _BLOCK = 64  # equal steps in one call, so that memory does not grow with their number
 
 # What is constant during an integration: inputs, parameters, forces.
-Held = tuple[Array, Array, Array]
+Held = Sequence[Array]
 
 
 class Integrator:
-    """Integrator of one model.
-
-    Args:
-        step: (x, u, p, F, h) -> x after h seconds, and the local error estimate, (n,); see `model.compiled`.
-    """
+    """Integrator of one model by its compiled `step` (`model.compiled`)."""
 
     def __init__(self, step: ca.Function) -> None:
         self._step, self._single, self._stepping = step, Compiled(step), Compiled(step)
@@ -40,17 +34,18 @@ class Integrator:
     def integrate(self, x: Array, held: Held, duration_s: float, steps: int, tolerance: float) -> tuple[Array, float]:
         """Return the state at the end of an interval, and the largest local error estimate of the steps taken.
 
-        Args:
-            x: State, (n,).
-            held: Inputs, parameters and forces, constant.
-            duration_s: s.
-            steps: Number of equal steps to begin with.
-            tolerance: Largest local error estimate of a step and component, SI.
-        Source: docs/equations.md (13b), (13c).
+        Arguments as in `Model.integrate`. Source: docs/equations.md (13b), (13c).
         """
         length_s, end, largest = duration_s / steps, x, 0.0
         for begin in range(0, steps, _BLOCK):
-            end, error = self._equal(min(_BLOCK, steps - begin), end, held, length_s)
+            count = min(_BLOCK, steps - begin)
+            if count not in self._blocks:
+                x_s, *held_s = (ca.MX.sym(f"argument{i}", self._step.size1_in(i)) for i in range(self._step.n_in()))
+                states, errors = self._step.mapaccum(count)(x_s, *[ca.repmat(each, 1, count) for each in held_s])
+                results = [states[:, -1], ca.mmax(ca.fabs(errors))]  # the last state, the largest error
+                self._blocks[count] = Compiled(ca.Function("integrate", [x_s, *held_s], results))
+            flat = self._blocks[count].flat(end, *held, length_s)
+            end, error = flat[:-1], float(flat[-1])
             if not error <= tolerance and tolerance < math.inf:
                 return self._halved(steps, x, held, length_s, tolerance)
             largest = max(largest, error)
@@ -63,13 +58,6 @@ class Integrator:
         """
         evaluate, state = self._stepping.partial(*held, length_s), self._stepping.parts[0]
         return lambda x, u: evaluate(x, u)[state]
-
-    def _equal(self, steps: int, x: Array, held: Held, length_s: float) -> tuple[Array, float]:
-        """Return the state after a few equal steps and the largest local error estimate of any of them."""
-        if steps not in self._blocks:
-            self._blocks[steps] = Compiled(_last_and_error(self._step, steps))
-        flat = self._blocks[steps].flat(x, *held, length_s)
-        return flat[:-1], float(flat[-1])
 
     def _halved(self, steps: int, x: Array, held: Held, length_s: float, tolerance: float) -> tuple[Array, float]:
         """Return the state after steps, each halved until its local error estimate is within the tolerance."""
@@ -86,10 +74,3 @@ class Integrator:
             if not np.isfinite(x).all():
                 break
         return x, largest
-
-
-def _last_and_error(step: ca.Function, steps: int) -> ca.Function:
-    """Return a function of several steps: the last state and the largest local error estimate."""
-    x, *held = (ca.MX.sym(f"argument{i}", step.size1_in(i)) for i in range(step.n_in()))
-    states, errors = step.mapaccum(steps)(x, *[ca.repmat(argument, 1, steps) for argument in held])
-    return ca.Function("integrate", [x, *held], [states[:, -1], ca.mmax(ca.fabs(errors))])

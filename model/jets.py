@@ -28,16 +28,10 @@ def dot(a: Array, b: Array) -> Array:
     return np.asarray(product(a, b).sum(axis=-1, keepdims=True))
 
 
-def cross(a: Array, b: Array) -> Array:
-    """Return the jet of the cross product over the last axis."""
-    y, z = np.roll(a, -1, axis=-1), np.roll(a, -2, axis=-1)
-    return product(y, np.roll(b, -2, axis=-1)) - product(z, np.roll(b, -1, axis=-1))
-
-
 def composed(outer: Array, inner: Array) -> Array:
     """Return the jet of f(g(t)) from Taylor coefficients of f at g(t), by order along the first axis, and the jet of g.
 
-    Coefficients may have further axes at their end, along which the inner jet broadcasts.
+    Coefficients may have further axes at their end.
     """
     steps = inner.reshape(*inner.shape, *[1] * (outer.ndim - inner.ndim)).copy()
     steps[0] = 0.0

@@ -22,18 +22,13 @@ from model.state import input_indices
 class Linearisation:
     """The first-order expansion about (x0, u0), which need not be an equilibrium.
 
-    A_c and B_c are kept as factors and multiplied out where they are asked for.
-
-    Attributes:
-        f: x' at (x0, u0), (n,), SI.
-        y: h(x0), (p,).
-        pattern, values: Places and values of the entries of the factors and of C.
-    Source: docs/equations.md (15), (15b); paper (13).
+    A_c and B_c are kept as factors and multiplied out where they are asked for. Source: docs/equations.md (15), (15b);
+    paper (13).
     """
 
-    f: Array
-    y: Array
-    pattern: Pattern
+    f: Array  # x' at (x0, u0), (n,), SI
+    y: Array  # h(x0), (p,)
+    pattern: Pattern  # places and values of the entries of the factors and of C
     values: Array
 
     @staticmethod
@@ -65,11 +60,7 @@ class Model:
 
     External forces, where a method takes them, are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs,
     (3 + 3 N,), inertial frame, N; zero by default. A mass that the payload has beyond the known one, kg, may follow.
-
-    Args:
-        system: Physical parameters.
-        off: UAVs without motors, 0-based; their inputs have no effect.
-        released: UAVs no longer on their rods, 0-based; forces on them have no effect.
+    Inputs of UAVs that are off, 0-based, and forces on those released from their rods have no effect.
     """
 
     def __init__(self, system: System, off: Collection[int] = (), released: Collection[int] = ()) -> None:
@@ -78,21 +69,18 @@ class Model:
         self._unforced = np.array([3 + 3 * uav + axis for uav in sorted(released) for axis in range(3)], dtype=np.intp)
         self._p = system.vector()
         found = functions(system.N, system.commands_rates)
-        self._derivative, self._tensions = Compiled(found["derivative"]), Compiled(found["tensions"])
-        self._velocities, self._outputs = Compiled(found["velocities"]), Compiled(found["outputs"])
-        self._outputs_of = found["outputs"]
+        self._compiled = {name: Compiled(function) for name, function in found.items()}
+        self._integrator, self._outputs_of = Integrator(found["step"]), found["outputs"]
         self._several_outputs: dict[int, Compiled] = {}
-        self._linearise, self._integrator = Compiled(found["linearise"]), Integrator(found["step"])
-        self._sense, held = Compiled(found["sense"]), found["sense"].sparsity_out(1)
-        self._sensed_alone = Compiled(found["sensed"])
+        held = found["sense"].sparsity_out(1)
         self._sensed = np.array(held.row()), np.array(held.get_triplet()[1])
-        self._pattern = _pattern(found["linearise"])
+        # Places of the entries of the factors, which the function returns transposed.
+        factors = [found["linearise"].sparsity_out(2 + i) for i in range(len(NAMES))]
+        shapes = [(factor.size2(), factor.size1()) for factor in factors]
+        columns = [row for factor in factors for row in factor.row()]
+        self._pattern = Pattern.of(shapes, [factor.colind() for factor in factors], columns)
         self._without_effect = np.concatenate([self._pattern.columns(name, self._off) for name in ("U", "V_u")])
         self._no_forces = np.zeros(3 + 3 * system.N)
-
-    def _effective(self, u: Array) -> Array:
-        """Return inputs without those of motor-off UAVs, (m,)."""
-        return _zeroed(u, self._off)
 
     def _acting(self, forces: Array | None) -> tuple[Array, Array]:
         """Return the parameters, and external forces without those on released UAVs, (3 + 3 N,)."""
@@ -105,6 +93,10 @@ class Model:
             p[1] += forces[count]
         return p, _zeroed(forces[:count], self._unforced)
 
+    def _arguments(self, x: Array, u: Array, forces: Array | None) -> tuple[Array, ...]:
+        """Return x, u, p, F of the compiled functions; inputs of motor-off UAVs are zero."""
+        return x, _zeroed(u, self._off), *self._acting(forces)
+
     def at_rest(self, forces: Array) -> Array:
         """Return constant forces, (3 + 3 N,), that act on a hovering team as the given ones and a mass."""
         count = len(self._no_forces)
@@ -116,15 +108,15 @@ class Model:
 
     def derivative(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return x' = f(x, u, F), (n,), SI. Source: docs/equations.md (4)-(13), (37)."""
-        return self._derivative(x, self._effective(u), *self._acting(forces))[0]
+        return self._compiled["derivative"](*self._arguments(x, u, forces))[0]
 
     def tensions(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return the rod tensions, (N,), N; positive when the rod pulls. Source: docs/equations.md (9), (37)."""
-        return self._tensions(x, self._effective(u), *self._acting(forces))[0]
+        return self._compiled["tensions"](*self._arguments(x, u, forces))[0]
 
     def outputs(self, x: Array) -> Array:
         """Return y = h(x), (4 N + 9,), SI. Source: docs/equations.md (14)."""
-        return self._outputs(x, self._p)[0]
+        return self._compiled["outputs"](x, self._p)[0]
 
     def outputs_along(self, X: Array) -> Array:
         """Return the outputs of several states, (k, n), in one call, (k, 4 N + 9), with the same bits."""
@@ -136,82 +128,58 @@ class Model:
 
     def velocities(self, x: Array) -> Array:
         """Return the velocities of the centres of mass, (1 + N, 3), inertial frame, m/s. Source: equations.md (39)."""
-        return self._velocities(x, self._p)[0]
+        return self._compiled["velocities"](x, self._p)[0]
 
     def sense(self, x: Array, u: Array, *, forces: Array | None = None) -> tuple[Array, Array]:
-        """Return the measurements of the UAVs' own sensors, (15 N,), SI, and their derivatives by (x, F).
-
-        Returns: y in the layout of `model.state`, and dy/d(x, F), (15 N, n + 3 + 3 N).
-        Source: docs/equations.md (61).
-        """
-        y, values, by_acceleration, acceleration = self._sense(x, self._effective(u), *self._acting(forces))
+        """Return the sensors' measurements, (15 N,), SI, and their derivatives by (x, F), (15 N, n + 3 + 3 N): (61)."""
+        y, values, by_acceleration, acceleration = self._compiled["sense"](*self._arguments(x, u, forces))
         slopes: Array = by_acceleration @ acceleration
         slopes[self._sensed] += values
         return y, slopes
 
     def sensed(self, x: Array, u: Array, *, forces: Array | None = None) -> Array:
         """Return the measurements of `sense` alone, (15 N,)."""
-        return self._sensed_alone.flat(x, self._effective(u), *self._acting(forces))
+        return self._compiled["sensed"].flat(*self._arguments(x, u, forces))
 
     def linearise(self, x: Array, u: Array, *, forces: Array | None = None) -> Linearisation:
-        """Return exact derivatives about (x, u) under constant forces.
-
-        Source: docs/equations.md (15), (15a), (37); paper (13).
-        """
-        flat = self._linearise.flat(x, self._effective(u), *self._acting(forces))
-        f, y, first = self._linearise.parts[:3]
+        """Return exact derivatives about (x, u) under constant forces: equations.md (15), (15a), (37); paper (13)."""
+        function = self._compiled["linearise"]
+        flat, (f, y, first) = function.flat(*self._arguments(x, u, forces)), function.parts[:3]
         values = flat[first.start :]
         values[self._without_effect] = 0.0
         return Linearisation(f=flat[f], y=flat[y], pattern=self._pattern, values=values)
 
     def force_effect(self, x: Array, u: Array) -> Array:
-        """Return df/dF, (n, 3 + 3 N), SI per N; the first three columns are those of the payload.
-
-        f is affine in the forces, so differences are exact. Source: docs/equations.md (38).
-        """
+        """Return df/dF, (n, 3 + 3 N), SI per N, exact, as f is affine in the forces. Source: equations.md (38)."""
         f = self.derivative(x, u)
         return np.column_stack([self.derivative(x, u, forces=unit) - f for unit in np.eye(len(self._no_forces))])
 
     def integrate(
-        self,
-        x: Array,
-        u: Array,
-        duration_s: float,
-        steps: int,
-        *,
-        forces: Array | None = None,
+        self, x: Array, u: Array, duration_s: float, steps: int, *, forces: Array | None = None,
         tolerance: float = math.inf,
-    ) -> tuple[Array, float]:
-        """Return the state after `duration_s` of constant input, by Dormand-Prince steps of order 5.
+    ) -> tuple[Array, float]:  # fmt: skip
+        """Return the state after `duration_s` of constant input, by Dormand-Prince steps of order 5: (13b), (13c).
 
-        The steps are equal if none of their error estimates exceeds the tolerance. Otherwise the interval is
-        integrated again, with steps halved where their estimate exceeds the tolerance.
+        The steps, >= 1, are equal if none of their error estimates exceeds the tolerance. Otherwise the interval is
+        integrated again, with steps halved where their estimate exceeds it. The rods are projected back after each.
 
-        Args:
-            x: State, (n,).
-            u: Input, held, (m,).
-            duration_s: s.
-            steps: Number of equal steps, >= 1; the rods are projected back after each.
-            forces: Held.
-            tolerance: Largest local error estimate of a step and component, SI; infinite: all steps are equal.
         Returns: State, (n,), and the largest local error estimate of any step and component, SI. It exceeds the
             tolerance only where the shortest or the most possible steps (model/integration.py) do not suffice.
-        Source: docs/equations.md (13b), (13c).
         """
-        held = self._effective(u), *self._acting(forces)
+        x, *held = self._arguments(x, u, forces)
         return self._integrator.integrate(x, held, duration_s, steps, tolerance)
 
     def stepper(self, duration_s: float, forces: Array | None = None) -> Callable[[Array, Array], Array]:
         """Return the map from state and input to the state after one step of `integrate`; valid until the next one."""
         step = self._integrator.stepper(self._acting(forces), duration_s)
-        return step if not len(self._off) else lambda x, u: step(x, self._effective(u))
+        return step if not len(self._off) else lambda x, u: step(x, _zeroed(u, self._off))
 
     def rollout(
         self, x: Array, at_x: Array, K: Array, bounds: tuple[Array, Array], duration_s: float, forces: Array | None
     ) -> tuple[Array, Array] | None:
-        """Return states, (N_p + 1, n), and inputs, (N_p, m), under u = at_x + K (x(k) - x) within bounds, in one call.
+        """Return states and inputs under u = at_x + K (x(k) - x) within bounds, in one call; steps as in `stepper`.
 
-        None without compiled kernels, or if the model is not compiled or motors are off. Steps as in `stepper`.
+        None without compiled kernels, or if the model is not compiled or motors are off.
         """
         if self._native is None or len(self._off):
             return None
@@ -221,14 +189,6 @@ class Model:
     def _native(self) -> native.Step | None:
         found = library(self.system.N, self.system.commands_rates) if native.AVAILABLE else None
         return None if found is None else native.Step(found)
-
-
-def _pattern(linearise: ca.Function) -> Pattern:
-    """Return the places of the entries of the factors, which the function returns transposed."""
-    factors = [linearise.sparsity_out(2 + i) for i in range(len(NAMES))]
-    shapes = [(factor.size2(), factor.size1()) for factor in factors]
-    columns = [row for factor in factors for row in factor.row()]
-    return Pattern.of(shapes, [factor.colind() for factor in factors], columns)
 
 
 def _zeroed(vector: Array, entries: npt.NDArray[np.intp]) -> Array:

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
 from model import jets, state
-from model.arrays import Array, ArrayLike, checked
+from model.arrays import Array, ArrayLike, assign, checked
 from model.curves import ORDERS, Curve
 from model.hover import Hover
 from model.parameters import ParameterError, System
@@ -28,57 +28,34 @@ HANDOVER = 0.25
 class Phase:
     """One piece of the payload's path, straight, along a table or along a smooth curve.
 
-    Attributes:
-        name: For figures and progress, e.g. "climb".
-        duration_s: > 0.
-        displacement_I: From start to end of the phase, (3,), inertial frame (z down), m.
-        kind: "take_off" begins and "land" ends with the payload on the ground; both rise and sink with minimum jerk.
-        way: Times since the start of the phase, s, and positions relative to it, m, (k, 4), from zeros to duration and
-            displacement, at constant speed between rows. None: straight, by the profile.
-        curve: Of the kinds circle, eight and spline, or of a smoothed table.
-        formation: Rows of shares of the duration, rising, and from each on length and width of the team, along x and y,
-            as multiples of those at hover, (k, 3); they change smoothly from row to row. None: as before the phase.
+    A take-off begins and a landing ends with the payload on the ground; both rise and sink with minimum jerk.
     """
 
-    name: str
-    duration_s: float
-    displacement_I: Array
+    name: str  # for figures and progress, e.g. "climb"
+    duration_s: float  # > 0
+    displacement_I: Array  # from start to end of the phase, (3,), inertial frame (z down), m
     kind: PhaseKind
+    # Times since the start of the phase, s, and positions relative to it, m, (k, 4), from zeros to duration and
+    # displacement, at constant speed between rows. None: straight, by the profile.
     way: Array | None
-    curve: Curve | None
+    curve: Curve | None  # of the kinds circle, eight and spline, or of a smoothed table
+    # Rows of shares of the duration, rising, and from each on length and width of the team, along x and y, as multiples
+    # of those at hover, (k, 3); they change smoothly from row to row. None: as before the phase.
     formation: Array | None
 
     def __init__(
-        self,
-        *,
-        name: str,
-        duration_s: float,
-        displacement_I: ArrayLike,
-        kind: PhaseKind = "move",
-        way: ArrayLike | None = None,
-        curve: Curve | None = None,
-        formation: ArrayLike | None = None,
-    ) -> None:
-        if not (np.isfinite(duration_s) and duration_s > 0.0):
-            raise ParameterError(f"phase {name!r}: expected a duration > 0 s, got {duration_s!r}")
-        object.__setattr__(self, "name", name)
-        object.__setattr__(self, "duration_s", float(duration_s))
-        object.__setattr__(self, "displacement_I", checked(f"phase {name!r} displacement", displacement_I, (3,)))
-        object.__setattr__(self, "kind", kind)
-        object.__setattr__(self, "way", None if way is None else self._checked_way(way))
-        object.__setattr__(self, "curve", curve)
-        object.__setattr__(self, "formation", None if formation is None else self._checked_formation(formation))
+        self, *, name: str, duration_s: float, displacement_I: ArrayLike, kind: PhaseKind = "move",
+        way: ArrayLike | None = None, curve: Curve | None = None, formation: ArrayLike | None = None,
+    ) -> None:  # fmt: skip
+        displacement_I = checked(f"phase {name!r} displacement", displacement_I, (3,))
+        assign(self, name=name, duration_s=float(duration_s), displacement_I=displacement_I, kind=kind, curve=curve)
+        assign(self, way=None if way is None else self._checked_way(way))
+        assign(self, formation=None if formation is None else self._checked_formation(formation))
         if curve is not None:
-            self._check_curve(curve)
-
-    def _check_curve(self, curve: Curve) -> None:
-        if not curve.ramp_s <= self.duration_s / 2.0:
-            expected = f"expected ramps of at most half the duration, {self.duration_s / 2.0:g} s"
-            raise ParameterError(f"phase {self.name!r}: {expected}, got {curve.ramp_s:g} s")
-        end_I = curve.path(np.array([self.duration_s]), 1)[0, 0]
-        if np.abs(end_I - self.displacement_I).max() > _ROUNDING * max(1.0, float(np.abs(end_I).max())):
-            expected = f"expected the displacement of its curve, {end_I.tolist()} m"
-            raise ParameterError(f"phase {self.name!r}: {expected}, got {self.displacement_I.tolist()}")
+            end_I = curve.path(np.array([self.duration_s]), 1)[0, 0]
+            if np.abs(end_I - displacement_I).max() > _ROUNDING * max(1.0, float(np.abs(end_I).max())):
+                expected = f"expected the displacement of its curve, {end_I.tolist()} m"
+                raise ParameterError(f"phase {name!r}: {expected}, got {displacement_I.tolist()}")
 
     def _checked_formation(self, formation: ArrayLike) -> Array:
         name = f"phase {self.name!r} formation"
@@ -104,19 +81,12 @@ class Phase:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Target:
-    """A target given during the flight: the payload leaves its path for it, and may run through a curve from there.
+    """A target given during the flight: the payload leaves its path for it, and may run through a curve from there."""
 
-    Attributes:
-        since_s: Time from which on the path changes, s.
-        point_I: Position of the target, (3,), inertial frame, m.
-        approach: Straight curve of length 1, whose share is that of the target in the path.
-        way: Curve from the target on; None: the target is the end.
-    """
-
-    since_s: float
-    point_I: Array
-    approach: Curve
-    way: Curve | None = None
+    since_s: float  # time from which on the path changes, s
+    point_I: Array  # position of the target, (3,), inertial frame, m
+    approach: Curve  # straight, of length 1, whose share is that of the target in the path
+    way: Curve | None = None  # from the target on; None: the target is the end
 
     @property
     def reached_s(self) -> float:
@@ -140,52 +110,34 @@ class Target:
         return found
 
     def joined(self, t_s: Array, found: Array) -> Array:
-        """Return jets of a path, (orders, k, 3), that leads to the target from then on. Source: docs/equations.md (75).
-
-        A weighted mean of path and target: as smooth as both, and never outside their convex hull.
-        """
+        """Return jets of a path since then, (orders, k, 3), led to the target by a mean of both, as smooth: (75)."""
         orders, goal = len(found), self.goal(t_s, len(found))
         share = self.approach.covered(t_s - self.since_s, orders)[..., None]
         mean = found + jets.product(share, goal - found)
-        on_the_way, there = t_s >= self.since_s, t_s >= self.reached_s
-        return np.asarray(np.where(there[:, None], goal, np.where(on_the_way[:, None], mean, found)))
+        return np.asarray(np.where((t_s >= self.reached_s)[:, None], goal, mean))
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Maneuver:
-    """The payload's reference path r0(t).
+    """The payload's reference path r0(t)."""
 
-    Attributes:
-        start_I: Payload position at t = 0, (3,), inertial frame, m.
-        phases: In this order; the end is held.
-        profile: Of straight phases: constant speed, minimum jerk, a step at the beginning, or as a `Curve`.
-        press_m: How far below the ground the controllers' reference is while the ground carries the payload, m: the
-            larger, the less of its weight the team holds.
-        targets: Given during the flight, in this order: each leads away from the path before it.
-    """
-
-    start_I: Array
-    phases: tuple[Phase, ...]
-    profile: Profile
+    start_I: Array  # payload position at t = 0, (3,), inertial frame, m
+    phases: tuple[Phase, ...]  # in this order; the end is held
+    profile: Profile  # of straight phases: constant speed, minimum jerk, a step at the beginning, or as a `Curve`
+    # How far below the ground the controllers' reference is while the ground carries the payload, m: the larger, the
+    # less of its weight the team holds.
     press_m: float
-    targets: tuple[Target, ...]
+    targets: tuple[Target, ...]  # given during the flight, in this order: each leads away from the path before it
 
     def __init__(
         self, *, start_I: ArrayLike, phases: Sequence[Phase], profile: Profile = "ramp", press_m: float = 0.0,
         targets: Sequence[Target] = (),
     ) -> None:  # fmt: skip
-        if not phases:
-            raise ParameterError("maneuver: expected at least one phase, got none")
         for phase, after in pairwise(phases):
             if phase.kind == "land" and after.kind == "move" and after.displacement_I.any():
                 raise ParameterError(f"phase {after.name!r}: expected a take-off, or no way, after a landing")
-        if profile not in get_args(Profile):
-            raise ParameterError(f"profile: expected one of {', '.join(get_args(Profile))}, got {profile!r}")
-        object.__setattr__(self, "start_I", checked("maneuver start", start_I, (3,)))
-        object.__setattr__(self, "phases", tuple(phases))
-        object.__setattr__(self, "profile", profile)
-        object.__setattr__(self, "press_m", press_m)
-        object.__setattr__(self, "targets", tuple(targets))
+        start_I = checked("maneuver start", start_I, (3,))
+        assign(self, start_I=start_I, phases=tuple(phases), profile=profile, press_m=press_m, targets=tuple(targets))
 
     def headed(self, target: Target) -> "Maneuver":
         """Return the maneuver with a further target."""
@@ -222,63 +174,47 @@ class Maneuver:
         return phase
 
     def path(self, t_s: Array) -> tuple[Array, Array]:
-        """Return r0, (k, 3), m, and its time derivative, (k, 3), m/s, at times t_s, (k,), s; both inertial.
-
-        A step has no velocity. Source: docs/equations.md (20).
-        """
-        r = np.tile(self.start_I, (len(t_s), 1))
-        v = np.zeros((len(t_s), 3))
-        begin = 0.0
-        for phase in self.phases:
-            curve = self._curve(phase)
-            if phase.way is not None:
-                covered, speed = _along(phase.way, t_s - begin)
-            elif curve is not None:
-                covered, speed = curve.path(t_s - begin, 2)
-            else:
-                s, s_dot = self._progress(phase, t_s - begin)
-                covered, speed = s[:, None] * phase.displacement_I, s_dot[:, None] * phase.displacement_I
-            r, v = r + covered, v + speed
-            begin += phase.duration_s
-        if self.targets:
-            r, v = self._led(t_s, np.stack([r, v]))
+        """Return r0 and r0' at times t_s, (k,): (k, 3) each, m and m/s, inertial; a step has no velocity: (20)."""
+        r, v = self._along(t_s, 2)
         return r, v
 
-    def _led(self, t_s: Array, found: Array) -> Array:
-        """Return jets of the path of all phases, (orders, k, 3), led to the targets."""
+    def jets(self, t_s: Array) -> Array:
+        """Return the jets (`model.jets`) of a smooth path at times t_s, (k,): (`ORDERS`, k, 3), SI: equations.md (65).
+
+        Where the formation changes, those of length and width of the team follow: (`ORDERS`, k, 5).
+
+        Raises: ParameterError: a phase is not smooth.
+        """
+        for phase in self.phases:
+            if self._curve(phase) is None and (phase.displacement_I.any() or phase.way is not None):
+                expected = "expected a smooth path, that of profile 'smooth'"
+                raise ParameterError(f"phase {phase.name!r}: {expected}, got {self.profile!r}")
+        found = self._along(t_s, ORDERS)
+        if all(phase.formation is None for phase in self.phases):
+            return found
+        return np.concatenate([found, self.formation(t_s)], axis=-1)
+
+    def _along(self, t_s: Array, orders: int) -> Array:
+        """Return the jets of the path, (orders, k, 3); phases that are not smooth have position and velocity."""
+        found, begin = np.zeros((orders, len(t_s), 3)), 0.0
+        found[0] = self.start_I
+        for phase in self.phases:
+            curve = self._curve(phase)
+            if curve is not None:
+                found += curve.path(t_s - begin, orders)
+            elif phase.way is not None:
+                found[:2] += np.stack(_by_table(phase.way, t_s - begin))
+            else:
+                found[:2] += np.multiply.outer(np.stack(self._progress(phase, t_s - begin)), phase.displacement_I)
+            begin += phase.duration_s
         for target in self.targets:
             after = t_s >= target.since_s
             if after.any():
                 found[:, after] = target.joined(t_s[after], found[:, after])
         return found
 
-    def jets(self, t_s: Array) -> Array:
-        """Return the jets (`model.jets`) of a smooth path at times t_s, (k,): (`ORDERS`, k, 3), SI.
-
-        Where the formation changes, those of length and width of the team follow: (`ORDERS`, k, 5).
-
-        Raises: ParameterError: a phase is not smooth. Source: docs/equations.md (65).
-        """
-        found, begin = np.zeros((ORDERS, len(t_s), 3)), 0.0
-        found[0] = self.start_I
-        for phase in self.phases:
-            curve = self._curve(phase)
-            if curve is not None:
-                found += curve.path(t_s - begin)
-            elif phase.displacement_I.any() or phase.way is not None:
-                expected = "expected a smooth path, that of profile 'smooth'"
-                raise ParameterError(f"phase {phase.name!r}: {expected}, got {self.profile!r}")
-            begin += phase.duration_s
-        found = self._led(t_s, found)
-        if all(phase.formation is None for phase in self.phases):
-            return found
-        return np.concatenate([found, self.formation(t_s)], axis=-1)
-
     def formation(self, t_s: Array) -> Array:
-        """Return the jets of length and width of the team, as multiples of those at hover: (`ORDERS`, k, 2).
-
-        Source: docs/equations.md (65), (66a).
-        """
+        """Return the jets of length and width of the team as multiples of those at hover, (`ORDERS`, k, 2): (66a)."""
         found, begin, held = np.zeros((ORDERS, len(t_s), 2)), 0.0, np.ones(2)
         found[0] = 1.0
         for phase in self.phases:
@@ -301,8 +237,7 @@ class Maneuver:
     def press(self, t_s: Array) -> tuple[Array, Array]:
         """Return how far below the payload's path the controllers' reference is, (k,), m, and its rate, (k,), m/s.
 
-        Zero in flight. On the ground the team then pulls with less than the payload's weight. Source: docs/equations.md
-        (59).
+        Zero in flight. On the ground the team pulls with less than the payload's weight. Source: equations.md (59).
         """
         level = np.full(len(t_s), float(self.phases[0].kind == "take_off"))
         rate = np.zeros(len(t_s))
@@ -319,7 +254,7 @@ class Maneuver:
         return self.press_m * level, self.press_m * rate
 
     def _progress(self, phase: Phase, t_s: Array) -> tuple[Array, Array]:
-        """Return the share of a straight phase's displacement since its beginning, and its rate, (k,), 1/s."""
+        """Return the share of a straight phase's displacement since its beginning, and its rate, (k,) each, 1/s."""
         begin, span, profile = 0.0, phase.duration_s, self.profile
         if phase.kind != "move":
             span, profile = (1.0 - HANDOVER) * phase.duration_s, "min_jerk"
@@ -338,12 +273,7 @@ class Reference:
         self._offsets = np.array([uav.rho - uav.rod_length * e for uav, e in zip(system.uavs, rods, strict=True)])
 
     def followed(self, t_s: Array) -> tuple[Array, Array]:
-        """Return the outputs and states that controllers are to follow at times t_s, (k, 4 N + 9) and (k, 12 + 12 N).
-
-        They are those of the maneuver, and below its path while the payload stands on the ground.
-
-        Source: docs/equations.md (59).
-        """
+        """Return outputs and states that controllers follow, lower while the payload is on the ground: (59)."""
         y, x, (depth, rate) = self.outputs(t_s), self.states(t_s), self.maneuver.press(t_s)
         y[:, 2 : 3 * self._system.N : 3] += depth[:, None]
         y[:, -4] += depth
@@ -353,10 +283,7 @@ class Reference:
         return y, x
 
     def outputs(self, t_s: Array) -> Array:
-        """Return y_ref at times t_s, (k,), s: level payload, no yaw rates, (k, 4 N + 9), SI.
-
-        Source: docs/equations.md (14), (20).
-        """
+        """Return y_ref at times t_s, (k,), s: level payload, no yaw rates, (k, 4 N + 9), SI: (14), (20)."""
         r0, v0 = self.maneuver.path(t_s)
         N = self._system.N
         y = np.zeros((len(t_s), self._system.p))
@@ -366,10 +293,8 @@ class Reference:
 
     def states(self, t_s: Array) -> Array:
         """Return x_ref at times t_s, (k,), s: hover at r0(t) with velocity r0'(t), (k, 12 + 12 N), SI."""
-        r0, v0 = self.maneuver.path(t_s)
         x = np.tile(self._hover.x, (len(t_s), 1))
-        x[:, state.R0] += r0
-        x[:, state.V0] += v0
+        x[:, : state.V0.stop] += np.hstack(self.maneuver.path(t_s))
         return x
 
 
@@ -384,7 +309,7 @@ def _profile(profile: Profile, tau: Array) -> tuple[Array, Array]:
     return np.where(tau >= 0.0, 1.0, 0.0), np.zeros_like(tau)
 
 
-def _along(way: Array, t_s: Array) -> tuple[Array, Array]:
+def _by_table(way: Array, t_s: Array) -> tuple[Array, Array]:
     """Return position and velocity along a table, (k, 3) each; its ends are held."""
     times, places = way[:, 0], way[:, 1:]
     r = np.column_stack([np.interp(t_s, times, places[:, axis]) for axis in range(3)])

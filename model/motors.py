@@ -1,11 +1,9 @@
 """First-order lag of the motors: the actual inputs a follow the commanded inputs u by a' = (u - a) / lag.
 
-Under a held command a decays exponentially towards it, so over one step it is known in closed form. The motion under
-it is integrated with two held inputs per step that have the step's mean and first moment: a commutator-free Magnus
-method of order 4 (Blanes, Moan 2006), for which any integrator of held inputs will do.
-
-A state with motors is z = [x, a], (n + m,). With commanded body rates the lag is inside the inner loops: a is then
-the rate command that would give the present angular acceleration at once, omega + omega' / K.
+Over one step a is known in closed form. The motion under it is integrated with two held inputs per step that have the
+step's mean and first moment: a commutator-free Magnus method of order 4 (Blanes, Moan 2006). A state with motors is
+z = [x, a], (n + m,). With commanded body rates the lag is inside the inner loops: a is then the rate command that would
+give the present angular acceleration at once, omega + omega' / K.
 """
 
 import math
@@ -27,11 +25,8 @@ def decay(lag_s: float, duration_s: float) -> float:
 
 
 @lru_cache
-def deviations(lag_s: float, step_s: float) -> tuple[float, float]:
-    """Return the deviations of two held inputs, half a step each, that stand for exp(-t / lag) over a step.
-
-    They have its mean and its first moment over the step, s. Source: docs/equations.md (54).
-    """
+def _deviations(lag_s: float, step_s: float) -> tuple[float, float]:
+    """Return the deviations of two held inputs, half a step each, with mean and first moment of exp(-t / lag): (54)."""
     left = decay(lag_s, step_s)
     mean = lag_s / step_s * (1.0 - left)
     # Four times the first moment about the middle of the step, over step^2.
@@ -40,30 +35,24 @@ def deviations(lag_s: float, step_s: float) -> tuple[float, float]:
 
 
 def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, Array], Array]:
-    """Return two inputs, held for half a step each, that stand for the actual ones, and the actual ones at its end.
+    """Return two inputs, held for half a step each, that stand for the actual ones a, (m,), and those at its end.
 
-    Args:
-        a: Actual inputs at the beginning of the step, (m,).
-        u: Command, held, (m,).
-        lag_s: Time constant > 0, s.
-        step_s: s.
-    Source: docs/equations.md (53), (54).
+    Given are also the command, (m,), time constant > 0 and step, s. Source: equations.md (53), (54).
     """
     deviation = a - u
-    first, second = deviations(lag_s, step_s)
+    first, second = _deviations(lag_s, step_s)
     return (u + first * deviation, u + second * deviation), u + decay(lag_s, step_s) * deviation
 
 
 @lru_cache
 def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: int) -> Array:
-    """Return what is left of deviations from held commands, for all UAVs, (3, 2, 4 uavs).
+    """Return what is left of deviations from held commands, for all UAVs, (3, 2, 4 uavs): equations.md (54), (58a).
 
     By row: in two held inputs that stand for the actual ones over a step, s, and in the actual ones at its end. By
     column: of the actual input, and of the body rate that it commands, given the gains of the inner loops.
-    Source: docs/equations.md (54), (58a).
     """
     found = np.zeros((3, 2, 4))
-    found[:, 0] = np.array([*deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
+    found[:, 0] = np.array([*_deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
     for axis, gain in enumerate(gains or (), start=1):
         M = np.array([[gain - 1.0 / lag_s, -gain], [gain, -gain]])
         from scipy.linalg import expm  # 0.3 s at start, and only a lag inside an inner loop needs it
@@ -84,25 +73,13 @@ def commanded_states(x: Array) -> Array:
     return rates
 
 
-def _held_by_rates(a: Array, u: Array, x: Array, of: Array) -> tuple[tuple[Array, Array], Array]:
-    """Return what `held` returns, with the inner loops' shares. Source: docs/equations.md (58a)."""
-    first, second, end = u + of[:, 0] * (a - u) + of[:, 1] * (commanded_states(x) - u)
-    return (first, second), end
-
-
 def integrate(
     model: Model, z: Array, u: Array, duration_s: float, steps: int, lag_s: float, forces: Array | None = None
 ) -> tuple[Array, float]:
     """Return the state after `duration_s` of constant commands; global error of order 4 in the step.
 
-    Args:
-        model: Equations of motion.
-        z: State x, (n,), without lag; with lag [x, a], (n + m,).
-        u: Command, held, (m,).
-        duration_s: s.
-        steps: Number of equal steps, >= 1.
-        lag_s: Time constant of the motors, s; without lag the actual inputs are the command.
-        forces: External forces, held; see `Model.integrate`.
+    States z are x, (n,), without lag, and [x, a], (n + m,), with lag; the rest as in `Model.integrate`.
+
     Returns: State, of the size of z, and the largest local error estimate of the integration under held inputs, SI.
     Source: docs/equations.md (53), (54), (58a).
     """
@@ -112,10 +89,12 @@ def integrate(
     gains = model.system.rate_gains
     for _ in range(steps):
         if gains is None:
-            inputs, a = held(a, u, lag_s, step_s)
+            halves, a = held(a, u, lag_s, step_s)
         else:
-            inputs, a = _held_by_rates(a, u, x, shares(lag_s, step_s, tuple(gains.tolist()), model.system.N))
-        for half in inputs:
+            of = shares(lag_s, step_s, tuple(gains.tolist()), model.system.N)
+            first, second, a = u + of[:, 0] * (a - u) + of[:, 1] * (commanded_states(x) - u)
+            halves = first, second
+        for half in halves:
             x, error = model.integrate(x, half, step_s / 2.0, 1, forces=forces)
             worst = max(worst, error)
     return np.concatenate([x, a]), worst
@@ -131,15 +110,9 @@ def stepper(
 
 
 def lagged(linear: Linearisation, a: Array, u: Array, lag_s: float, rates: bool = False) -> Linearisation:
-    """Return the expansion of motion and motors, in deviations of z = [x, a] and of the command.
+    """Return the expansion of motion and motors, in deviations of z = [x, a] and of the command u: (55), (58a).
 
-    Args:
-        linear: Expansion of the motion about a state and the actual inputs.
-        a: The actual inputs, (m,).
-        u: Command about which the commands are expanded, (m,).
-        lag_s: Time constant > 0, s.
-        rates: Whether the inputs are body rates, of inner loops with the lag inside.
-    Source: docs/equations.md (55), (58a).
+    `linear` is about a state and the actual inputs a, (m,); `rates`: inputs are rates of loops with the lag inside.
     """
     pattern, order = with_lag(linear.pattern, rates)
     rate = np.full(len(a), 1.0 / lag_s)

@@ -77,14 +77,9 @@ def problem(most_outputs: int, **fields: float) -> Problem:
     return new
 
 
-def respond(of: Problem) -> None:
-    """Fill in the prediction of a problem; see `mpc.program`."""
-    _KERNELS.respond(ctypes.addressof(of))
-
-
-def fill(of: Problem) -> None:
-    """Fill in the QP of a problem; see `mpc.program`."""
-    _KERNELS.fill(ctypes.addressof(of))
+def run(kernel: str, of: Problem) -> None:
+    """Fill in the prediction (kernel respond) or the QP (kernel fill) of a problem; see `mpc.program`."""
+    getattr(_KERNELS, kernel)(ctypes.addressof(of))
 
 
 def conclude(of: Problem, z: Array, w: float) -> tuple[Array, Array]:
@@ -113,14 +108,9 @@ class Step:
         self._addresses = [ctypes.cast(library.step, _address).value, *map(at, self._rooms)]
 
     def rollout(
-        self,
-        x0: Array,
-        at_x0: Array,
-        K: Array,
-        bounds: tuple[Array, Array],
-        held: tuple[Array, Array],
+        self, x0: Array, at_x0: Array, K: Array, bounds: tuple[Array, Array], held: tuple[Array, Array],
         duration_s: float,
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array]:  # fmt: skip
         """Return states and inputs over steps of a duration, with parameters and forces held; see `mpc.tracking`."""
         Z, U = np.empty((len(at_x0) + 1, len(x0))), np.empty(at_x0.shape)
         Z[0], self._duration_s[0], self._rooms[0][2:4] = x0, duration_s, [at(array) for array in held]
@@ -134,15 +124,13 @@ def solve_within_bounds(
 ) -> tuple[int, Array, Array, tuple[float, float, float]]:
     """Return number of guesses, solution, multipliers and residuals of a QP by its bounds; see `mpc.solvers`.
 
-    Given are the shape of the rows and the addresses of H, g, bounds, rows and their bounds. No guesses: no
-    such solution; -1: H or g is not finite. The rest is then meaningless.
+    Given are the shape of the rows and `QP.addresses`. No guesses: no such solution; -1: H or g is not finite.
     """
     rows, n = shape
     z, multipliers, found = np.empty(n), np.empty(n), _Residuals()
     work = _work("within_bounds", _KERNELS.within_bounds_work(n, rows))
-    guesses = _KERNELS.solve_within_bounds(
-        n, rows, *program, most, at(z), at(multipliers), ctypes.addressof(found), work
-    )
+    solution = at(z), at(multipliers), ctypes.addressof(found)
+    guesses = _KERNELS.solve_within_bounds(n, rows, *program, most, *solution, work)
     return guesses, z, multipliers, tuple(found)
 
 
@@ -151,9 +139,8 @@ def residuals(
 ) -> tuple[float, float, float]:
     """Return stationarity, primal and complementarity, see `mpc.qp.residuals`; program as above."""
     (rows, n), found = shape, _Residuals()
-    work = _work("residuals", n)
     solution = at(z), at(bound_multipliers), at(row_multipliers)
-    _KERNELS.residuals(n, rows, *program, *solution, ctypes.addressof(found), work)
+    _KERNELS.residuals(n, rows, *program, *solution, ctypes.addressof(found), _work("residuals", n))
     return tuple(found)
 
 

@@ -1,7 +1,7 @@
 """Obstacles as rounded boxes, and their distances from UAVs, rods and payload.
 
-A box of half sizes h, zero and infinite ones among them, grown by a radius on all sides, is a sphere, an upright
-cylinder, a box or a wall. Distances are exact between bodies that do not touch, and zero or less between those that do.
+A box of half sizes h, zero and infinite ones among them, grown by a radius: a sphere, an upright cylinder, a box or a
+wall. Distances are exact between bodies that do not touch, and zero or less between those that do.
 """
 
 from dataclasses import dataclass
@@ -21,31 +21,20 @@ _HALVINGS = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solid:
-    """A rounded box.
+    """A rounded box."""
 
-    Attributes:
-        centre_I: (3,), inertial frame, m.
-        heading_rad: Of its first axis, from x towards y; the third is vertical.
-        half: Half sizes along its axes before rounding, (3,), m; infinite without ends.
-        radius: Of the rounding, m.
-    """
-
-    centre_I: Array
-    heading_rad: float
-    half: Array
-    radius: float = 0.0
+    centre_I: Array  # (3,), inertial frame, m
+    heading_rad: float  # of its first axis, from x towards y; the third is vertical
+    half: Array  # half sizes along its axes before rounding, (3,), m; infinite without ends
+    radius: float = 0.0  # of the rounding, m
 
     @property
     def R(self) -> Array:
         """Rotation from its axes to the inertial frame, (3, 3)."""
-        R: Array = rotation(np.array([0.0, 0.0, self.heading_rad]))
-        return R
+        return np.asarray(rotation(np.array([0.0, 0.0, self.heading_rad])))
 
     def from_points(self, r_I: Array) -> tuple[Array, Array]:
-        """Return distances of points, (..., 3), negative inside, (...,), m, and their gradients, (..., 3).
-
-        Source: docs/equations.md (69a).
-        """
+        """Return distances of points, (..., 3), negative inside, m, and their gradients, (..., 3): (69a)."""
         q = (r_I - self.centre_I) @ self.R
         beyond = q - np.clip(q, -self.half, self.half)
         outside, depth = np.linalg.norm(beyond, axis=-1), self.half - np.abs(q)
@@ -59,10 +48,9 @@ class Solid:
         return _apart((a_I - self.centre_I) @ self.R, (b_I - self.centre_I) @ self.R, self.half) - self.radius
 
     def from_boxes(self, r_I: Array, R: Array, half: Array) -> Array:
-        """Return the distances of boxes, (k,), at least minus the radius, m.
+        """Return the distances of boxes, (k,), at least minus the radius, m; nearest is an edge of one of them.
 
-        Given are centres, (k, 3), rotations to the inertial frame, (k, 3, 3), and half sizes, (3,). Two boxes that do
-        not touch are nearest at an edge of one of them.
+        Given are centres, (k, 3), rotations to the inertial frame, (k, 3, 3), and half sizes, (3,).
         """
         ends = np.einsum("kij,epj->kepi", R, _edges(half)) + r_I[:, None, None]
         own = _edges(self.half) @ self.R.T + self.centre_I
@@ -73,21 +61,13 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstacle:
-    """Solids to keep clear of.
+    """Solids to keep clear of."""
 
-    Attributes:
-        name: For texts, such as "gap".
-        solids: One, or the two walls of a gap.
-        margin_m: Smallest distance of the centre of a UAV.
-        load_margin_m: Smallest distance of rods and payload.
-        penalty: Weight of a violation in the program of a controller, 1/m.
-    """
-
-    name: str
-    solids: tuple[Solid, ...]
-    margin_m: float
-    load_margin_m: float
-    penalty: float
+    name: str  # for texts, such as "gap"
+    solids: tuple[Solid, ...]  # one, or the two walls of a gap
+    margin_m: float  # smallest distance of the centre of a UAV
+    load_margin_m: float  # smallest distance of rods and payload
+    penalty: float  # weight of a violation in the program of a controller, 1/m
 
     def from_points(self, r_I: Array) -> tuple[Array, Array]:
         """Return distances of points, (..., 3), from the nearest solid, (...,), m, and their gradients, (..., 3)."""
@@ -106,10 +86,7 @@ def bodies(N: int) -> list[str]:
 
 
 def clearances(system: System, obstacle: Obstacle, x: Array) -> Array:
-    """Return the distances of UAV centres, rods and payload from an obstacle at states, (k, n): (k, 2 N + 1), m.
-
-    Source: docs/equations.md (69a).
-    """
+    """Return distances of UAV centres, rods and payload from an obstacle at states, (k, n): (k, 2 N + 1), m: (69a)."""
     view, R = state.StateView(x), np.array([rotation(Theta) for Theta in x[:, state.THETA0]])
     rho, lengths = (np.array([getattr(uav, key) for uav in system.uavs]) for key in ("rho", "rod_length"))
     low = view.r0_I[:, None] + np.einsum("kij,nj->kni", R, rho)

@@ -2,18 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from model import state
-from model.arrays import Array, ArrayLike, ShapeError, checked, frozen
+from model.arrays import Array, ArrayLike, ShapeError, assign, checked, frozen
 
 GRAVITY = 9.81  # m/s^2; the paper gives none
 
-# Relative slack of the triangle inequality of the principal moments: exact flat bodies are allowed.
-_INERTIA_SLACK = 1e-9
-# Least half length of each edge of the payload's box, m.
-_LEAST_HALF_M = 0.05
+_INERTIA_SLACK = 1e-9  # of the triangle inequality of the principal moments: exact flat bodies are allowed
+_LEAST_HALF_M = 0.05  # half length of each edge of the payload's box, m
 
 
 class ParameterError(ValueError):
@@ -22,74 +21,45 @@ class ParameterError(ValueError):
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Payload:
-    """The carried rigid body.
+    """The carried rigid body."""
 
-    Attributes:
-        mass: kg.
-        inertia: About the centre of mass in the payload frame, (3, 3), kg m^2. A vector of 3 is the diagonal.
-    """
-
-    mass: float
-    inertia: Array
+    mass: float  # kg
+    inertia: Array  # about the centre of mass in the payload frame, (3, 3), kg m^2; given as such or as its diagonal
 
     def __init__(self, *, mass: float, inertia: ArrayLike) -> None:
-        object.__setattr__(self, "mass", _positive("payload mass", mass, "kg"))
-        object.__setattr__(self, "inertia", _inertia("payload inertia", inertia))
+        assign(self, mass=float(mass), inertia=_inertia("payload inertia", inertia))
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Uav:
-    """One quadrotor and the rod from its centre of mass to the payload.
+    """One quadrotor and the rod from its centre of mass to the payload."""
 
-    Attributes:
-        mass: kg.
-        inertia: About the centre of mass in the UAV's body frame, (3, 3), kg m^2. A vector of 3 is the diagonal.
-        rho: Attachment point in the payload frame, (3,), m.
-        rod_length: m.
-    """
-
-    mass: float
-    inertia: Array
-    rho: Array
-    rod_length: float
+    mass: float  # kg
+    inertia: Array  # about the centre of mass in the UAV's body frame, (3, 3), kg m^2; given as such or as its diagonal
+    rho: Array  # attachment point in the payload frame, (3,), m
+    rod_length: float  # m
 
     def __init__(self, *, mass: float, inertia: ArrayLike, rho: ArrayLike, rod_length: float) -> None:
-        object.__setattr__(self, "mass", _positive("UAV mass", mass, "kg"))
-        object.__setattr__(self, "inertia", _inertia("UAV inertia", inertia))
-        object.__setattr__(self, "rho", checked("rho", rho, (3,)))
-        object.__setattr__(self, "rod_length", _positive("rod length", rod_length, "m"))
+        J = _inertia("UAV inertia", inertia)
+        assign(self, mass=float(mass), inertia=J, rho=checked("rho", rho, (3,)), rod_length=float(rod_length))
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class System:
-    """One payload, N UAVs, and gravity along the inertial z axis (down), m/s^2.
-
-    Attributes:
-        rate_gains: K of the UAVs' inner loops about each body axis, (3,), 1/s: the inputs are then thrust and commanded
-            body rates. None: thrust and moments.
-    """
+    """One payload, N UAVs, and gravity along the inertial z axis (down), m/s^2."""
 
     payload: Payload
     uavs: tuple[Uav, ...]
-    gravity: float = GRAVITY
-    rate_gains: Array | None = None
+    gravity: float
+    # K of the UAVs' inner loops about each body axis, (3,), 1/s: the inputs are then thrust and commanded body rates;
+    # None: thrust and moments.
+    rate_gains: Array | None
 
     def __init__(
         self, *, payload: Payload, uavs: Sequence[Uav], gravity: float = GRAVITY, rate_gains: ArrayLike | None = None
     ) -> None:
-        if not uavs:
-            raise ParameterError("system: expected at least one UAV, got none")
-        object.__setattr__(self, "payload", payload)
-        object.__setattr__(self, "uavs", tuple(uavs))
-        # Zero gravity is used by tests of the dynamics.
-        if not (np.isfinite(gravity) and gravity >= 0.0):
-            raise ParameterError(f"gravity: expected a number >= 0 m/s^2, got {gravity!r}")
-        object.__setattr__(self, "gravity", float(gravity))
-        if rate_gains is not None:
-            rate_gains = checked("rate gains", rate_gains, (3,))
-            if rate_gains.min() <= 0.0:
-                raise ParameterError(f"rate gains: expected three numbers > 0 1/s, got {rate_gains.tolist()}")
-        object.__setattr__(self, "rate_gains", rate_gains)
+        gains = None if rate_gains is None else checked("rate gains", rate_gains, (3,))
+        assign(self, payload=payload, uavs=tuple(uavs), gravity=float(gravity), rate_gains=gains)
 
     @property
     def N(self) -> int:
@@ -123,9 +93,10 @@ class System:
 
     def vector(self) -> Array:
         """Return all parameters in the order of `model.dynamics.Symbols`, (8 + 11 N,) or (11 + 11 N,), SI."""
-        parts = [np.array([self.gravity, self.payload.mass]), _upper(self.payload.inertia)]
+        upper = np.triu_indices(3)
+        parts = [np.array([self.gravity, self.payload.mass]), self.payload.inertia[upper]]
         for uav in self.uavs:
-            parts += [np.array([uav.mass]), _upper(uav.inertia), uav.rho, np.array([uav.rod_length])]
+            parts += [np.array([uav.mass]), uav.inertia[upper], uav.rho, np.array([uav.rod_length])]
         vector = np.concatenate(parts if self.rate_gains is None else [*parts, self.rate_gains])
         frozen(vector)
         return vector
@@ -138,12 +109,6 @@ def table_1() -> System:
         payload=Payload(mass=3.0, inertia=[0.556, 0.556, 0.556]),
         uavs=[Uav(mass=1.5, inertia=[0.029, 0.029, 0.055], rho=[x, y, -0.125], rod_length=3.2) for x, y in corners],
     )
-
-
-def _positive(name: str, value: float, unit: str) -> float:
-    if not (isinstance(value, int | float | np.number) and np.isfinite(value) and value > 0.0):
-        raise ParameterError(f"{name}: expected a number > 0 {unit}, got {value!r}")
-    return float(value)
 
 
 def _inertia(name: str, value: ArrayLike) -> Array:
@@ -159,23 +124,16 @@ def _inertia(name: str, value: ArrayLike) -> Array:
     if moments[0] <= 0.0:
         raise ParameterError(f"{name}: expected positive principal moments, got {moments.tolist()} kg m^2")
     if moments[2] > (moments[0] + moments[1]) * (1.0 + _INERTIA_SLACK):
-        raise ParameterError(
-            f"{name}: no body has principal moments {moments.tolist()} kg m^2: "
-            "the largest exceeds the sum of the other two"
-        )
+        problem = f"no body has principal moments {moments.tolist()} kg m^2"
+        raise ParameterError(f"{name}: {problem}: the largest exceeds the sum of the other two")
     frozen(J)
     return J
 
 
-def _upper(J: Array) -> Array:
-    return J[np.triu_indices(3)]
-
-
 def payload_half_size(system: System) -> Array:
-    """Return half the edges of the payload's box, (3,), m: about its centre of mass, as far as its attachment points.
+    """Return half the edges of the payload's box, (3,), payload frame, m: as far as its attachment points.
 
-    The payload is taken for this box where it touches the ground; the equations of motion know no shape. Edges are
-    parallel to the axes of the payload frame.
+    The payload is taken for this box where it touches the ground; the equations of motion know no shape.
     """
     rho = np.array([uav.rho for uav in system.uavs])
     return np.asarray(np.maximum(np.abs(rho).max(axis=0), _LEAST_HALF_M))
@@ -183,8 +141,7 @@ def payload_half_size(system: System) -> Array:
 
 def payload_corners(system: System) -> Array:
     """Return the corners of the payload's box, (8, 3), payload frame, m."""
-    signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-    return signs * payload_half_size(system)
+    return np.array(list(product((-1.0, 1.0), repeat=3))) * payload_half_size(system)
 
 
 def resting_height(system: System, ground_m: float) -> float:

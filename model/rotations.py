@@ -7,12 +7,11 @@ import numpy as np
 
 from model.arrays import Array
 
+_SYMBOLIC = (ca.SX, ca.MX, ca.DM)
+
 
 def rotation(Theta: Any) -> Any:
-    """Return R = Rz(yaw) Ry(pitch) Rx(roll), (3, 3), of roll, pitch, yaw, (3,), rad; it maps body to outer coordinates.
-
-    Source: docs/equations.md (2).
-    """
+    """Return R = Rz(yaw) Ry(pitch) Rx(roll), body to outer coordinates, (3, 3), of roll, pitch, yaw, (3,), rad: (2)."""
     cos, sin = _trigonometry(Theta)
     cr, cp, cy = cos(Theta[0]), cos(Theta[1]), cos(Theta[2])
     sr, sp, sy = sin(Theta[0]), sin(Theta[1]), sin(Theta[2])
@@ -25,10 +24,7 @@ def rotation(Theta: Any) -> Any:
 
 
 def euler_rates(Theta: Any) -> Any:
-    """Return E, (3, 3), with Theta' = E omega for body rates omega and roll, pitch, yaw Theta, (3,), rad.
-
-    Singular at pitch = +-90 deg. Source: docs/equations.md (3).
-    """
+    """Return E, (3, 3), with Theta' = E omega for body rates omega; singular at pitch = +-90 deg: equations.md (3)."""
     cos, sin = _trigonometry(Theta)
     cr, cp = cos(Theta[0]), cos(Theta[1])
     sr, sp = sin(Theta[0]), sin(Theta[1])
@@ -37,10 +33,7 @@ def euler_rates(Theta: Any) -> Any:
 
 
 def euler_angles(R: Array) -> Array:
-    """Return roll, pitch, yaw, (..., 3), rad, of rotation matrices, (..., 3, 3): the inverse of `rotation`.
-
-    Roll and yaw are in (-pi, pi], pitch in [-pi/2, pi/2]. Source: docs/equations.md (2).
-    """
+    """Return roll, pitch, yaw, (..., 3), rad, of matrices, (..., 3, 3): the inverse of `rotation`, pitch in +-pi/2."""
     roll = np.arctan2(R[..., 2, 1], R[..., 2, 2])
     pitch = -np.arcsin(np.clip(R[..., 2, 0], -1.0, 1.0))
     yaw = np.arctan2(R[..., 1, 0], R[..., 0, 0])
@@ -51,15 +44,11 @@ def euler_angles(R: Array) -> Array:
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
-def _symbolic(value: Any) -> bool:
-    return isinstance(value, ca.SX | ca.MX | ca.DM)
-
-
-def _trigonometry(value: Any) -> tuple[Any, Any]:
-    return (ca.cos, ca.sin) if _symbolic(value) else (np.cos, np.sin)
+def _trigonometry(like: Any) -> tuple[Any, Any]:
+    return (ca.cos, ca.sin) if isinstance(like, _SYMBOLIC) else (np.cos, np.sin)
 
 
 def _matrix(like: Any, rows: list[list[Any]]) -> Any:
-    if _symbolic(like):
+    if isinstance(like, _SYMBOLIC):
         return ca.vertcat(*[ca.horzcat(*row) for row in rows])
     return np.array(rows, dtype=np.float64)

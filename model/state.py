@@ -9,7 +9,6 @@ Indices are 0-based; the ids UAV1..UAVN in scenarios and output are 1-based.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -58,57 +57,17 @@ def input_indices(uavs: Iterable[int]) -> npt.NDArray[np.intp]:
     return np.array([INPUTS * i + j for i in uavs for j in range(INPUTS)], dtype=np.intp)
 
 
-@dataclass(frozen=True, slots=True)
 class StateView:
-    """Named views, without copies, into a state vector or a trajectory.
+    """Named views, without copies, into state(s) x, (..., 12 + 12 N)."""
 
-    Args:
-        x: State(s), (..., 12 + 12 N).
-    """
-
-    x: Array
-
-    @property
-    def r0_I(self) -> Array:
-        """Payload position, (..., 3), inertial frame, m."""
-        return self.x[..., R0]
-
-    @property
-    def v0_P(self) -> Array:
-        """Payload velocity, (..., 3), payload frame, m/s."""
-        return self.x[..., V0]
-
-    @property
-    def Theta0(self) -> Array:
-        """Payload roll, pitch, yaw, (..., 3), rad."""
-        return self.x[..., THETA0]
-
-    @property
-    def omega0_P(self) -> Array:
-        """Payload angular velocity, (..., 3), payload frame, rad/s."""
-        return self.x[..., OMEGA0]
-
-    @property
-    def uavs(self) -> Array:
-        """UAV blocks, (..., N, 12)."""
-        return self.x[..., PAYLOAD:].reshape(*self.x.shape[:-1], -1, PER_UAV)
-
-    @property
-    def e_P(self) -> Array:
-        """Rod directions, (..., N, 3), payload frame, unit."""
-        return self.uavs[..., E]
-
-    @property
-    def Omega_P(self) -> Array:
-        """Rod angular velocities, (..., N, 3), payload frame, rad/s."""
-        return self.uavs[..., ROD_RATE]
-
-    @property
-    def Theta(self) -> Array:
-        """UAV roll, pitch, yaw, (..., N, 3), rad."""
-        return self.uavs[..., THETA]
-
-    @property
-    def omega_B(self) -> Array:
-        """UAV angular velocities, (..., N, 3), UAV body frames, rad/s."""
-        return self.uavs[..., OMEGA]
+    def __init__(self, x: Array) -> None:
+        self.x = x
+        self.r0_I = x[..., R0]  # payload position, (..., 3), inertial frame, m
+        self.v0_P = x[..., V0]  # payload velocity, (..., 3), payload frame, m/s
+        self.Theta0 = x[..., THETA0]  # payload roll, pitch, yaw, (..., 3), rad
+        self.omega0_P = x[..., OMEGA0]  # payload angular velocity, (..., 3), payload frame, rad/s
+        self.uavs = x[..., PAYLOAD:].reshape(*x.shape[:-1], -1, PER_UAV)  # UAV blocks, (..., N, 12)
+        self.e_P = self.uavs[..., E]  # rod directions, (..., N, 3), payload frame, unit
+        self.Omega_P = self.uavs[..., ROD_RATE]  # rod angular velocities, (..., N, 3), payload frame, rad/s
+        self.Theta = self.uavs[..., THETA]  # UAV roll, pitch, yaw, (..., N, 3), rad
+        self.omega_B = self.uavs[..., OMEGA]  # UAV angular velocities, (..., N, 3), UAV body frames, rad/s

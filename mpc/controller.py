@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from model import state
-from model.arrays import Array, checked
+from model.arrays import Array
 from model.discretisation import Discrete, euler, zero_order_hold
 from model.failure import failed_model
 from model.flat import Track
@@ -21,8 +21,8 @@ from mpc.feedback import FeedbackLaw
 from mpc.prediction import Linear, Prediction, convolve, free_response
 from mpc.program import Program
 from mpc.qp import QP, Solution
-from mpc.regulation import Ahead, CostToGo, Regulation
-from mpc.settings import ControllerSettings, SettingsError
+from mpc.regulation import CostToGo, Regulation
+from mpc.settings import ControllerSettings
 from mpc.solvers import solve, unsolved
 from mpc.tracking import Along, Course, rollout
 
@@ -34,55 +34,34 @@ _STEEPEST = 1.3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepResult:
-    """Plan of one step.
+    """Plan of one step."""
 
-    Attributes:
-        U: Absolute inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve
-            the previous plan, shifted.
-        c: Their corrections to the shared control law, (N_p, 4 owned); (0, 4 owned) without that law.
-        solution: Of the QP, solved or not.
-    """
-
+    # Absolute inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve the previous plan,
+    # shifted.
     U: Array
-    c: Array
-    solution: Solution
+    c: Array  # their corrections to the shared control law, (N_p, 4 owned); (0, 4 owned) without that law
+    solution: Solution  # of the QP, solved or not
 
 
 class Controller:
     """Model predictive control of the owned UAVs, given the announced inputs of the others.
 
-    The stages are separate methods so that a caller can time them; `step` runs them all.
+    The stages are separate methods so that a caller can time them; `step` runs them all. The reference is X_ref,
+    (K, n), for the preview, or a flat track, which the shared control law follows, keeping clear of obstacles.
 
-    Args:
-        model: The system as the controller knows it.
-        hover: Its equilibrium.
-        settings: Rates, weights, limits.
-        owned: UAVs this controller decides for, 0-based, ascending.
-        X_ref: Reference states at instants 0..K-1 of the maneuver, (K, n), for the preview.
-        track: A flat reference at these instants, which the shared control law follows instead.
-        obstacles: To keep clear of along it.
-    Raises: SettingsError: UAVs that do not exist, or a constraint that cannot be read.
-
-    Attributes:
-        model: The system, with motor failures reported to `fail`.
-        owned, own: The owned UAVs, 0-based, and the positions of their inputs in u, (m_own,).
-        regulation: Shared control law (`law`), cost-to-go (`end`) and target of the team.
-        cost: Weights of the team.
+    Raises: SettingsError: a constraint that cannot be read.
     """
 
     def __init__(
         self, model: Model, hover: Hover, settings: ControllerSettings, owned: Sequence[int],
         X_ref: Array | None = None, track: Track | None = None, obstacles: Sequence[Obstacle] = (),
     ) -> None:  # fmt: skip
-        N = model.system.N
-        if not owned or list(owned) != sorted(set(owned)) or not 0 <= owned[0] <= owned[-1] < N:
-            raise SettingsError(f"owned: expected ascending indices below {N}, got {list(owned)}")
-        self.model = self._whole = model
+        self.model = self._whole = model  # with motor failures reported to `fail`, and without
         self._gone = self._off = self._released = frozenset[int]()
         self._relaxation = settings.relaxation
         self.settings = settings
         self._decision = Decision(model.system, settings, owned)
-        self.owned, self.own = self._decision.uavs, self._decision.own
+        self.owned, self.own = self._decision.uavs, self._decision.own  # UAVs, and positions of their inputs in u
         self.regulation = Regulation(model, hover, settings, X_ref, track)
         self.law, self.end = self.regulation.law, self.regulation.cost_to_go
         self.cost = self.regulation.cost
@@ -95,55 +74,37 @@ class Controller:
         self._curvature: Array | None = None
 
     def step(
-        self,
-        x0: Array,
-        u0: Array,
-        U: Array,
-        y_ref: Array,
-        law: FeedbackLaw | None = None,
-        forces: Array | None = None,
-        ticks_since_start: int | None = None,
-        end: CostToGo | None = None,
-    ) -> StepResult:
-        """One step of the controller.
+        self, x0: Array, u0: Array, U: Array, y_ref: Array, law: FeedbackLaw | None = None,
+        forces: Array | None = None, ticks_since_start: int | None = None, end: CostToGo | None = None,
+    ) -> StepResult:  # fmt: skip
+        """One step of the controller. Never raises for a problem without solution.
 
         Args:
             x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
             u0: Inputs in force just before it, all UAVs, (m,): linearisation point and origin of the rates.
-            U: Announced inputs of all UAVs over the horizon, (N_p, m); the owned columns hold the
-                previous plan, shifted.
+            U: Announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan, shifted.
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
-            law: With closed-loop prediction, the shared control law over the horizon (`law`).
+            law: Shared control law over the horizon (`law`), with closed-loop prediction.
             forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
             ticks_since_start: Ticks since this controller began; see `conclude`.
-            end: With terminal "riccati", the cost after the horizon (`end`).
-        Returns: The plan and the solution of its QP. Never raises for a problem without solution.
-        Raises: ShapeError: an argument of the wrong shape or not finite.
+            end: The cost after the horizon (`end`), with terminal "riccati".
         """
-        system, steps = self.model.system, self.settings.horizon
-        states = system.n + (system.m if self.settings.motor_lag_s > 0.0 else 0)
-        x0, u0 = checked("x0", x0, (states,)), checked("u0", u0, (system.m,))
-        U, y_ref = checked("U", U, (steps, system.m)), checked("y_ref", y_ref, (steps + 1, system.p))
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
-        qp = self.condense(linear, prediction, U, y_ref, law, end)
+        qp = self.condense(linear, prediction, y_ref, law, end)
         return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
-        """Linearise the model about (x0, u0), under estimated external forces; with motor lag about the actual inputs.
-
-        Source: docs/equations.md (15), (37), (40), (55); paper (13).
-        """
+        """Linearise about (x0, u0), with motor lag about the actual inputs: equations.md (15), (37), (40), (55)."""
         u_target = self.cost.u_target
         if forces is not None and self.settings.weights.penalised_input == "deviation":
             u_target = u_target + self.regulation.target.M_u @ self.model.at_rest(forces)
         lag_s, n = self.settings.motor_lag_s, self.model.system.n
-        if lag_s == 0.0:
-            model = self._expansion(x0, u0, forces)
-            return Linear(x0=x0, u0=u0, model=model, u_target=u_target, forces=forces)
-        x0, actual = x0[:n], x0[n:]
-        model = lagged(self._expansion(x0, actual, forces), actual, u0, lag_s, self.model.system.commands_rates)
-        return Linear(x0=x0, u0=u0, model=model, u_target=u_target, actual=actual, forces=forces)
+        x, actual = x0[:n], None if lag_s == 0.0 else x0[n:]
+        model = self._expansion(x, u0 if actual is None else actual, forces)
+        if actual is not None:
+            model = lagged(model, actual, u0, lag_s, self.model.system.commands_rates)
+        return Linear(x0=x, u0=u0, model=model, u_target=u_target, actual=actual, forces=forces)
 
     def _expansion(self, x0: Array, actual: Array, forces: Array | None) -> Linearisation:
         """Return the expansion about a state and actual inputs; along the control law with the derivatives at hover."""
@@ -165,10 +126,7 @@ class Controller:
         return self._held[1]
 
     def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction | Course:
-        """Predict the team over the horizon; valid until the next prediction, as is its QP (`mpc.program`).
-
-        Source: docs/equations.md (22)-(24), (35)-(36), (73).
-        """
+        """Predict the team; valid until the next prediction, as is its QP: equations.md (22)-(24), (35)-(36), (73)."""
         if law is not None and law.along is not None:
             return self._along.course(self.model, linear, law, law.along)
         found, self._curvature = None, None
@@ -177,10 +135,7 @@ class Controller:
         return self._program.predict(linear, discrete, U, law, found)
 
     def _trajectory(self, linear: Linear, law: FeedbackLaw) -> tuple[Array, Array] | None:
-        """Return states and inputs by the shared control law and the announced corrections, and keep their curvature.
-
-        None if they are too steep. Source: docs/equations.md (35a).
-        """
+        """Return states and inputs by the law and its corrections, None if too steep; keep their curvature: (35a)."""
         model, n = self.model, self.model.system.n
         z0 = linear.x0 if linear.actual is None else np.concatenate([linear.x0, linear.actual])
         Z, U = rollout(model, self.settings, z0, law, linear.forces)
@@ -192,18 +147,10 @@ class Controller:
         return Z, U
 
     def condense(
-        self,
-        linear: Linear,
-        prediction: Prediction | Course,
-        U: Array,  # noqa: ARG002  the prediction has them
-        y_ref: Array,
-        law: FeedbackLaw | None = None,
+        self, linear: Linear, prediction: Prediction | Course, y_ref: Array, law: FeedbackLaw | None = None,
         end: CostToGo | None = None,
-    ) -> QP:
-        """Return the QP in the scaled decision and the slacks; arguments as those of `step`.
-
-        Source: docs/equations.md (22)-(30), (48); paper (22)-(27).
-        """
+    ) -> QP:  # fmt: skip
+        """Return the QP in the scaled decision and the slacks; arguments as those of `step`: (22)-(30), (48)."""
         if isinstance(prediction, Course):
             return self._along.program(self.model, prediction)
         if self._curvature is not None:
@@ -215,23 +162,14 @@ class Controller:
         return solve(qp, self.settings.solver)
 
     def conclude(
-        self,
-        solution: Solution,
-        prediction: Prediction | Course,
-        U: Array,
-        law: FeedbackLaw | None,
+        self, solution: Solution, prediction: Prediction | Course, U: Array, law: FeedbackLaw | None,
         ticks_since_start: int | None = None,
-    ) -> StepResult:
-        """Return the plan to announce: w U* + (1 - w) U_previous, or the previous plan after a failure.
+    ) -> StepResult:  # fmt: skip
+        """Return the plan to announce: w U* + (1 - w) U_previous, or the previous plan after a failure: (30a), (36a).
 
         With a shared control law only the corrections are mixed: the stabilising feedback acts in full, and the inputs
-        follow from the control law and the mixed corrections.
-
-        Announced inputs and control law are those of `step`, the prediction that of the QP. In the first ticks since
-        this controller joined the relaxation weight w is at least 1 / (ticks + 1), as there is no previous plan to
-        average with; `ticks_since_start` is None for a member from the start.
-
-        Source: docs/equations.md (30a), (36a).
+        follow from the control law and the mixed corrections. Within `ticks_since_start`, None for a member from the
+        start, w is at least 1 / (ticks + 1), as there is no previous plan to average with.
         """
         w, decision, solved = self._relaxation, self._decision, solution.status == "solved"
         if ticks_since_start is not None:
@@ -250,22 +188,16 @@ class Controller:
             inputs, c = self._program.relaxed(prediction, law, z, w if solved else 0.0)
         if np.isfinite(inputs).all() and np.abs(c).max(initial=0.0) <= LARGEST:
             return StepResult(U=inputs, c=c, solution=solution)
-        return self._previous(solution, U, law)
+        return self.give_up(U, law, solution)
 
-    def give_up(self, U: Array, law: FeedbackLaw | None) -> StepResult:
-        """Return the previous plan where no QP can be formed because its numbers are out of range."""
-        return self._previous(unsolved(0, 0, self.settings.solver), U, law)
-
-    def _previous(self, solution: Solution, U: Array, law: FeedbackLaw | None) -> StepResult:
-        """Return the previous plan within bounds."""
+    def give_up(self, U: Array, law: FeedbackLaw | None, solution: Solution | None = None) -> StepResult:
+        """Return the previous plan within bounds, where numbers are out of range; no solution: so are those of a QP."""
         c = np.zeros((0, len(self.own))) if law is None else law.c[:, self.own]
+        solution = solution or unsolved(0, 0, self.settings.solver)
         return StepResult(U=self._decision.clip(U[:, self.own]), c=c, solution=solution)
 
     def foreseen(self, prediction: Prediction | Course, inputs: Array) -> Array:
-        """Return the inputs of all UAVs over the horizon as this controller expects them, within bounds, (N_p, m).
-
-        The owned inputs are given, (N_p, m_own). Source: docs/equations.md (35), (36).
-        """
+        """Return the inputs of all UAVs that this controller expects with given owned ones, within bounds, (N_p, m)."""
         if isinstance(prediction, Course):
             U: Array = prediction.U.copy()
         else:
@@ -275,15 +207,9 @@ class Controller:
         return np.clip(U, self.settings.lower(N), self.settings.upper(N))
 
     def adapted(self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, columns: Places) -> FeedbackLaw:
-        """Return the control law whose corrections, in some columns, reproduce inputs announced under another one.
+        """Return the law whose corrections, in some columns of u, reproduce inputs U announced under another one.
 
-        Args:
-            law: The shared control law over the horizon.
-            linear: Expansion about (x0, u0).
-            discrete: Its zero-order hold.
-            U: Announced inputs of all UAVs over the horizon, (N_p, m).
-            columns: Positions in u.
-        Source: docs/equations.md (46).
+        Given are also the expansion about (x0, u0) and its zero-order hold. Source: equations.md (46).
         """
         c = law.c.copy()
         if law.along is not None:
@@ -295,14 +221,10 @@ class Controller:
         c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - dX[:-1] @ law.K[columns].T
         return replace(law, c=c)
 
-    def head(self, X_ref: Array, ahead: Ahead) -> bool:
-        """Follow another reference from the present instant on; see `Regulation.head`."""
-        return self.regulation.head(X_ref, ahead)
-
     def without(self, uavs: Collection[int], since: int | None = None) -> None:
         """Set the UAVs without an agent, 0-based: they follow the fail-safe and are predicted so.
 
-        Along a reference, `Regulation.advance` completes the control law if the present instant is given.
+        `since` is the present instant, if `Regulation.advance` completes the control law along a reference.
         """
         self._gone = frozenset(uavs)
         # UAVs without agents obstruct the others: several agents correct the same distances, each its share of them.
@@ -311,11 +233,9 @@ class Controller:
         self._form(since)
 
     def fail(self, off: Collection[int], released: Collection[int], since: int | None = None) -> None:
-        """Set the UAVs without motors, 0-based, and those of them that are released from their rods.
+        """Set the UAVs without motors, 0-based, and those of them that are released from their rods: (50), (51).
 
         If the remaining UAVs cannot stabilise the team, cost and control law ignore the failure; the model has it.
-
-        Source: docs/equations.md (50), (51).
         """
         self._off, self._released = frozenset(off), frozenset(released)
         self.model = failed_model(self._whole.system, off, released) if off else self._whole

@@ -9,33 +9,15 @@ from model.dynamics import Symbols
 from model.hover import Hover
 from model.linearisation import Model
 from model.parameters import System
-from mpc.expressions import Affine, Expressions, read_term
+from mpc.expressions import Expressions, read_term
 from mpc.settings import CostTerm, SettingsError, Weights
 
 
 class Cost:
-    """A quadratic cost with diagonal weights.
-
-    Args:
-        weights: Of outputs and inputs.
-        system: The whole team, also after failures.
-        hover: The equilibrium.
-        off: UAVs without motors, 0-based; their yaw rates have no weight.
-        released: UAVs no longer on their rods, 0-based; none of their outputs has a weight.
-
-    Attributes:
-        Q: Stage weight on the output error, (p,).
-        R: Weight on the inputs, (m,).
-        u_target: Input without cost: hover, or zero, (m,).
-    """
+    """Quadratic cost of the team; yaw rates of UAVs that are `off`, and outputs of `released` ones, have no weight."""
 
     def __init__(
-        self,
-        weights: Weights,
-        system: System,
-        hover: Hover,
-        off: Collection[int] = (),
-        released: Collection[int] = (),
+        self, weights: Weights, system: System, hover: Hover, off: Collection[int] = (), released: Collection[int] = ()
     ) -> None:
         N = system.N
         Q = weights.Q(N)
@@ -43,50 +25,31 @@ class Cost:
             Q[3 * uav : 3 * uav + 3] = 0.0
         for uav in off:
             Q[3 * N + 3 + uav] = 0.0
-        self.Q, self.R = Q, weights.R(system)
+        self.Q, self.R = Q, weights.R(system)  # stage weights on the output error, (p,), and on the inputs, (m,)
+        # Input without cost: hover, or zero, (m,).
         self.u_target = hover.u if weights.penalised_input == "deviation" else np.zeros_like(hover.u)
 
     def stage(self, y: Array, y_ref: Array, u: Array) -> float:
-        """Return the cost of one sampling instant, (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target).
-
-        Output y and its reference, (p,); input u, (m,). Source: docs/equations.md (21); paper (17).
-        """
+        """Return (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target): equations.md (21); paper (17)."""
         error, effort = y - y_ref, u - self.u_target
         return float(error @ (self.Q * error) + effort @ (self.R * effort))
 
 
-class UserCosts:
-    """Weighted squares of the user's expressions of the state, with exact derivatives.
-
-    Raises: SettingsError: one cannot be read; the text says which and why.
-
-    Attributes:
-        weights: Of each term, per square of its unit, (t,).
-    """
+class UserCosts(Expressions):
+    """Weighted squares of the user's expressions of the state. Raises: SettingsError: one cannot be read."""
 
     def __init__(self, terms: Sequence[CostTerm], model: Model) -> None:
         symbols = Symbols.of(model.system.N, model.system.commands_rates)
-        self._terms = tuple(terms)
-        self.weights = np.array([term.weight for term in terms])
         values = [read_term(term.expression, symbols) for term in terms]
-        self._expressions = Expressions(values, symbols.x, symbols.p, model.system.vector())
-
-    def __len__(self) -> int:
-        return len(self._terms)
-
-    def at(self, x: Array) -> Affine:
-        """Linearise about a state. Source: docs/equations.md (48)."""
-        return self._expressions.at(x)
+        super().__init__(values, symbols.x, symbols.p, model.system.vector())
+        self._terms = tuple(terms)
+        self.weights = np.array([term.weight for term in terms])  # of each term, per square of its unit, (t,)
 
     def about(self, x: Array) -> Array:
-        """Return the square roots of the weights times the gradients at a state, (t, n).
-
-        Raises: SettingsError: a term has no finite value and slope there.
-        """
-        at = self.at(x)
-        for term, value, slope in zip(self._terms, at.value, at.slope, strict=True):
+        """Return the roots of the weights times the gradients, (t, n). Raises: SettingsError: one is not finite."""
+        values, slopes = self.at(x)
+        for term, value, slope in zip(self._terms, values, slopes, strict=True):
             if not np.isfinite([value, *slope]).all():
                 expected = "expected a finite value and slope at hover"
                 raise SettingsError(f"cost {term.expression!r}: {expected}, got {value}")
-        roots: Array = np.sqrt(self.weights)[:, None] * at.slope
-        return roots
+        return np.asarray(np.sqrt(self.weights)[:, None] * slopes)

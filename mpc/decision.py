@@ -11,29 +11,17 @@ from mpc.settings import ControllerSettings
 
 
 class Decision:
-    """Positions, limits and scale of the owned inputs.
-
-    Attributes:
-        system, settings: Whole team and settings of the controller.
-        uavs: The owned UAVs, 0-based, ascending.
-        own: Positions of the owned inputs in u, (m_own,).
-        others: Positions of all other inputs, (m - m_own,).
-        shape: (N_p, m_own).
-        size: N_p m_own.
-        lower, upper: Bounds on the owned inputs, (m_own,).
-        rate: Largest change of the owned inputs over one sampling period, (m_own,).
-        scale: Half the range of each owned input, (m_own,): the unit of the decision in the QP, so that newtons and
-            newton metres weigh alike.
-    """
+    """Positions, limits and scale of the owned inputs; owned UAVs are 0-based, ascending."""
 
     def __init__(self, system: System, settings: ControllerSettings, owned: Sequence[int]) -> None:
         self.system, self.settings, self.uavs = system, settings, tuple(owned)
-        self.own = input_indices(self.uavs)
-        self.others = np.setdiff1d(np.arange(system.m), self.own)
+        self.own = input_indices(self.uavs)  # positions in u, (m_own,)
+        self.others = np.setdiff1d(np.arange(system.m), self.own)  # those of all other inputs, (m - m_own,)
         self.shape = settings.horizon, len(self.own)
         self.size = settings.horizon * len(self.own)
-        self.lower, self.upper = settings.lower(len(self.uavs)), settings.upper(len(self.uavs))
-        self.rate = settings.step(len(self.uavs))
+        self.lower, self.upper = settings.lower(len(self.uavs)), settings.upper(len(self.uavs))  # bounds, (m_own,)
+        self.rate = settings.step(len(self.uavs))  # largest change over one sampling period, (m_own,)
+        # Half the range, (m_own,): unit of the decision in the QP, so that newtons and newton metres weigh alike.
         self.scale = (self.upper - self.lower) / 2.0
 
     def clip(self, inputs: Array) -> Array:
@@ -42,14 +30,13 @@ class Decision:
 
     def inputs(self, z: Array) -> Array:
         """Return the decision in SI units, (N_p, m_own), from the QP's variables: scaled inputs, then slacks."""
-        inputs: Array = z[: self.size].reshape(self.shape) * self.scale
-        return inputs
+        return np.asarray(z[: self.size].reshape(self.shape) * self.scale)
 
     def bounds(self, U_free: Array, u0: Array) -> tuple[Array, Array]:
         """Return the bounds on the scaled decision, (N_p m_own,) each; the first step's rate limit is one of them.
 
-        The owned inputs are U_free, (N_p, m_own), where the decision is zero, and were u0[own] before the first step.
-        Inputs in force outside their bounds return at once: the bounds are the actuators', the rates a preference.
+        The owned inputs are U_free, (N_p, m_own), without it, and were u0[own] before. Inputs in force outside their
+        bounds return at once: the bounds are the actuators', the rates a preference.
         """
         lower, upper = self.lower - U_free, self.upper - U_free
         first = u0[self.own] - U_free[0]

@@ -25,22 +25,14 @@ from model.dynamics import Symbols, uav_positions
 from mpc.settings import SettingsError
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
-    ast.USub: operator.neg,
-    ast.UAdd: operator.pos,
-}
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+    ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos,
+}  # fmt: skip
 # Added under the root of a norm: the slope at zero is then zero instead of undefined, the value off by 1e-9.
 _NORM_FLOOR = 1e-18
-
 _CASADI_FUNCTIONS = ("dot", "cross", "sin", "cos", "tan", "sqrt", "exp", "fabs", "fmin", "fmax")
-_FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "norm": lambda a: ca.sqrt(ca.sumsqr(a) + _NORM_FLOOR),
-    **{name: getattr(ca, name) for name in _CASADI_FUNCTIONS},
-}
+_FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(ca, name) for name in _CASADI_FUNCTIONS}
+_FUNCTIONS["norm"] = lambda a: ca.sqrt(ca.sumsqr(a) + _NORM_FLOOR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +46,7 @@ class Relation:
 
 
 def read(text: str, symbols: Symbols) -> Relation:
-    """Read one constraint, two sides and one of <=, >=, ==, as an expression of the system's symbols.
-
-    Raises: SettingsError: not readable, an unknown name, not scalar, or states and inputs mixed.
-    """
+    """Read a constraint: two sides and one of <=, >=, ==. Raises: SettingsError: not readable, or mixed."""
     what = f"constraint {text!r}"
     tree = _parsed(text, what)
     if not (isinstance(tree, ast.Compare) and len(tree.ops) == 1):
@@ -71,19 +60,12 @@ def read(text: str, symbols: Symbols) -> Relation:
     on_state, on_input = bool(ca.depends_on(value, symbols.x)), bool(ca.depends_on(value, symbols.u))
     if on_state == on_input:
         raise SettingsError(f"{what}: expected states or inputs, got {'both' if on_state else 'neither'}")
-    return Relation(
-        text=text,
-        value=value,
-        on="state" if on_state else "input",
-        kind="equality" if isinstance(comparison, ast.Eq) else "inequality",
-    )
+    kind: Literal["inequality", "equality"] = "equality" if isinstance(comparison, ast.Eq) else "inequality"
+    return Relation(text, value, "state" if on_state else "input", kind)
 
 
 def read_term(text: str, symbols: Symbols) -> ca.SX:
-    """Read a cost term as a scalar expression of the system's symbols.
-
-    Raises: SettingsError: not readable, an unknown name, not scalar, or not of states alone.
-    """
+    """Read a cost term, a scalar expression of states alone. Raises: SettingsError: not readable, or another."""
     what = f"cost {text!r}"
     value = _scalar(_parsed(text, what), symbols, what)
     if ca.depends_on(value, symbols.u):
@@ -93,48 +75,27 @@ def read_term(text: str, symbols: Symbols) -> ca.SX:
     return value
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Affine:
-    """Scalar expressions linearised about a state or an input.
-
-    Attributes:
-        value: (c,).
-        slope: Gradients, (c, n) or (c, m).
-    """
-
-    value: Array
-    slope: Array
-
-
 class Expressions:
-    """Scalar expressions of the user, compiled with exact derivatives.
-
-    They depend on a variable, state or input, and on the parameters of the system, whose values are p.
-
-    Attributes:
-        depends: Which elements of the variable occur in each expression, (c, n) or (c, m).
-    """
+    """The user's scalar expressions of a variable, state or input, and of parameters, whose values are p."""
 
     def __init__(self, values: Sequence[ca.SX], variable: ca.SX, parameters: ca.SX, p: Array) -> None:
-        self._p, self._shape = p, (len(values), variable.numel())
-        self._function: Compiled | None = None
-        self.depends = np.zeros(self._shape, dtype=bool)
-        if values:
-            value = ca.vertcat(*values)
-            slope = ca.jacobian(value, variable)
-            self.depends = np.array(ca.DM(slope.sparsity(), 1).full(), dtype=bool)
-            results = [ca.densify(value), ca.densify(slope)]
-            self._function = Compiled(ca.Function("expressions", [variable, parameters], results))
+        value = ca.vertcat(ca.SX(0, 1), *values)
+        slope = ca.jacobian(value, variable)
+        self._p, self._shape = p, slope.shape
+        # Which elements of the variable occur in each expression, (c, n) or (c, m).
+        self.depends = np.array(ca.DM(slope.sparsity(), 1).full(), dtype=bool)
+        results = [ca.densify(value), ca.densify(slope)]
+        self._function = Compiled(ca.Function("expressions", [variable, parameters], results)) if values else None
 
     def __len__(self) -> int:
-        return self._shape[0]
+        return int(self._shape[0])
 
-    def at(self, point: Array) -> Affine:
-        """Linearise about a state or an input. Source: docs/equations.md (30), (48)."""
+    def at(self, point: Array) -> tuple[Array, Array]:
+        """Return values, (c,), and gradients, (c, n) or (c, m), at a point: docs/equations.md (30), (48)."""
         if self._function is None:
-            return Affine(value=np.zeros(0), slope=np.zeros(self._shape))
+            return np.zeros(0), np.zeros(self._shape)
         value, slope = self._function(point, self._p)
-        return Affine(value=value, slope=slope.reshape(self._shape))
+        return value, slope.reshape(self._shape)
 
 
 def _parsed(text: str, what: str) -> ast.expr:

@@ -16,43 +16,32 @@ from model.parameters import ParameterError, System
 from model.rotations import rotation
 
 # Attitude loop: slow enough for the moment limits of small quadrotors, faster than the pendulum of a rod.
-_FREQUENCY_RAD_S = 6.0
-_DAMPING = 0.8
+_FREQUENCY_RAD_S, _DAMPING = 6.0, 0.8
 # Attitude gain around an inner loop on body rates, 1/s: critical damping, but not faster than usual autopilots.
 _CRITICAL, _LARGEST_GAIN = 0.25, 6.0
 # Loop of the horizontal position around it: as fast as the pendulum of a rod, slower than the attitude.
-_FOLLOWING_RAD_S = 1.5
-_FOLLOWING_DAMPING = 1.0
-# Largest roll or pitch that it asks for, rad.
-_STEEPEST = 0.2
+_FOLLOWING_RAD_S, _FOLLOWING_DAMPING = 1.5, 1.0
+_STEEPEST = 0.2  # largest roll or pitch that it asks for, rad
 
 
 class FailSafe:
     """The fail-safes of all UAVs.
 
-    Args:
-        system: Physical parameters.
-        u_hover: Hover input with the thrusts to hold, (4 N,).
-        X_ref: Reference states at the sampling instants, (K, n), the last one held, for UAVs that measure their
-            position and velocity and follow them; None for UAVs that keep level.
-        track: A flat reference, whose inputs take the place of hover.
-
-    Attributes: u_hover, track: Those.
+    They hold the thrusts of u_hover, (4 N,), or with a flat track its inputs. X_ref, (K, n), the last one held, is for
+    UAVs that measure their position and velocity and follow it; None for UAVs that keep level.
     """
 
     def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None, track: Track | None = None) -> None:
         self.u_hover, self._X_ref, self.track = u_hover, X_ref, track
         self._system, self._uavs = system, system.uavs
-        self._gains = []
-        level = np.diag([1.0, 1.0, 0.0])  # the heading is free
+        self._gains, level = [], np.diag([1.0, 1.0, 0.0])  # the heading is free
         for uav in system.uavs:
             gain = np.zeros((state.INPUTS, state.PER_UAV))
             if system.rate_gains is not None:
                 gain[1:, state.THETA] = -np.diag(np.minimum(_CRITICAL * system.rate_gains, _LARGEST_GAIN)) @ level
             else:
-                inertia = np.asarray(uav.inertia)
-                gain[1:, state.THETA] = -(_FREQUENCY_RAD_S**2) * inertia @ level
-                gain[1:, state.OMEGA] = -2.0 * _DAMPING * _FREQUENCY_RAD_S * inertia
+                gain[1:, state.THETA] = -(_FREQUENCY_RAD_S**2) * uav.inertia @ level
+                gain[1:, state.OMEGA] = -2.0 * _DAMPING * _FREQUENCY_RAD_S * uav.inertia
             self._gains.append(gain)
 
     def following(self, X_ref: Array, track: Track | None) -> "FailSafe":
@@ -62,10 +51,7 @@ class FailSafe:
         return found
 
     def of_team(self, off: Collection[int], released: Collection[int]) -> "FailSafe":
-        """Return the fail-safe of the UAVs left, whose thrusts hold the payload without those off or released, 0-based.
-
-        The same one if they have no hover. Source: docs/equations.md (51), (66).
-        """
+        """Return the fail-safe whose thrusts hold the payload without UAVs off or released, if it has a hover: (51)."""
         found = copy(self)
         if not off:
             return found
@@ -84,15 +70,12 @@ class FailSafe:
         return found
 
     def gain(self, uav: int) -> Array:
-        """Return the linearised feedback from the state to a UAV's inputs, (4, n).
-
-        Source: docs/equations.md (31), (31a), (45), (58).
-        """
+        """Return the linearised feedback from the state to a UAV's inputs, (4, n): (31), (31a), (45), (58)."""
         gain = np.zeros((state.INPUTS, state.PAYLOAD + state.PER_UAV * len(self._uavs)))
         own = state.uav_slice(uav)
         gain[:, own] = self._gains[uav]
         if self._X_ref is not None:
-            rho, rod = np.asarray(self._uavs[uav].rho), np.array([0.0, 0.0, self._uavs[uav].rod_length])
+            rho, rod = self._uavs[uav].rho, np.array([0.0, 0.0, self._uavs[uav].rod_length])
             position, velocity = np.zeros((3, gain.shape[1])), np.zeros((3, gain.shape[1]))
             position[:, state.R0] = velocity[:, state.V0] = np.eye(3)
             position[:, state.THETA0] = np.cross(np.eye(3), rho - rod).T
@@ -103,10 +86,7 @@ class FailSafe:
         return gain
 
     def inputs(self, uav: int, x: Array, tick: int) -> Array:
-        """Return the inputs of one UAV, 0-based, at a state of the system at t_k, (n,), before limits, (4,), SI.
-
-        Source: docs/equations.md (31), (31a), (58).
-        """
+        """Return the inputs of one UAV, 0-based, at a state at t_k, (n,), before limits, (4,): (31), (31a), (58)."""
         own = x[state.uav_slice(uav)].copy()
         if self._X_ref is not None:
             position, velocity = self._motion(uav, x)
@@ -117,15 +97,13 @@ class FailSafe:
         at_rest: Array = self.u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])
         if self._X_ref is not None and self.track is not None:
             at = rows(tick - self.track.first, 1, len(self.track.U))
-            at_rest, own = (
-                self.track.U[at][0, state.input_slice(uav)],
-                own - self.track.X[at][0, state.uav_slice(uav)],
-            )
+            at_rest = self.track.U[at][0, state.input_slice(uav)]
+            own = own - self.track.X[at][0, state.uav_slice(uav)]
         return at_rest + self._gains[uav] @ own
 
     def _motion(self, uav: int, x: Array) -> tuple[Array, Array]:
         """Return position and velocity of a UAV, inertial frame, m and m/s. Source: docs/equations.md (1), (39)."""
-        R0, block, rho = rotation(x[state.THETA0]), x[state.uav_slice(uav)], np.asarray(self._uavs[uav].rho)
+        R0, block, rho = rotation(x[state.THETA0]), x[state.uav_slice(uav)], self._uavs[uav].rho
         rod = self._uavs[uav].rod_length * block[state.E]
         turning = np.cross(x[state.OMEGA0], rho) - np.cross(block[state.ROD_RATE], rod)
         return x[state.R0] + R0 @ (rho - rod), R0 @ (x[state.V0] + turning)
@@ -133,7 +111,6 @@ class FailSafe:
     def _wanted(self, uav: int, position: Array, velocity: Array) -> Array:
         """Return roll, pitch and a zero from deviations of position and velocity, axes of the heading, (3, ...)."""
         stiffness, damping = _FOLLOWING_RAD_S**2, 2.0 * _FOLLOWING_DAMPING * _FOLLOWING_RAD_S
-        pull = (
-            self._uavs[uav].mass / self.u_hover[state.input_slice(uav)][0] * (stiffness * position + damping * velocity)
-        )
+        lift = self.u_hover[state.input_slice(uav)][0]
+        pull = self._uavs[uav].mass / lift * (stiffness * position + damping * velocity)
         return np.stack([-pull[1], pull[0], np.zeros_like(pull[0])])

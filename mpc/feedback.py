@@ -1,14 +1,12 @@
 """The shared linear-quadratic regulator: the infinite-horizon optimum of the team's cost about hover.
 
 Every agent computes the same gain and cost-to-go, decides its own corrections c to the shared control law
-u = u_rest + K (x - x_ref) + feedforward + c, and takes the others' corrections as announced. Near the unconstrained
-optimum the corrections are small, so little depends on the network.
+u = u_rest + K (x - x_ref) + feedforward + c, and takes the others' corrections as announced.
 
-The regulator is the optimum for a reference at rest without external forces. A moving reference is a known
-disturbance of the deviation from it: one backward recursion along the maneuver gives the preview, the optimum under it
-(Anderson and Moore 1990, chapter 4; Tomizuka 1975), once per maneuver and team. Under constant forces, steering towards
-hover leaves an offset; steering towards the target, the steady state that balances them, does not (offset-free MPC:
-Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
+A moving reference is a known disturbance: one backward recursion along the maneuver is the preview, the optimum under
+it (Anderson and Moore 1990, chapter 4; Tomizuka 1975). Under constant forces, steering towards hover leaves an offset;
+steering towards the target, the steady state that balances them, does not (offset-free MPC: Pannocchia, Rawlings 2003;
+Maeder, Borrelli, Morari 2009).
 """
 
 import math
@@ -28,23 +26,20 @@ from model.motors import lagged
 from model.state import input_indices
 from mpc.cost import Cost
 
-# Doublings of the Riccati recursion: 2^k steps after k of them. The slowest mode of a load on rods of a few metres
-# decays within some thousand sampling periods.
+# Doublings of the Riccati recursion: 2^k steps after k of them; the slowest modes decay within some thousand periods.
 _DOUBLINGS = 20
 _CONVERGED = 1e-12
-# Square root of the discount of the cost per sampling period, used only where the undiscounted cost is infinite;
-# 1e-4 is a time constant of 500 s at 50 ms.
+# Root of the discount of the cost per sampling period, where it is infinite without; 500 s at 50 ms.
 _DISCOUNT = 1.0 - 1e-4
-# Largest growth rate of the closed loop, 1/s. Headings and the positions of UAVs without agents are constant (growth
-# zero), a UAV that falls over has 2 1/s; growth by e in 50 s is within the error of the linearisation.
+# Largest growth rate of the closed loop, 1/s: headings have zero, a UAV that falls over has 2 1/s.
 _GROWTH = 0.02
-# Largest gain relative to sqrt(Q / R), the gain of a single integrator: 0.1 to 2 for teams that can be stabilised, 500
-# and more for modes that inputs reach through rounding only.
+# Largest gain relative to sqrt(Q / R): 0.1 to 2 for most teams, 500 and more for modes reached through rounding only.
 _GAIN = 100.0
 # Directions whose cost is below this share of the largest count as free (headings).
 _RANK = 1e-12
 # Directions that change a quantity of the target by less than this share of the largest change have no effect on it.
 _EFFECT = 1e-9
+_EXPECTED = "expected a team that linear feedback can stabilise about hover"
 
 
 class FeedbackError(ValueError):
@@ -53,24 +48,14 @@ class FeedbackError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class FeedbackLaw:
-    """The shared control law over one horizon.
+    """The shared control law over one horizon."""
 
-    Attributes:
-        K: Feedback gain, (m, n), or along a reference of each step, (N_p, m, n); with motor lag n counts the actual
-            inputs.
-        u_rest: Input that holds the reference state: hover, shifted by external forces, (m,), or of each step.
-        error: x0 - x_ref, x_ref shifted likewise, at steps 0..N_p-1, (N_p, n).
-        feedforward: Response to the reference ahead, (N_p, m).
-        c: Announced corrections of all UAVs, (N_p, m); the owned columns hold the previous ones, shifted.
-        along: Expansion along a reference; None about hover.
-    """
-
-    K: Array
-    u_rest: Array
-    error: Array
-    feedforward: Array
-    c: Array
-    along: "Expansion | None" = None
+    K: Array  # feedback gain, (m, n), or along a reference of each step, (N_p, m, n); n includes known motors
+    u_rest: Array  # input that holds the reference state: hover, shifted by external forces, (m,), or of each step
+    error: Array  # x0 - x_ref, x_ref shifted likewise, at steps 0..N_p-1, (N_p, n)
+    feedforward: Array  # response to the reference ahead, (N_p, m)
+    c: Array  # announced corrections of all UAVs, (N_p, m); the owned columns hold the previous ones, shifted
+    along: "Sequence[Gains] | None" = None  # along a reference; None about hover
 
     @cached_property
     def uncorrected(self) -> Array:
@@ -81,18 +66,14 @@ class FeedbackLaw:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Expansion:
-    """Difference equation of the team about a reference under its control law, at each step of a horizon.
+class Gains:
+    """The regulator at an instant of a reference, and the difference equation of the team about it."""
 
-    Attributes:
-        M: Weight of the corrections, (N_p, m, m).
-        A_closed: State matrix with all feedback, (n, n) each.
-        B: Input matrix, (n, m) each.
-    """
-
-    M: Array
-    A_closed: Sequence[Array]
-    B: Sequence[Array]
+    K: Array  # feedback gain, (m, n)
+    feedforward: Array  # response to the difference between the reference and the model's step along it, (m,)
+    M: Array  # weight of the corrections, (m, m)
+    A_closed: Array  # state matrix with all feedback, (n, n)
+    B: Array  # input matrix, (n, m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,56 +81,30 @@ class Regulator:
     """The regulator of the team about hover, in coordinates xi = T' (x - x_hover) of the manifold.
 
     With motor lag the actual inputs are further states, and n counts them.
-
-    Attributes:
-        K: Feedback gain of all inputs, (m, n).
-        P: Cost-to-go, xi' P xi, (r, r).
-        root: Its square root, |root (x - x_hover)|^2 = xi' P xi, (rank of P, n).
-        T: Orthonormal basis of the manifold's directions, (n, r).
-        controlled: Positions in u of the inputs of UAVs with agents, (m_c,).
-        A: State matrix without the feedback of the controlled inputs, (r, r).
-        A_closed: State matrix with all feedback, (r, r).
-        preview_gain: Controlled inputs per slope of the cost-to-go one step later, -(R + B' P B)^-1 B', (m_c, r).
     """
 
-    K: Array
-    P: Array
-    root: Array
-    T: Array
-    controlled: npt.NDArray[np.intp]
-    A: Array
-    A_closed: Array
-    preview_gain: Array
+    K: Array  # feedback gain of all inputs, (m, n)
+    P: Array  # cost-to-go, xi' P xi, (r, r)
+    root: Array  # its square root, |root (x - x_hover)|^2 = xi' P xi, (rank of P, n)
+    T: Array  # orthonormal basis of the manifold's directions, (n, r)
+    controlled: npt.NDArray[np.intp]  # positions in u of the inputs of UAVs with agents, (m_c,)
+    A: Array  # state matrix without the feedback of the controlled inputs, (r, r)
+    A_closed: Array  # state matrix with all feedback, (r, r)
+    preview_gain: Array  # controlled inputs per slope of the cost-to-go one step later, -(R + B' P B)^-1 B', (m_c, r)
 
 
 def regulator(
-    model: Model,
-    hover: Hover,
-    cost: Cost,
-    period_s: float,
-    uncontrolled: Mapping[int, Array] | None = None,
-    further: Array | None = None,
-    off: Collection[int] = (),
-    released: Collection[int] = (),
-    motor_lag_s: float = 0.0,
-) -> Regulator:
-    """Return the linear-quadratic regulator of the team about hover.
+    model: Model, hover: Hover, cost: Cost, period_s: float, uncontrolled: Mapping[int, Array] | None = None,
+    further: Array | None = None, off: Collection[int] = (), released: Collection[int] = (), motor_lag_s: float = 0.0,
+) -> Regulator:  # fmt: skip
+    """Return the linear-quadratic regulator of the team about hover: equations.md (33)-(34), (45), (55).
 
-    UAVs without an agent follow a control law of their own; the gain of the others is the optimum given that law.
-    Directions off |e| = 1 and e . Omega = 0 can be neither reached nor left: the recursion has no coordinates for them.
+    UAVs without an agent follow a control law of their own, a feedback from the state, (4, n), by 0-based numbers;
+    the gain of the others is the optimum given that law. Directions off |e| = 1 and e . Omega = 0 can be neither
+    reached nor left: the recursion has no coordinates for them, and none for UAVs that are off or released (`tangent`).
+    Further terms of the cost are roots of weights times slopes at hover, (t, n). With motor lag inputs are states.
 
-    Args:
-        model: The system as the controller knows it.
-        hover: Its equilibrium.
-        cost: Q on the outputs, R on all inputs.
-        period_s: Sampling period, s.
-        uncontrolled: Feedback from the state, (4, n), of each UAV without an agent, by its 0-based number.
-        further: Further terms of the cost, (t, n): square roots of the weights times slopes at hover.
-        off: UAVs without motors, 0-based; their attitudes are decoupled from all else and left out.
-        released: UAVs no longer on their rods, 0-based; all their states are left out.
-        motor_lag_s: Time constant of the motors, s; their actual inputs are further states if it is positive.
     Raises: FeedbackError: the recursion does not converge, or its feedback does not stabilise the team.
-    Source: docs/equations.md (33)-(34), (45), (55).
     """
     linear = model.linearise(hover.x, hover.u)
     T = tangent(hover.x, off, released)
@@ -172,8 +127,7 @@ def regulator(
     except FeedbackError:
         if not uncontrolled:
             raise
-        # Equal UAVs without agents can swing against each other undamped and out of reach of the other inputs: the
-        # infinite sum of that cost is finite only with a discount.
+        # UAVs without agents can swing against each other undamped, out of reach: their cost is infinite without it.
         P, discount = _riccati(_DISCOUNT * A, _DISCOUNT * B, weighted, R), _DISCOUNT
     preview_gain = np.negative(np.linalg.solve(np.diag(R) / discount**2 + B.T @ P @ B, B.T), dtype=np.float64)
     K[controlled] = preview_gain @ P @ A @ T.T
@@ -182,13 +136,12 @@ def regulator(
     root = np.sqrt(eigenvalues[kept])[:, None] * vectors[:, kept].T @ T.T
     A_closed = A + B @ K[controlled] @ T
     # The recursion may converge although no input reaches an unstable mode.
-    expected = "expected a team that linear feedback can stabilise about hover"
     largest = float(np.abs(np.linalg.eigvals(A_closed)).max())
     if not largest < math.exp(_GROWTH * period_s):
-        raise FeedbackError(f"{expected}, got a closed loop whose largest eigenvalue is {largest:.3g}")
+        raise FeedbackError(f"{_EXPECTED}, got a closed loop whose largest eigenvalue is {largest:.3g}")
     gain = float(np.abs(K[:, : len(hover.x)]).max()) / math.sqrt(cost.Q.max() / cost.R.min())
     if not gain < _GAIN:
-        raise FeedbackError(f"{expected}, got a gain {gain:.3g} times that of an integrator")
+        raise FeedbackError(f"{_EXPECTED}, got a gain {gain:.3g} times that of an integrator")
     frozen(K, P, root, T, controlled, A, A_closed, preview_gain)
     return Regulator(K=K, P=P, root=root, T=T, controlled=controlled, A=A, A_closed=A_closed, preview_gain=preview_gain)
 
@@ -196,8 +149,7 @@ def regulator(
 def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
     """Return the least positive semidefinite solution of the discrete algebraic Riccati equation, by doubling.
 
-    H after k doublings is the Riccati recursion from zero after 2^k steps, so modes without cost (a UAV's heading) stay
-    without cost instead of making the equation unsolvable.
+    H is the Riccati recursion from zero after 2^k steps, so modes without cost (a UAV's heading) stay without cost.
     """
     identity = np.eye(len(A))
     G = (B / R) @ B.T
@@ -209,17 +161,13 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
         G, H, A = G + A @ VG @ A.T, H + (step + step.T) / 2.0, A @ VA
         if np.abs(step).max() <= _CONVERGED * np.abs(H).max():
             return H
-    expected = "expected a team that linear feedback can stabilise about hover"
-    raise FeedbackError(f"{expected}, got a Riccati recursion that has not converged after 2^{_DOUBLINGS} steps")
+    raise FeedbackError(f"{_EXPECTED}, got a Riccati recursion that has not converged after 2^{_DOUBLINGS} steps")
 
 
 def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = ()) -> Array:
-    """Return an orthonormal basis of the directions the state can take at x, (n, n - 2 N).
+    """Return an orthonormal basis of the directions the state can take at x, (n,): (n, n - 2 N).
 
-    Args:
-        x: State, (n,).
-        off: UAVs, 0-based, whose attitudes and rates are left out: 6 columns less for each.
-        released: UAVs, 0-based, all of whose states are left out: 10 columns less.
+    Attitudes of UAVs that are `off` are left out, 6 columns less for each, and all states of `released` ones, 10 less.
     """
     blocks = [np.eye(state.PAYLOAD)]
     for e in state.StateView(x).e_P:
@@ -235,37 +183,27 @@ def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = ())
         out[state.uav_slice(uav)][state.THETA.start :] = True
     for uav in released:
         out[state.uav_slice(uav)] = True
-    kept: Array = basis[:, ~basis[out].any(axis=0)]
-    return kept
+    return np.asarray(basis[:, ~basis[out].any(axis=0)])
 
 
 def with_motors(T: Array, off: Collection[int]) -> Array:
-    """Return a basis of directions of states and actual inputs from that of states, (n, r): (n + m, r + m).
-
-    The inputs of UAVs without motors, 0-based, are left out: 4 columns less for each.
-    """
-    n = len(T)
+    """Return a basis of states and actual inputs, but of UAVs that are `off`, from that of states: (n + m, r + m)."""
+    n, r = T.shape
     m = (n - state.PAYLOAD) // state.PER_UAV * state.INPUTS
     kept = np.setdiff1d(np.arange(m), input_indices(sorted(off)))
-    basis = np.zeros((n + m, T.shape[1] + len(kept)))
-    basis[:n, : T.shape[1]] = T
-    basis[n + kept, T.shape[1] + np.arange(len(kept))] = 1.0
+    basis = np.zeros((n + m, r + len(kept)))
+    basis[:n, :r] = T
+    basis[n + kept, r + np.arange(len(kept))] = 1.0
     return basis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview:
-    """Effect of the reference on the optimum at instants 0..K-1 from `first` on; the last one holds from then on.
+    """Effect of the reference on the optimum at instants 0..K-1 from `first` on; the last one holds from then on."""
 
-    Attributes:
-        feedforward: Added to the shared control law, (K, m).
-        slope: Half the gradient of the cost-to-go where the deviation from the reference is zero, (K, n).
-        first: Number of the first instant.
-    """
-
-    feedforward: Array
-    slope: Array
-    first: int = 0
+    feedforward: Array  # added to the shared control law, (K, m)
+    slope: Array  # half the gradient of the cost-to-go where the deviation from the reference is zero, (K, n)
+    first: int = 0  # number of the first instant
 
 
 def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> Preview:
@@ -277,12 +215,8 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> 
         stage cost xi' Q xi + 2 pull(k)' xi + du' R du,    cost-to-go xi' P xi + 2 p(k)' xi + constant,
         p(k) = A_closed' (p(k+1) + P d(k)) + pull(k),    du(k) = K xi(k) - (R + B' P B)^-1 B' (p(k+1) + P d(k)).
 
-    Args:
-        regulator: Of the team.
-        X_ref: Reference states at the instants of the maneuver, (K, n); held after the last one.
-        pull: Half the gradient of the stage cost where the deviation is zero, (K, n).
-        first: Number of the first of these instants.
-    Source: docs/equations.md (36b), (36c).
+    Given are the reference states from the `first` instant on, (K, n), held after the last one, and half the gradient
+    of the stage cost where the deviation is zero, (K, n). Source: docs/equations.md (36b), (36c).
     """
     T, P, A_closed = regulator.T, regulator.P, regulator.A_closed
     # Relative to the last instant, which is at rest, so that the attitudes at hover are no deviation.
@@ -306,47 +240,34 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> 
 
 
 def at_rest(regulator: Regulator, pulled: Array) -> Array:
-    """Return the slope of the cost-to-go under a constant pull: the solution of p = A_closed' p + pulled.
+    """Return the slope of the cost-to-go under a constant pull, (r,) or (r, columns): p = A_closed' p + pulled.
 
     Directions without cost (headings) are neither pulled nor damped; the slope has no part along them. A_closed' maps
     the other directions into themselves, and there the solution is unique: the sum of all future pulls.
-
-    Pull, half the gradient of the stage cost, and slope are in the regulator's coordinates, (r,) or (r, columns).
     """
     costly = np.linalg.svd(regulator.root @ regulator.T, full_matrices=False)[2]  # orthonormal basis, (rank, r)
     within = np.eye(len(costly)) - costly @ regulator.A_closed.T @ costly.T
-    solution: Array = costly.T @ np.linalg.solve(within, costly @ pulled)
-    return solution
+    return np.asarray(costly.T @ np.linalg.solve(within, costly @ pulled))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """The deviation from hover of the steady state under external forces, linear in them.
+    """The deviation from hover of the steady state under external forces, linear in them."""
 
-    Attributes:
-        M_x: State per newton, (n, 3 + 3 N), SI.
-        M_u: Input per newton, (m, 3 + 3 N), SI.
-    """
-
-    M_x: Array
-    M_u: Array
+    M_x: Array  # state per newton, (n, 3 + 3 N), SI
+    M_u: Array  # input per newton, (m, 3 + 3 N), SI
 
 
 def target(
-    model: Model,
-    hover: Hover,
-    cost: Cost,
-    uncontrolled: Mapping[int, Array] | None = None,
-    off: Collection[int] = (),
+    model: Model, hover: Hover, cost: Cost, uncontrolled: Mapping[int, Array] | None = None, off: Collection[int] = (),
     released: Collection[int] = (),
-) -> Target:
+) -> Target:  # fmt: skip
     """Return the steady state of the linearisation about hover with least output error, then least input effort.
 
     Remaining free directions, such as the headings of the UAVs, stay as at hover. A steady state exists for any forces:
     rods lean in parallel or pull in proportion, a remaining moment tilts the payload, and thrusts balance their rods.
 
-    Attitudes of UAVs without motors and all states of released UAVs are not part of the target. Arguments as those of
-    `regulator`. Source: docs/equations.md (40).
+    Arguments as those of `regulator`. Source: docs/equations.md (40).
     """
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)

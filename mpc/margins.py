@@ -1,9 +1,7 @@
 """Linear analysis of the sampled loop about hover: plant, actuators, estimators and control laws of a whole team.
 
-The plant between the sampling instants is exact: motor lag, delay of the actuators, their gain, and bodies other than
-those that the controllers know. The controllers are those of a run, without limits and constraints. The eigenvalues of
-the step from one sampling instant to the next tell whether the hover is stable, and bisection tells up to which
-difference between plant and model it is.
+The plant between the sampling instants is exact. The controllers are those of a run, without limits and constraints.
+The eigenvalues of the step from one sampling instant to the next tell whether the hover is stable.
 """
 
 import math
@@ -21,39 +19,24 @@ from model.motors import lagged
 from model.parameters import ParameterError, Payload, System, Uav
 from mpc.controller import Controller, Linear
 from mpc.feedback import tangent, with_motors
-from mpc.qp import Residuals, Solution
+from mpc.solvers import unsolved
 
-# Fastest growth that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them.
-GROWTH = 0.02
-# Slowest decay that is one, 1/s: undamped modes have zero, and rounding moves them.
-_DECAY = 1e-3
-# Steps of the search: coarse until the first unstable plant, then bisection to a share of the value.
-_COARSE, _FINE = 1.4, 0.005
-# Farthest factors, and farthest lag and delay, s.
-FARTHEST, FARTHEST_S = 10.0, 0.6
-# Size of the perturbations that are fed to the controllers, whose limits must not bind.
-_PROBE = 1e-3
-# Largest correction, as a share of the control law's inputs, that is rounding.
-_SAME = 1e-7
-# Shortest lag and delay that are tried, s.
-_FIRST_S = 1e-3
+GROWTH = 0.02  # fastest that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them
+_DECAY = 1e-3  # slowest that is one, 1/s: undamped modes have zero, and rounding moves them
+_COARSE, _FINE = 1.4, 0.005  # steps of the search: until the first unstable plant, then by bisection
+FARTHEST, FARTHEST_S = 10.0, 0.6  # factors, and lag and delay, s
+_FIRST_S = 1e-3  # shortest lag and delay that are tried, s
+_PROBE = 1e-3  # perturbations that are fed to the controllers, whose limits must not bind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mismatch:
-    """Differences between the plant and the controllers' model.
+    """Differences between the plant and the controllers' model."""
 
-    Attributes:
-        lag_s: Time constant of the plant's motors, s.
-        delay_s: Delay between command and motors, s.
-        gain: Actual inputs over commanded inputs.
-        uav_inertia, uav_mass, payload_mass, payload_inertia, rod_length: Actual value over the known one.
-    """
-
-    lag_s: float = 0.0
-    delay_s: float = 0.0
-    gain: float = 1.0
-    uav_inertia: float = 1.0
+    lag_s: float = 0.0  # time constant of the plant's motors, s
+    delay_s: float = 0.0  # between command and motors, s
+    gain: float = 1.0  # actual inputs over commanded inputs
+    uav_inertia: float = 1.0  # actual value over the known one, as all that follow
     uav_mass: float = 1.0
     payload_mass: float = 1.0
     payload_inertia: float = 1.0
@@ -61,48 +44,26 @@ class Mismatch:
 
     def system(self, known: System) -> System:
         """Return the actual bodies."""
-        payload = known.payload
-        return System(
-            payload=Payload(mass=payload.mass * self.payload_mass, inertia=payload.inertia * self.payload_inertia),
-            uavs=[
-                Uav(
-                    mass=uav.mass * self.uav_mass,
-                    inertia=uav.inertia * self.uav_inertia,
-                    rho=uav.rho,
-                    rod_length=uav.rod_length * self.rod_length,
-                )
-                for uav in known.uavs
-            ],
-            gravity=known.gravity,
-        )
+        body, uavs = known.payload, []
+        for uav in known.uavs:
+            mass, inertia, length = uav.mass * self.uav_mass, uav.inertia * self.uav_inertia, uav.rod_length
+            uavs.append(Uav(mass=mass, inertia=inertia, rho=uav.rho, rod_length=length * self.rod_length))
+        payload = Payload(mass=body.mass * self.payload_mass, inertia=body.inertia * self.payload_inertia)
+        return System(payload=payload, uavs=uavs, gravity=known.gravity)
 
 
 class Loop:
     """The sampled loop of a team about hover, as a function of the plant.
 
-    Args:
-        controllers: One per agent, for the whole team.
-        next_tick: Inputs act one sampling period after the measurement.
-        age: Sampling periods until an agent knows another agent's state, >= 1.
-        with_corrections: Keep announced plans as states even if the control law is optimal without them.
-        uncontrolled: Feedback from the state, (4, n), of each UAV without an agent, by its 0-based number: the
-            fail-safe, which acts on the present state. No agent measures these UAVs. The shared control law of the
-            others, which must exist, is then taken without corrections.
-
-    Attributes:
-        period_s: Sampling period, s.
-        known_lag_s: Time constant of the motors as the controllers know it, s.
+    There is a controller per agent. With `next_tick` inputs act one sampling period after the measurement; `age` are
+    the periods until an agent knows another agent's state, >= 1. UAVs without an agent, by 0-based numbers, follow a
+    fail-safe, (4, n), on the present state, unmeasured; the others then follow their control law without corrections.
     """
 
     def __init__(
-        self,
-        controllers: Sequence[Controller],
-        *,
-        next_tick: bool,
-        age: int = 1,
-        with_corrections: bool = False,
+        self, controllers: Sequence[Controller], *, next_tick: bool, age: int = 1,
         uncontrolled: Mapping[int, Array] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._controllers, self._next_tick, self._age = tuple(controllers), next_tick, age
         first = controllers[0]
         self._system, self._hover, self._settings = first.model.system, first.regulation.hover, first.settings
@@ -118,7 +79,14 @@ class Loop:
         self._model, self._T = model, T
         discrete = zero_order_hold(model, self.period_s)
         self._A, self._B = T.T @ discrete.A @ T, T.T @ discrete.B
-        self._measured = [self._measured_by(controller.owned) for controller in controllers]
+        # Projections of states in tangent coordinates on what the agents measure at once.
+        self._measured: list[Array] = []
+        for controller in controllers:
+            known = np.zeros(len(T))
+            known[: state.PAYLOAD] = 1.0
+            for uav in controller.owned:
+                known[state.uav_slice(uav)] = 1.0
+            self._measured.append(T.T @ (known[:, None] * T))
         regulator = first.regulation.regulator
         self._law = None if regulator is None or self._settings.prediction != "closed_loop" else regulator.K @ T
         lost = np.zeros(len(self._T), dtype=bool)
@@ -129,58 +97,33 @@ class Loop:
             self._fail_safe[state.input_slice(uav)] = gain @ self._T[: gain.shape[1]]
         self._lost = np.flatnonzero((self._T[lost] != 0.0).any(axis=0))  # their coordinates
         # The control law alone, if every controller finds it optimal; else the whole plans.
-        self._plans: list[Array] | None = None
-        alone = bool(uncontrolled) or (not with_corrections and self._law is not None)
-        if not alone or not (uncontrolled or all(map(self._follows_law, self._controllers))):
-            self._plans = [self._plan_map(controller) for controller in self._controllers]
-
-    def _measured_by(self, owned: Sequence[int]) -> Array:
-        """Return the projection of a state in tangent coordinates on what an agent measures at once."""
-        known = np.zeros(len(self._T))
-        known[: state.PAYLOAD] = 1.0
-        for uav in owned:
-            known[state.uav_slice(uav)] = 1.0
-        projection: Array = self._T.T @ (known[:, None] * self._T)
-        return projection
+        alone = bool(uncontrolled) or (
+            self._law is not None and self._settings.terminal == "riccati" and self._settings.discretisation == "exact"
+        )
+        self._plans = () if alone else tuple(map(self._plan_map, self._controllers))
 
     def _planned(self, controller: Controller, x: Array, u0: Array, U: Array, c: Array) -> tuple[Array, Array]:
-        """Return a controller's plan and corrections without limits and constraints, as deviations from hover.
-
-        Given are deviations from hover: state in tangent coordinates, inputs in force, announced inputs, corrections.
-        """
+        """Return a controller's plan and corrections without limits and constraints; all are deviations from hover."""
         steps, hover = self._settings.horizon, self._hover
         dx = self._T @ x
         known = np.concatenate([hover.x, hover.u])[: len(dx)]
         rate = self._model.A_c @ dx + self._model.B_c @ u0
         expansion = replace(self._model, f=rate, y=self._motion.y + self._motion.C @ dx[: self._system.n])
         law = controller.law(known + dx, np.tile(hover.x, (steps, 1)), c) if self._law is not None else None
-        regulation = controller.regulation
         if law is not None:
             law = replace(law, feedforward=np.zeros_like(law.feedforward))
-        end = regulation.cost_to_go(known + dx, hover.x)
+        end = controller.end(known + dx, hover.x)
         if end is not None:
             end = replace(end, slope=np.zeros_like(end.slope))
         n, U = self._system.n, hover.u + U
         linear = Linear(x0=known[:n] + dx[:n], u0=hover.u + u0, model=expansion, u_target=hover.u)
         prediction = controller.predict(linear, controller.discretise(linear), U, law)
-        qp = controller.condense(linear, prediction, U, np.tile(self._motion.y, (steps + 1, 1)), law, end)
+        qp = controller.condense(linear, prediction, np.tile(self._motion.y, (steps + 1, 1)), law, end)
         size = steps * len(controller.own)
-        z: Array = np.asarray(np.linalg.solve(qp.H[:size, :size], -qp.g[:size]), dtype=np.float64)
-        none = np.zeros(0)
-        solution = Solution(
-            status="solved", z=z, bound_multipliers=none, row_multipliers=none, iterations=0, solver="none",
-            residuals=Residuals(stationarity=0.0, primal=0.0, complementarity=0.0),
-        )  # fmt: skip
+        z = np.asarray(np.linalg.solve(qp.H[:size, :size], -qp.g[:size]), dtype=np.float64)
+        solution = replace(unsolved(size, 0, "none"), status="solved", z=z)
         result = controller.conclude(solution, prediction, U, law)
         return result.U - hover.u[controller.own], result.c
-
-    def _follows_law(self, controller: Controller) -> bool:
-        """Return whether a controller's plan is the shared control law, without corrections, from any state."""
-        steps, draw = self._settings.horizon, np.random.default_rng(1)
-        x, u0 = _PROBE * draw.standard_normal(len(self._A)), _PROBE * draw.standard_normal(self._m)
-        _, c = self._planned(controller, x, u0, np.zeros((steps, self._m)), np.zeros((steps, self._m)))
-        by_law = np.abs(self._law @ x).max() if self._law is not None else 0.0
-        return bool(len(c) and np.abs(c).max() <= _SAME * by_law)
 
     def _plan_map(self, controller: Controller) -> Array:
         """Return plan and corrections per state, input in force, announced inputs and announced corrections."""
@@ -196,15 +139,19 @@ class Loop:
         return np.array(columns).T
 
     def matrix(self, plant: Mismatch) -> Array:
-        """Return the step of the loop from one sampling instant to the next.
-
-        Raises: ParameterError: the actual bodies have no hover.
-        """
+        """Return the step from one sampling instant to the next. Raises: ParameterError: the bodies have no hover."""
         actual = hover(plant.system(self._system))
         motion = Model(plant.system(self._system)).linearise(actual.x, actual.u)
         T, period_s, m, r = self._T[: self._system.n, : self._r], self.period_s, self._m, self._r
         F, G = T.T @ motion.A_c @ T, plant.gain * (T.T @ motion.B_c)
-        by_state, by_command = self._inner_loop()
+        # Thrust and moments by state and by command, (57).
+        by_state, by_command = np.zeros((m, self._system.n)), np.eye(m)
+        if self._system.rate_gains is not None:
+            for i, uav in enumerate(self._system.uavs):
+                moments, gains = state.input_slice(i), uav.inertia * self._system.rate_gains
+                by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
+                by_command[moments, moments][1:, 1:] = gains
+        by_state = by_state @ T
         if plant.lag_s == 0.0:
             F, G = F + G @ by_state, G @ by_command
         else:
@@ -215,21 +162,10 @@ class Loop:
         late, part_s = divmod(plant.delay_s, period_s)
         return self._step_matrix(_held(F, G, part_s), _held(F, G, period_s - part_s), round(late))
 
-    def _inner_loop(self) -> tuple[Array, Array]:
-        """Return thrust and moments by state, in coordinates of the motion, and by command. Source: (57)."""
-        by_state, by_command = np.zeros((self._m, self._system.n)), np.eye(self._m)
-        if self._system.rate_gains is not None:
-            for i, uav in enumerate(self._system.uavs):
-                moments = np.arange(state.INPUTS * i + 1, state.INPUTS * (i + 1))
-                gains = uav.inertia * self._system.rate_gains
-                by_state[np.ix_(moments, np.arange(self._system.n)[state.uav_slice(i)][state.OMEGA])] = -gains
-                by_command[np.ix_(moments, moments)] = gains
-        return by_state @ self._T[: self._system.n, : self._r], by_command
-
     def _step_matrix(self, before: tuple[Array, Array], after: tuple[Array, Array], late: int) -> Array:
         """Return the step of the loop from the plant's steps before and after the arrival of a delayed command."""
         m, ahead, age = self._m, int(self._next_tick), self._age
-        maps, law = self._plans or (), self._law if self._law is not None else np.zeros(0)
+        maps, law = self._plans, self._law if self._law is not None else np.zeros(0)
         plans = [len(found) for found in maps]
         kept = ahead + max(age, late + 1)
         guessed = [len(self._lost)] * len(self._controllers)
@@ -237,14 +173,10 @@ class Loop:
         blocks = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
         motion, known_inputs, past = blocks[0], blocks[1], blocks[2 : 2 + age]
         rest = 2 + age + kept
-        commands, announced, guesses = (
-            blocks[2 + age : rest],
-            blocks[rest : rest + len(plans)],
-            blocks[rest + len(plans) :],
-        )
+        commands, guesses = blocks[2 + age : rest], blocks[rest + len(plans) :]
         now = np.vstack([motion[: self._r], known_inputs])
         issued, planned = np.empty((m, now.shape[1])), []
-        shared = self._aligned(announced) if maps else None
+        shared = self._aligned(blocks[rest : rest + len(plans)]) if maps else None
         issued[self._gone[:, 0]] = self._fail_safe[self._gone[:, 0]] @ now
         for agent, controller in enumerate(self._controllers):
             x, guesses[agent] = self._estimate(agent, [now, *past], commands, guesses[agent])
@@ -264,10 +196,9 @@ class Loop:
     def _estimate(
         self, agent: int, known: Sequence[Array], commands: Sequence[Array], guess: Array
     ) -> tuple[Array, Array]:
-        """Return an agent's estimate of the state that its plan begins with, and that of the UAVs without agents later.
+        """Return an agent's estimate of the state of its plan, and what it assumes of UAVs without agents.
 
-        Given are the states of now and before, and the commands of before, newest first, and what the agent assumes of
-        the UAVs without agents at the oldest of these instants; it is returned for the instant after that.
+        Given are states, of now and before, and commands, newest first, and that assumption one instant earlier.
         """
         own, age, ahead = self._controllers[agent].own, self._age, int(self._next_tick)
         x, offset = known[age].copy(), np.zeros(0)
@@ -334,10 +265,7 @@ class Margin:
 
 
 def margins(loop: Loop) -> dict[str, Margin]:
-    """Return the margin of a loop to each property of `Mismatch`, the others as the controllers know them.
-
-    A loop that is unstable with the plant as known has no margins.
-    """
+    """Return the margin to each property of `Mismatch`, the others as known; none if the loop is unstable as known."""
     nominal = Mismatch(lag_s=loop.known_lag_s)
     if loop.growth(nominal) > GROWTH:
         return {}

@@ -1,8 +1,4 @@
-"""Prediction over the horizon: the free response with held owned inputs, and the effect of each owned input.
-
-A prediction is affine in the decision v (one row per step) and time-invariant over the horizon, so the free response
-and one impulse response describe it fully.
-"""
+"""Prediction over the horizon, affine in the decision v and time-invariant: a free response and an impulse response."""
 
 from dataclasses import dataclass
 
@@ -18,23 +14,14 @@ from mpc.feedback import FeedbackLaw
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linear:
-    """Linearisation of one step and its steady-state input.
+    """Linearisation of one step and its steady-state input."""
 
-    Attributes:
-        x0: State of the linearisation, (n,).
-        u0: Input from which the inputs deviate, (m,).
-        model: f, A_c, B_c, y, C.
-        u_target: Input without cost, (m,).
-        actual: With motor lag the actual inputs, (m,).
-        forces: Estimated external forces, (3 + 3 N,).
-    """
-
-    x0: Array
-    u0: Array
+    x0: Array  # state of the linearisation, (n,)
+    u0: Array  # input from which the inputs deviate, (m,)
     model: Linearisation
-    u_target: Array
-    actual: Array | None = None
-    forces: Array | None = None
+    u_target: Array  # input without cost, (m,)
+    actual: Array | None = None  # with motor lag the actual inputs, (m,)
+    forces: Array | None = None  # estimated external forces, (3 + 3 N,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,65 +31,49 @@ class Prediction:
         dx(k) = dX_free(k) + sum_{j < k} A^(k-1-j) B v(j),    u_own(k) = U_free(k) + v(k)
 
     With motor lag the actual inputs are further states, and n counts them.
-
-    Attributes:
-        effect: A^j B, (n, N_p, m_own).
-        dX_free: State deviations from x0 with v = 0 at steps 0..N_p, (N_p + 1, n).
-        U_free: Owned inputs with v = 0, (N_p, m_own).
-        U_all: The inputs of all UAVs with v = 0, (N_p, m).
-        feedback: K effect, (m, N_p, m_own), with the gain of the shared control law; (0, N_p, m_own) without.
-        dU_free: K dX_free at steps 0..N_p-1, (N_p, m); (N_p, 0) without.
     """
 
-    effect: Array
-    dX_free: Array
-    U_free: Array
-    U_all: Array
-    feedback: Array
-    dU_free: Array
+    effect: Array  # A^j B, (n, N_p, m_own)
+    dX_free: Array  # state deviations from x0 with v = 0 at steps 0..N_p, (N_p + 1, n)
+    U_free: Array  # owned inputs with v = 0, (N_p, m_own)
+    U_all: Array  # the inputs of all UAVs with v = 0, (N_p, m)
+    feedback: Array  # K effect, (m, N_p, m_own), with the gain of the shared control law; (0, N_p, m_own) without
+    dU_free: Array  # K dX_free at steps 0..N_p-1, (N_p, m); (N_p, 0) without
 
 
-def open_loop(discrete: Discrete, u0: Array, own: Places, U: Array) -> Prediction:
-    """Predict with the owned inputs held at u0 and the others' inputs as announced, as in the paper.
+def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackLaw | None = None) -> Prediction:
+    """Predict with the owned inputs held at u0 and the others' as announced, as in the paper, or by a shared law.
 
-    Args:
-        discrete: Zero-order hold about (x0, u0).
-        u0: Input of the linearisation, (m,).
-        own: Positions of the owned inputs in u, (m_own,).
-        U: Announced inputs of all UAVs over the horizon, (N_p, m); owned columns are not read.
-    Returns: Prediction whose decision is the deviation of the owned inputs from u0.
-    Source: docs/equations.md (22)-(24); paper (22)-(24), with B_i in (23) and delta X in (24).
+    By the law u = u_rest + K (x - x_ref) + c. That prediction includes the others' feedback, so an agent does not
+    correct an error that they already correct.
+
+    Given are the zero-order hold about (x0, u0), the positions of the owned inputs in u, (m_own,), and all announced
+    inputs, (N_p, m), or the law over the horizon with the announced corrections, which replaces them. The decision is
+    the deviation of the owned inputs from u0. Source: equations.md (22)-(24), (35)-(36); paper (15)-(16), (22)-(24).
     """
-    effect, dX, feedback, dU = respond(discrete, own, None, U - u0)
-    U_all, U_free = U.copy(), np.repeat(u0[own][None], len(U), axis=0)
-    U_all[:, own] = U_free
-    return Prediction(effect=effect, dX_free=dX, U_free=U_free, U_all=U_all, feedback=feedback, dU_free=dU)
-
-
-def closed_loop(discrete: Discrete, u0: Array, own: Places, law: FeedbackLaw) -> Prediction:
-    """Predict with the owned inputs held at u0 and the others' inputs by the shared control law.
-
-    Input of UAV j: u_rest + K_j (x - x_ref) + c_j.
-
-    The prediction includes the others' feedback, so an agent does not correct an error that they already correct.
-
-    The control law covers the horizon and has the announced corrections; the rest as in `open_loop`.
-    Source: docs/equations.md (35)-(36).
-    """
-    at_x0 = law.uncorrected + law.c
-    effect, dX, feedback, dU = respond(discrete, own, law.K, at_x0 - u0)
-    U_all, U_free = at_x0 + dU, np.repeat(u0[own][None], len(dU), axis=0)
-    U_all[:, own] = U_free
+    at_x0 = U if law is None else law.uncorrected + law.c
+    (n, _), steps, B_others = discrete.B.shape, len(at_x0), discrete.B.copy()
+    B_others[:, own] = 0.0
+    A = discrete.A if law is None else fed_back(discrete, own, law.K)
+    dX = free_response(A, discrete.f_d + (at_x0 - u0) @ B_others.T)
+    effect = np.empty((n, steps, len(own)))
+    effect[:, 0] = discrete.B[:, own]
+    for j in range(1, steps):
+        effect[:, j] = A @ effect[:, j - 1]
+    feedback, dU, U_all = np.zeros((0, steps, len(own))), np.zeros((steps, 0)), at_x0.copy()
+    if law is not None:
+        feedback, dU = np.tensordot(law.K, effect, 1), dX[:-1] @ law.K.T
+        U_all += dU
+    U_all[:, own] = U_free = np.repeat(u0[own][None], steps, axis=0)
     return Prediction(effect=effect, dX_free=dX, U_free=U_free, U_all=U_all, feedback=feedback, dU_free=dU)
 
 
 def follow(
     prediction: Prediction, A: Array, B: Array, u0: Array, own: Places, law: FeedbackLaw, Z: Array, U: Array
 ) -> None:
-    """Change the free response of a `closed_loop` prediction so that it is exact along a trajectory.
+    """Change the free response of a prediction by a law so that it is exact along states Z, (N_p + 1, n): (35a).
 
-    The owned ones of the inputs U, (N_p, m), which follow the shared control law, then lead to the states Z,
-    (N_p + 1, n). A includes the others' feedback (`fed_back`). Source: docs/equations.md (35a).
+    The owned ones of the inputs U, (N_p, m), lead there. A includes the others' feedback (`fed_back`).
     """
     V = U[:, own] - u0[own]
     response = native.free_response if native.AVAILABLE else free_response
@@ -120,31 +91,8 @@ def fed_back(discrete: Discrete, own: Places, K: Array) -> Array:
     return discrete.A + B_others @ K
 
 
-def respond(discrete: Discrete, own: Places, K: Array | None, drive: Array) -> tuple[Array, Array, Array, Array]:
-    """Return effect, dX_free, feedback and dU_free of a prediction.
-
-    The others' inputs deviate from u0 by K dx, (m, n), and a drive, (N_p, m), whose owned columns are not read.
-
-    Source: docs/equations.md (23)-(24), (36); paper (15)-(16).
-    """
-    (n, _), steps, B_others = discrete.B.shape, len(drive), discrete.B.copy()
-    B_others[:, own] = 0.0
-    A = discrete.A if K is None else fed_back(discrete, own, K)
-    dX = free_response(A, discrete.f_d + drive @ B_others.T)
-    effect = np.empty((n, steps, len(own)))
-    effect[:, 0] = discrete.B[:, own]
-    for j in range(1, steps):
-        effect[:, j] = A @ effect[:, j - 1]
-    if K is None:
-        return effect, dX, np.zeros((0, steps, len(own))), np.zeros((steps, 0))
-    return effect, dX, np.tensordot(K, effect, 1), dX[:-1] @ K.T
-
-
 def convolve(effect: Array, v: Array) -> Array:
-    """Return the deviations of signals caused by decisions v, (N_p, m): sum_{j < k} effect(k-1-j) v(j), (N_p, signals).
-
-    Given is the effect on the signals, (signals, N_p, m). Source: docs/equations.md (24).
-    """
+    """Return deviations of signals by decisions v: sum_{j < k} effect(k-1-j) v(j), (N_p, signals). Source: (24)."""
     found = np.zeros((len(v), len(effect)))
     for k in range(1, len(v)):
         found[k] = np.einsum("sjm,jm->s", effect[:, :k], v[:k][::-1])
@@ -152,10 +100,7 @@ def convolve(effect: Array, v: Array) -> Array:
 
 
 def free_response(A: Array, W: Array) -> Array:
-    """Return the response from zero to a drive W, (N_p, n): dx(0) = 0, dx(k+1) = A dx(k) + W(k), (N_p + 1, n).
-
-    Source: docs/equations.md (23); paper (15), (23).
-    """
+    """Return dx(0) = 0, dx(k+1) = A dx(k) + W(k), (N_p + 1, n), to a drive W, (N_p, n): (23); paper (15), (23)."""
     dX = np.zeros((len(W) + 1, A.shape[0]))
     for k, w in enumerate(W):
         np.dot(A, dX[k], out=dX[k + 1])
@@ -164,10 +109,9 @@ def free_response(A: Array, W: Array) -> Array:
 
 
 def stacked(effect: Array) -> Array:
-    """Return the prediction matrix of signals at steps 1..N_p, lower block-Toeplitz, (N_p s, N_p m).
+    """Return the prediction matrix of signals at steps 1..N_p, lower block-Toeplitz, (N_p s, N_p m): (25); paper (16).
 
     Given is the effect of one decision on them 1, 2, .. steps later, (s, N_p, m).
-    Source: docs/equations.md (25); paper (16).
     """
     s, steps, m = effect.shape
     matrix = np.zeros((steps, s, steps, m))

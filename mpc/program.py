@@ -1,8 +1,7 @@
 """The QP of one step: prediction, cost, bounds and constraint rows in terms of the scaled decision and the slacks.
 
-The prediction matrix is block-Toeplitz, so the Hessian's blocks along each diagonal, and likewise the gradient's, are
-partial sums of the same products: the compiled kernels do O(N_p^2) blocks of work instead of O(N_p^3) for the matrix
-products of paper (16). Without a C compiler the matrices are multiplied as they stand.
+The prediction matrix is block-Toeplitz, so the Hessian's blocks along each diagonal are partial sums of the same
+products: the compiled kernels do O(N_p^2) blocks of work instead of O(N_p^3). Without them the matrices are multiplied.
 """
 
 from collections.abc import Collection
@@ -17,7 +16,7 @@ from model.state import input_indices
 from mpc.cost import Cost, UserCosts
 from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear, Prediction, closed_loop, convolve, fed_back, follow, open_loop, stacked
+from mpc.prediction import Linear, Prediction, convolve, fed_back, follow, predict, stacked
 from mpc.qp import QP
 from mpc.regulation import CostToGo
 from mpc.rows import Rows
@@ -26,10 +25,7 @@ _NONE, _NO_GAIN = np.zeros(0, dtype=np.intp), np.zeros((0, 0))
 
 
 class Program:
-    """Prediction and QP of one controller.
-
-    With compiled kernels the arrays of both stay in place: they are valid until the next prediction.
-    """
+    """Prediction and QP of one controller; with compiled kernels their arrays hold until the next prediction."""
 
     def __init__(self, decision: Decision, cost: Cost, user_costs: UserCosts) -> None:
         self.decision, self._user_costs, self._rows = decision, user_costs, Rows(decision)
@@ -38,7 +34,7 @@ class Program:
         # Outputs without a weight stay out of the program.
         self._weighted = np.flatnonzero(cost.Q)
         self._effort = cost.R[decision.own] * decision.scale
-        self._no_terms = np.zeros((0, self._n)), np.zeros(0)
+        self._no_terms = np.zeros(0), np.zeros((0, self._n))
         # The newest prediction by the kernels, and its control law.
         self._predicted: Prediction | None = None
         self._law: FeedbackLaw | None = None
@@ -60,10 +56,7 @@ class Program:
         self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None,
         along: tuple[Array, Array] | None = None,
     ) -> Prediction:  # fmt: skip
-        """Predict the team over the horizon; exactly along a trajectory of the law, states and inputs, if it is given.
-
-        Other arguments are those of `Controller.step`.
-        """
+        """Predict the team, as in `Controller.step`; exactly along states and inputs of the law, if they are given."""
         own, u0, is_new = self.decision.own, linear.u0, True
         if native.AVAILABLE:
             at, kept, problem = native.at, self._kept, self._problem
@@ -72,11 +65,11 @@ class Program:
             problem.uncorrected, problem.announced = (0, at(U)) if law is None else (at(law.uncorrected), at(law.c))
             is_new = not self._renewed.isdisjoint(("A", "B", "K"))
             if along is None or is_new:
-                native.respond(problem)
+                native.run("respond", problem)
             found = self._predicted = self._open if law is None else self._closed
             self._law = law
         else:
-            found = open_loop(discrete, u0, own, U) if law is None else closed_loop(discrete, u0, own, law)
+            found = predict(discrete, u0, own, U, law)
         if law is None or along is None:
             self._fed_back = None
         else:
@@ -88,17 +81,17 @@ class Program:
     def condense(
         self, linear: Linear, prediction: Prediction, y_ref: Array, law: FeedbackLaw | None, end: CostToGo | None
     ) -> QP:
-        """Return the QP of a prediction. Arguments as those of `Controller.step`.
+        """Return the QP of a prediction: equations.md (26)-(30), (36e), (48); paper (25)-(27).
 
-        With a cost-to-go, the inputs of the other agents' UAVs, which respond to the state, have the weight they have
-        in the shared regulator's cost. Source: docs/equations.md (26)-(30), (36e), (48); paper (25)-(27).
+        With a cost-to-go, the inputs of the other agents' UAVs, which respond to the state, have their weight in it.
         """
         terminal, responding, Q = self.decision.settings.weights.terminal, _NONE, self._Q
         if end is not None:
             terminal = 0.0  # the stage cost of the last state is part of the cost-to-go
             if law is not None:
                 responding, Q = self._responding, self._Q_with_others
-        slope, at_x0 = self._terms(linear.x0) if len(self._user_costs) else self._no_terms
+        at_x0, slope = self._user_costs.at(linear.x0) if len(self._user_costs) else self._no_terms
+        slope = np.ascontiguousarray(padded(slope, self._n))
         if prediction is not self._predicted:
             return self._plain(linear, prediction, y_ref, slope, at_x0, end, terminal, responding, Q)
         at, kept, problem, model = native.at, self._kept, self._problem, linear.model
@@ -115,7 +108,7 @@ class Program:
         problem.model_outputs, problem.y, problem.y_ref = len(model.y), at(model.y), at(y_ref)
         # Without a law the matrices are of the tick's own state: kept ones only meet again within its iterations.
         problem.u_target, problem.known = at(linear.u_target), not self._renewed and law is not None
-        native.fill(problem)
+        native.run("fill", problem)
         self._renewed.clear()
         qp = self._qp
         self._rows.fill_user(linear, prediction, qp.A, qp.row_lower, qp.row_upper)
@@ -130,10 +123,7 @@ class Program:
         return known[1]
 
     def relaxed(self, prediction: Prediction, law: FeedbackLaw, z: Array, w: float) -> tuple[Array, Array]:
-        """Return inputs and corrections of a plan with a shared control law, (N_p, m_own) each.
-
-        Given are the scaled decision, (N_p m_own,), and the weight of the new corrections, 0 without a solution.
-        """
+        """Return inputs and corrections by the scaled decision and the weight of new corrections, 0 if unsolved."""
         if prediction is self._predicted and law is self._law:
             return native.conclude(self._problem, z, w)
         own, decision, U_free = self.decision.own, self.decision, prediction.U_free
@@ -150,11 +140,6 @@ class Program:
             answer = convolve(prediction.feedback[own, : k + 1], (U - U_free)[: k + 1])[-1]
             U[k] = before = decision.clip(np.clip(wanted[k] + answer, before - decision.rate, before + decision.rate))
         return U, c
-
-    def _terms(self, x0: Array) -> tuple[Array, Array]:
-        """Return slopes, (t, n), and values of the user's terms at a state."""
-        terms = self._user_costs.at(x0)
-        return np.ascontiguousarray(padded(terms.slope, self._n)), terms.value
 
     def _plain(
         self, linear: Linear, prediction: Prediction, y_ref: Array, slope: Array, at_x0: Array, end: CostToGo | None,

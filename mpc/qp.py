@@ -22,22 +22,14 @@ RESIDUAL_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class QP:
-    """The data of one program; equalities are rows with equal bounds, missing bounds are infinite.
+    """The data of one program; equalities are rows with equal bounds, missing bounds are infinite."""
 
-    Attributes:
-        H: Positive definite, (n, n).
-        g: (n,).
-        lower, upper: Bounds on z, (n,).
-        A: Rows, (r, n).
-        row_lower, row_upper: Bounds on A z, (r,).
-    """
-
-    H: Array
-    g: Array
-    lower: Array
+    H: Array  # positive definite, (n, n)
+    g: Array  # (n,)
+    lower: Array  # bounds on z, (n,)
     upper: Array
-    A: Array
-    row_lower: Array
+    A: Array  # rows, (r, n)
+    row_lower: Array  # bounds on A z, (r,)
     row_upper: Array
 
     @cached_property
@@ -58,17 +50,11 @@ class QP:
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """The violations of the optimality conditions, relative to the data.
+    """The violations of the optimality conditions, relative to the data."""
 
-    Attributes:
-        stationarity: |H z + g + multipliers| relative to 1 + |g|.
-        primal: Largest violation of a bound or row, relative to 1 + |z|.
-        complementarity: Largest multiplier times distance to its bound, relative to 1 + |objective|.
-    """
-
-    stationarity: float
-    primal: float
-    complementarity: float
+    stationarity: float  # |H z + g + multipliers| relative to 1 + |g|
+    primal: float  # largest violation of a bound or row, relative to 1 + |z|
+    complementarity: float  # largest multiplier times distance to its bound, relative to 1 + |objective|
 
     @property
     def worst(self) -> float:
@@ -79,27 +65,16 @@ class Residuals:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """The result of a solver, also of one that failed.
+    """The result of a solver, also of one that failed."""
 
-    Attributes:
-        status: "solved" only if the residuals pass.
-        z: (n,), meaningless unless solved.
-        bound_multipliers: (n,), positive when the upper bound pushes.
-        row_multipliers: (r,), positive when the upper bound pushes.
-        residuals: Optimality conditions at z.
-        iterations: The solver's own count.
-        solver: Name of the solver.
-        fallback: The chosen solver failed, and this one solved or tried.
-    """
-
-    status: Status
-    z: Array
-    bound_multipliers: Array
-    row_multipliers: Array
-    residuals: Residuals
-    iterations: int
+    status: Status  # "solved" only if the residuals pass
+    z: Array  # (n,), meaningless unless solved
+    bound_multipliers: Array  # (n,), positive when the upper bound pushes
+    row_multipliers: Array  # (r,), positive when the upper bound pushes
+    residuals: Residuals  # optimality conditions at z
+    iterations: int  # the solver's own count
     solver: str
-    fallback: bool = False
+    fallback: bool = False  # the chosen solver failed, and this one solved or tried
 
 
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:

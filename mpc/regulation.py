@@ -17,20 +17,10 @@ from model.hover import Hover
 from model.linearisation import Model
 from model.parameters import ParameterError
 from model.state import input_slice
+from mpc import feedback
 from mpc.cost import Cost, UserCosts
 from mpc.fail_safe import FailSafe
-from mpc.feedback import (
-    Expansion,
-    FeedbackError,
-    FeedbackLaw,
-    Preview,
-    Regulator,
-    Target,
-    at_rest,
-    preview,
-    regulator,
-    target,
-)
+from mpc.feedback import FeedbackError, FeedbackLaw, Preview, Regulator, Target, at_rest
 from mpc.settings import ControllerSettings
 from mpc.tracking import Recursion, Tracker
 
@@ -39,80 +29,56 @@ T = TypeVar("T")
 # Instants before a change of the reference for which its law is kept: more than estimators look back.
 KEPT = 128
 _NO_CORRECTIONS = np.zeros((1, 0))
-# Regulators and previews by model and team: computed once for all controllers of a process. Keys have the identities of
-# what else they follow from, which is kept beside the result; the oldest are forgotten.
+# Regulators and previews by model, team and identities of what else they follow from, kept beside them: computed once
+# for all controllers of a process; the oldest are forgotten.
 _MOST_FOUND = 64
 _FOUND: WeakKeyDictionary[Model, dict[tuple[Any, ...], tuple[Any, tuple[object, ...]]]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CostToGo:
-    """The cost after the horizon as a function of the last state: |root (error + dx)|^2 + 2 slope' dx + constant.
+    """The cost after the horizon as a function of the last state: |root (error + dx)|^2 + 2 slope' dx + constant."""
 
-    Attributes:
-        root: Square root of the Riccati solution, (rank, n).
-        error: x0 - x_ref at step N_p, x_ref shifted by external forces, (n,).
-        slope: Effect of reference and forces, (n,).
-    """
-
-    root: Array
-    error: Array
-    slope: Array
+    root: Array  # square root of the Riccati solution, (rank, n)
+    error: Array  # x0 - x_ref at step N_p, x_ref shifted by external forces, (n,)
+    slope: Array  # effect of reference and forces, (n,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ahead:
-    """Reference from an instant on, until it is at rest: another than before.
+    """Reference from an instant on, until it is at rest: another than before."""
 
-    Attributes:
-        first: The instant.
-        X_ref: Reference states from then on, (L, n); the last one is held.
-        track: With a flat reference, that at the same instants.
-    """
-
-    first: int
-    X_ref: Array
-    track: Track | None
+    first: int  # the instant
+    X_ref: Array  # reference states from then on, (L, n); the last one is held
+    track: Track | None  # with a flat reference, that at the same instants
 
 
 class Regulation:
-    """The shared control law and cost-to-go of one maneuver.
+    """The shared control law and cost-to-go of one maneuver, for the UAVs that have agents.
 
-    Args:
-        model: The system as the controller knows it.
-        X_ref: Reference states at instants 0..K-1, (K, n), for the preview; the last one is held.
-        track: A flat reference at these instants, which the control law follows instead.
+    The reference, X_ref, (K, n), for the preview, or a flat track, is that at instants 0..K-1; the last one is held.
+
     Raises: FeedbackError: the settings need a regulator and none stabilises the team.
-
-    Attributes:
-        hover, cost: Equilibrium and cost of the remaining team.
-        user_costs: The user's terms of the cost.
-        regulator: None if the settings need none.
     """
 
     def __init__(
-        self,
-        model: Model,
-        hover: Hover,
-        settings: ControllerSettings,
-        X_ref: Array | None = None,
+        self, model: Model, hover: Hover, settings: ControllerSettings, X_ref: Array | None = None,
         track: Track | None = None,
-    ) -> None:
-        self._whole, self._whole_hover = model, hover
-        self._lag_s = settings.motor_lag_s
+    ) -> None:  # fmt: skip
+        self._whole, self._whole_hover, self._settings = model, hover, settings
         terms = (*settings.cost, *settings.weights.terms(model.system.N))
-        self._settings, self.user_costs = settings, UserCosts(terms, model)
+        self.user_costs = UserCosts(terms, model)  # the user's terms of the cost
         followed = None if settings.fail_safe == "level" else hover.x[None] if X_ref is None else X_ref
-        self._fail_safe = FailSafe(model.system, hover.u, followed, track)
-        self._track = self._whole_track = track
-        previewed = settings.preview and track is None
-        self._X_ref, self._follows_from = X_ref if previewed else None, (hover, settings, X_ref, track)
+        self._whole_fail_safe = FailSafe(model.system, hover.u, followed, track)
+        self._whole_track = track
+        self._X_ref = X_ref if settings.preview and track is None else None
+        self._follows_from = (hover, settings, X_ref, track)
         # The newest change of the reference, and the preview before it.
         self._ahead: tuple[Ahead, ...] = ()
         self._preview_before: Preview | None = None
         self._value_on_reference()
         self._preview: Preview | None = None
-        self.regulator: Regulator | None = None
+        self.regulator: Regulator | None = None  # None if the settings need none
         self._tracker: Tracker | None = None
         self._recursion: Recursion | None = None  # that makes the next one
         self._target: Target | None = None
@@ -123,7 +89,8 @@ class Regulation:
     def target(self) -> Target:
         """Steady state under external forces; computed at the first use."""
         if self._target is None:
-            self._target = target(self._model, self.hover, self.cost, self._uncontrolled, self._off, self._released)
+            team = self._uncontrolled, self._off, self._released
+            self._target = feedback.target(self._model, self.hover, self.cost, *team)
         return self._target
 
     def form(
@@ -131,24 +98,19 @@ class Regulation:
     ) -> None:
         """Set the UAVs, 0-based, without an agent, without motors, and of these those released from their rods.
 
-        The shared control law depends on nothing else, so it is the same in all agents. UAVs without an agent follow
-        the fail-safe. Along a reference, the law for a team not met before takes the work of several instants: if the
-        present instant is given, `advance` completes it.
+        The shared control law depends on nothing else: it is the same in all agents. Along a reference, that of a new
+        team takes the work of several instants: if the present one is given, `advance` completes it.
         If the remaining UAVs have no hover or cannot stabilise the team, the regulator ignores the lost agents, else
-        the failures, else both. Source: docs/equations.md (40), (45), (50), (51).
+        the failures, else both. Source: equations.md (40), (45), (50), (51).
         """
-        none: frozenset[int] = frozenset()
-        gone, off, released = frozenset(gone), frozenset(off), frozenset(released)
+        gone, off, released, none = frozenset(gone), frozenset(off), frozenset(released), frozenset[int]()
         for team in ((gone, off, released), (none, off, released), (gone, none, none)):
             with contextlib.suppress(FeedbackError, ParameterError):
                 return self._form(*team, since)
         return self._form(none, none, none, since)
 
     def advance(self, instant: int) -> bool:
-        """Work on the law of a new team at an instant; return whether that law holds from this instant on.
-
-        This is the same instant for all agents.
-        """
+        """Work on the law of a new team at an instant; return whether it holds from this instant on, in all agents."""
         if self._recursion is None:
             return False
         if instant < self._recursion.ready:
@@ -158,12 +120,9 @@ class Regulation:
         return True
 
     def head(self, X_ref: Array, ahead: Ahead) -> bool:
-        """Follow another reference from the present instant on; the control law before it stays as it was.
+        """Follow another reference from the present instant on; the law before it stays as it was.
 
-        Args:
-            X_ref: Reference states at all instants, (K, n), for UAVs without an agent.
-            ahead: The new part.
-        Returns: Whether the law of a new team, on which `advance` works, holds from this instant on.
+        Given are all reference states, (K, n), for UAVs without an agent, and the new part. Returns: as `advance`.
         """
         completed = self._recursion is not None and self.advance(self._recursion.ready)
         self._ahead, self._preview_before = (ahead,), self._preview
@@ -171,11 +130,13 @@ class Regulation:
         self._value_on_reference()
         if self._whole_track is not None and ahead.track is not None:
             self._whole_track = continued(self._whole_track, ahead.track, KEPT)
-        self._fail_safe = self._fail_safe.following(X_ref, self._whole_track)
+        self._whole_fail_safe = self._whole_fail_safe.following(X_ref, self._whole_track)
         self._set_track()
         found = self.regulator
         if found is not None and ahead.track is not None and self._tracker is not None:
-            track = self._of_team(ahead.track)
+            track, gone = ahead.track, self._released
+            if gone:
+                track = flat.track(self._model.system, self.hover, track.paths, track.first, gone)
             new = self._shared("ahead", lambda: self._recursion_along(track, found, None, ahead.first).result())
             self._tracker = continued(self._tracker, new, KEPT)
         if found is not None:
@@ -201,28 +162,17 @@ class Regulation:
 
     def _set_track(self) -> None:
         """Set reference and fail-safe of the team as it is."""
-        self._track, self.fail_safe = self._whole_track, self._fail_safe
+        self._track, self.fail_safe = self._whole_track, self._whole_fail_safe
         if self._off:
-            off, released, whole = self._off, self._released, self._fail_safe
+            off, released, whole = self._off, self._released, self._whole_fail_safe
             self.fail_safe = self._shared("fail-safe", lambda: whole.of_team(off, released))
             self._track = self.fail_safe.track
 
-    def _of_team(self, whole: Track) -> Track:
-        """Return a reference for the team without the released UAVs."""
-        if not self._released:
-            return whole
-        return flat.track(self._model.system, self.hover, whole.paths, whole.first, self._released)
-
     def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
-        """Return the shared control law over the horizon; None with open-loop prediction.
+        """Return the shared control law over the horizon; None with open-loop prediction: equations.md (35), (40).
 
-        Args:
-            x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
-            x_ref: Reference states at steps 0..N_p-1, (N_p, n).
-            c: Announced corrections of all UAVs, (N_p, m).
-            forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
-            start: Instant of the first step.
-        Source: docs/equations.md (35), (40).
+        Given are the state at its first step, (n,), with motor lag [x, actual inputs], (n + m,), reference states,
+        (N_p, n), announced corrections, (N_p, m), estimated forces (`Model`), and the instant of the first step.
         """
         if self.regulator is None or self._settings.prediction != "closed_loop":
             return None
@@ -246,16 +196,8 @@ class Regulation:
             X_forces, U_forces = track.by_forces(where)
             u_rest = u_rest + U_forces[..., : len(forces)] @ forces
             error = error - X_forces[..., : len(forces)] @ forces
-        return FeedbackLaw(
-            K=np.array([at.K for at in gains]),
-            u_rest=u_rest,
-            error=error,
-            feedforward=np.array([at.feedforward for at in gains]),
-            c=c,
-            along=Expansion(
-                M=np.array([at.M for at in gains]), A_closed=[at.A_closed for at in gains], B=[at.B for at in gains]
-            ),
-        )
+        K, feedforward = (np.array([getattr(at, name) for at in gains]) for name in ("K", "feedforward"))
+        return FeedbackLaw(K=K, u_rest=u_rest, error=error, feedforward=feedforward, c=c, along=gains)
 
     @property
     def version(self) -> object:
@@ -268,27 +210,23 @@ class Regulation:
         return None if law is None else law.uncorrected[0]
 
     def gain(self, instant: int) -> Array:
-        """Return the derivative of `inputs` at an instant by the state, (m, n), with motor lag (m, n + m).
-
-        Raises: FeedbackError: there is no shared control law.
-        """
-        if self.regulator is None:
-            raise FeedbackError("expected a shared control law, got open-loop prediction")
+        """Return the derivative of `inputs` at an instant by the state, (m, n), with motor lag (m, n + m)."""
         if self._tracker is not None:
             return self._tracker.over(instant, 1)[0].K
+        if self.regulator is None:
+            raise FeedbackError("expected a shared control law, got open-loop prediction")
         return self.regulator.K
 
     def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
-        """Return the cost after the horizon; None if it is a multiple of the stage cost, or part of the law's weights.
+        """Return the cost after the horizon, (36d); None if a multiple of the stage cost, or part of the law's weights.
 
-        Reference state, (n,), and instant are those of step N_p; the rest as in `law`. Source: docs/equations.md (36d).
+        Reference state, (n,), and instant are those of step N_p; the rest as in `law`.
         """
         if self.regulator is None or self._settings.terminal != "riccati" or self._track is not None:
             return None
-        error = self._error(x0, x_ref)
-        slope = (
-            np.zeros_like(x0) if self._preview is None else self._preview.slope[_within(self._preview, instant, 1)][0]
-        )
+        error, slope = self._error(x0, x_ref), np.zeros_like(x0)
+        if self._preview is not None:
+            slope = self._preview.slope[_within(self._preview, instant, 1)][0]
         if forces is not None:
             forces = self._model.at_rest(forces)
             error = error - self._shift(forces)
@@ -312,16 +250,15 @@ class Regulation:
     def _shift(self, forces: Array) -> Array:
         """Return the deviation of the target from hover under forces, (n,); in it the actual inputs are the command."""
         shift: Array = self.target.M_x @ forces
-        return shift if self._lag_s == 0.0 else np.concatenate([shift, self.target.M_u @ forces])
+        return np.concatenate([shift, self.target.M_u @ forces]) if self._settings.motor_lag_s else shift
 
     def _regulate(self, since: int | None) -> None:
         further = self.user_costs.about(self.hover.x)
-        period_s = self._settings.sampling_period_s
         self.regulator = found = self._shared(
             "regulator",
-            lambda: regulator(
-                self._model, self.hover, self.cost, period_s, self._uncontrolled, further, self._off, self._released,
-                self._lag_s,
+            lambda: feedback.regulator(
+                self._model, self.hover, self.cost, self._settings.sampling_period_s, self._uncontrolled, further,
+                self._off, self._released, self._settings.motor_lag_s,
             ),
         )  # fmt: skip
         if self._track is not None:
@@ -347,7 +284,7 @@ class Regulation:
     def _value_on_reference(self) -> None:
         """Evaluate the user's terms on the reference, (K, terms): no team changes them."""
         known = () if self._X_ref is None else self._X_ref
-        self._on_reference = np.array([self.user_costs.at(x).value for x in known])
+        self._on_reference = np.array([self.user_costs.at(x)[0] for x in known])
 
     def _foresee(self, found: Regulator) -> None:
         """Compute the response to the reference from its newest change on; that before stays as it was."""
@@ -357,14 +294,14 @@ class Regulation:
             pull = (np.sqrt(self.user_costs.weights) * self._on_reference) @ padded(further, states)
             # The actual inputs of the reference are those of hover: their deviation from the last ones is zero.
             X_ref, first = padded(self._X_ref, states), self._ahead[0].first if self._ahead else 0
-            seen, before = self._shared("preview", lambda: preview(found, X_ref, pull, first)), self._preview_before
+            seen = self._shared("preview", lambda: feedback.preview(found, X_ref, pull, first))
+            before = self._preview_before
             self._preview = seen if before is None else continued(before, seen, KEPT)
 
     def _shared(self, what: str, compute: Callable[[], T]) -> T:
         """Return a result for this team, computed by the first controller of the reference that needs it.
 
-        Not for others, such as a check of the scenario: the number of BLAS threads, which decides the order of sums,
-        may differ.
+        Not for others: the number of BLAS threads, which decides the order of sums, may differ.
         """
         origin = self._follows_from if what == "regulator" else (*self._follows_from, *self._ahead)
         found, key = _FOUND.setdefault(self._whole, {}), (what, *map(id, origin), *self._team)
@@ -376,10 +313,7 @@ class Regulation:
         return result
 
     def _forced(self, regulator: Regulator) -> tuple[Array, Array]:
-        """Return feedforward (m, 3 + 3 N) and slope of the cost-to-go (n, 3 + 3 N) per newton.
-
-        They are nonzero where the target misses outputs. Source: docs/equations.md (40a).
-        """
+        """Return feedforward and slope of the cost-to-go per newton, where the target misses outputs: (40a)."""
         if self._by_forces is None:
             C = self._model.linearise(self.hover.x, self.hover.u).C
             missed = C.T @ (self.cost.Q[:, None] * (C @ self.target.M_x))

@@ -1,8 +1,7 @@
 """Settings of a controller: rates, horizon, weights, limits; and the base of all sections of a scenario.
 
-These classes are sections of a scenario file as well: each field has its key, type, range, default and meaning here
-alone. docs/keys.md, labels of figures, short names in Python and options of commands are made from them
-(`protocol.scenario.keys`).
+Each field has its key, type, range, default and meaning here alone: docs/keys.md, labels of figures, short names in
+Python and options of commands are made from them (`protocol.scenario.keys`).
 """
 
 from dataclasses import dataclass
@@ -28,27 +27,16 @@ class SettingsError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Key:
-    """Properties of a key beside type and range, in the annotation of its field.
+    """Properties of a key beside type and range, in the annotation of its field."""
 
-    Attributes:
-        unit: In SI; None where the ending of the name tells (`protocol.scenario.keys.UNITS`).
-        within: Smallest magnitude apart from zero, and largest; None: by the ending of the name.
-        label: Name on the axis of a figure; empty: the words of the key.
-        shown: Unit in figures, where it is not `unit`.
-        short: Name as a keyword argument in Python, if it has one.
-        type: Type and range in words, where a check in code decides.
-        option, words: Of a key of a link: option of `transport link set`, and a change in words, with a place for the
-            value, in percent before "%".
-    """
-
-    unit: str | None = None
-    within: tuple[float, float] | None = None
-    label: str = ""
-    shown: str = ""
-    short: str = ""
-    type: str = ""
-    option: str = ""
-    words: str = ""
+    unit: str | None = None  # in SI; None where the ending of the name tells (`protocol.scenario.keys.UNITS`)
+    within: tuple[float, float] | None = None  # smallest magnitude apart from zero, and largest; None: by the ending
+    label: str = ""  # name on the axis of a figure; empty: the words of the key
+    shown: str = ""  # unit in figures, where it is not `unit`
+    short: str = ""  # name as a keyword argument in Python, if it has one
+    type: str = ""  # type and range in words, where a check in code decides
+    option: str = ""  # of a key of a link: option of `transport link set`
+    words: str = ""  # of a key of a link: a change in words, with a place for the value, in percent before "%"
 
 
 class Section(BaseModel):
@@ -80,55 +68,43 @@ PositiveVector = Annotated[tuple[Positive, ...], BeforeValidator(_as_tuple), Aft
 NotNegativeVector = Annotated[tuple[NotNegative, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)]
 Range = Annotated[tuple[NotNegative, ...], BeforeValidator(_as_tuple), Len(2, 2), AfterValidator(_growing)]
 
-# Weights: the condition of the QP is about their ratio.
-_WEIGHTS = (1e-12, 1e8)
+
+def _weight(unit: str | None = None, label: str = "") -> Key:
+    """Return the properties of a weight or penalty: the condition of the QP is about their ratio."""
+    return Key(unit=unit, within=(1e-12, 1e8), label=label)
 
 
 class Weights(Section):
     """The diagonal weights of the cost (docs/equations.md (21))."""
 
-    position: Annotated[Positive, Key(unit="1/m²", within=_WEIGHTS, label="weight on UAV position")] = 1.0
+    position: Annotated[Positive, _weight("1/m²", "weight on UAV position")] = 1.0
     """weight on each coordinate of each UAV's position error"""
-    attitude: Annotated[Positive, Key(unit="1/rad²", within=_WEIGHTS, label="weight on payload attitude")] = 5.0
+    attitude: Annotated[Positive, _weight("1/rad²", "weight on payload attitude")] = 5.0
     """weight on payload roll, pitch, yaw"""
-    yaw_rate: Annotated[Positive, Key(unit="s²/rad²", within=_WEIGHTS, label="weight on yaw rate")] = 0.05
+    yaw_rate: Annotated[Positive, _weight("s²/rad²", "weight on yaw rate")] = 0.05
     """weight on each UAV's third body rate"""
-    payload_position: Annotated[NotNegative, Key(unit="1/m²", within=_WEIGHTS, label="weight on payload position")] = (
-        0.0
-    )
+    payload_position: Annotated[NotNegative, _weight("1/m²", "weight on payload position")] = 0.0
     """weight on each coordinate of the payload's position error"""
-    payload_velocity: Annotated[NotNegative, Key(unit="s²/m²", within=_WEIGHTS, label="weight on payload velocity")] = (
-        0.0
-    )
+    payload_velocity: Annotated[NotNegative, _weight("s²/m²", "weight on payload velocity")] = 0.0
     """weight on each coordinate of the payload's velocity error"""
-    terminal: Annotated[NotNegative, Key(within=_WEIGHTS, label="terminal weight")] = 5.0
+    terminal: Annotated[NotNegative, _weight(label="terminal weight")] = 5.0
     """Q_f as a multiple of Q; no effect with `controller.terminal=riccati`"""
-    thrust: Annotated[Positive, Key(unit="1/N²", within=_WEIGHTS, label="weight on thrust")] = 1e-3
+    thrust: Annotated[Positive, _weight("1/N²", "weight on thrust")] = 1e-3
     """weight on each thrust"""
-    moments: Annotated[PositiveVector, Key(unit="1/(N m)²", within=_WEIGHTS, label="weight on moments")] = (
-        1e-2,
-        1e-2,
-        1e-2,
-    )
+    moments: Annotated[PositiveVector, _weight("1/(N m)²", "weight on moments")] = (1e-2, 1e-2, 1e-2)
     """weight on each moment, per body axis"""
-    rates: Annotated[PositiveVector, Key(unit="s²/rad²", within=_WEIGHTS, label="weight on commanded body rates")] = (
-        0.1,
-        0.1,
-        0.1,
-    )
+    rates: Annotated[PositiveVector, _weight("s²/rad²", "weight on commanded body rates")] = (0.1, 0.1, 0.1)
     """weight on each commanded body rate, per body axis; only with `controller.inputs=rates`, in place of `moments` and
     `angular_acceleration`, for vehicles of any size"""
-    acceleration: Annotated[
-        Positive | None, Key(unit="s⁴/m²", within=_WEIGHTS, label="weight on acceleration by thrust")
-    ] = None
+    acceleration: Annotated[Positive | None, _weight("s⁴/m²", "weight on acceleration by thrust")] = None
     """weight on each thrust over the mass that the UAV lifts, its own and an equal share of the payload's; replaces
     `thrust`, so that one value serves vehicles of any size"""
     angular_acceleration: Annotated[
-        Positive | None, Key(unit="s⁴/rad²", within=_WEIGHTS, label="weight on angular acceleration by moments")
+        Positive | None, _weight("s⁴/rad²", "weight on angular acceleration by moments")
     ] = None
     """weight on each moment over the UAV's inertia about that axis; replaces `moments`, so that one value serves
     vehicles of any size"""
-    tilt_rate: Annotated[NotNegative, Key(unit="s²/rad²", within=_WEIGHTS, label="weight on tilt rate")] = 0.0
+    tilt_rate: Annotated[NotNegative, _weight("s²/rad²", "weight on tilt rate")] = 0.0
     """weight on each UAV's first and second body rate"""
     penalised_input: PenalisedInput = "deviation"
     """argument of R: the deviation of the input from hover, or the input itself (the paper)"""
@@ -174,22 +150,6 @@ class Limits(Section):
     rate_slopes_rads2: PositiveVector = (40.0, 40.0, 20.0)
     """largest change of each commanded body rate; only with `controller.inputs=rates`"""
 
-    def lower(self, uavs: int, inputs: InputsName = "moments") -> Array:
-        """Return the smallest inputs of that many UAVs, (4 uavs,)."""
-        return np.tile([self.thrust_N[0], *(-value for value in self._largest(inputs))], uavs)
-
-    def upper(self, uavs: int, inputs: InputsName = "moments") -> Array:
-        """Return the largest inputs of that many UAVs, (4 uavs,)."""
-        return np.tile([self.thrust_N[1], *self._largest(inputs)], uavs)
-
-    def step(self, uavs: int, period_s: float, inputs: InputsName = "moments") -> Array:
-        """Return the largest change of the inputs over one sampling period, (4 uavs,)."""
-        slopes = self.rate_slopes_rads2 if inputs == "rates" else self.moment_rates_Nm_s
-        return np.tile([self.thrust_rate_N_s, *slopes], uavs) * period_s
-
-    def _largest(self, inputs: InputsName) -> tuple[float, ...]:
-        return self.rates_rads if inputs == "rates" else self.moments_Nm
-
 
 class Separation(Section):
     """The smallest distance between the centres of any two UAVs, softened so that no state makes the QP infeasible."""
@@ -197,7 +157,7 @@ class Separation(Section):
     minimum_m: Annotated[Positive, Key(label="smallest allowed distance of UAVs")]
     """smallest distance between the centres of any two UAVs; at most the distance at hover"""
     # Above the constraint's multiplier the softened problem has the solution of the hard one if that exists.
-    penalty: Annotated[Positive, Key(unit="1/m", within=_WEIGHTS)] = 100.0
+    penalty: Annotated[Positive, _weight("1/m")] = 100.0
     """penalty on the largest violation over the horizon"""
 
 
@@ -209,7 +169,7 @@ class Tilt(Section):
 
     limit_deg: Annotated[float, Interval(gt=0.0, lt=90.0), Key(label="largest planned tilt")]
     """largest roll and pitch, either sign, that an agent plans for its own UAVs"""
-    penalty: Annotated[Positive, Key(unit="1/rad", within=_WEIGHTS)] = 10.0
+    penalty: Annotated[Positive, _weight("1/rad")] = 10.0
     """penalty on the largest violation over the horizon"""
 
 
@@ -221,21 +181,18 @@ class Tension(Section):
 
     minimum_N: Positive
     """smallest tension of the rods of its own UAVs that an agent plans; less than at hover"""
-    penalty: Annotated[Positive, Key(unit="1/N", within=_WEIGHTS)] = 10.0
+    penalty: Annotated[Positive, _weight("1/N")] = 10.0
     """penalty on the largest violation over the horizon"""
 
 
 class Constraint(Section):
-    """A constraint of the user as text over the model's variables (see `mpc.expressions`).
-
-    Every agent corrects the whole violation it predicts: use `relaxation` where the constraint becomes active.
-    """
+    """A constraint of the user as text over the variables of the model (see `mpc.expressions`)."""
 
     expression: str
     """such as `"r0[2] >= -12.0"`"""
     soft: bool = True
     """true: a state inequality may be violated at a penalty; equalities and input constraints are always hard"""
-    penalty: Annotated[Positive, Key(unit="1 over the unit of the expression", within=_WEIGHTS)] = 1000.0
+    penalty: Annotated[Positive, _weight("1 over the unit of the expression")] = 1000.0
     """penalty on the largest violation over the horizon"""
 
 
@@ -244,7 +201,7 @@ class CostTerm(Section):
 
     expression: str
     """term of the cost, such as `"v0[0]"`: of states alone, zero where the cost is zero"""
-    weight: Annotated[Positive, Key(unit="1 over the square of the expression's unit", within=_WEIGHTS)]
+    weight: Annotated[Positive, _weight("1 over the square of the expression's unit")]
     """weight of its square at each step of the horizon; at the last step `controller.weights.terminal` times as much,
     or the cost-to-go"""
 
@@ -285,11 +242,9 @@ class ControllerSettings(Section):
     inputs: InputsName = "moments"
     """what agents command beside the thrust: moments, or body rates that an inner loop on each UAV follows,
     [equations.md](equations.md#body-rates) (57)"""
-    rate_time_constant_s: Annotated[PositiveVector, Key(label="time constant of the inner loop", shown="ms")] = (
-        0.04,
-        0.04,
-        0.04,
-    )
+    rate_time_constant_s: Annotated[
+        PositiveVector, Key(label="time constant of the inner loop", shown="ms")
+    ] = (0.04, 0.04, 0.04)  # fmt: skip
     """time constant of the inner loop about each body axis, of controllers and plant; only with `inputs=rates`"""
     motor_lag_s: Annotated[NotNegative, Key(label="motor lag of the model", shown="ms")] = 0.0
     """time constant of the motors that the controller predicts with, [equations.md](equations.md#motors) (55); 0, or
@@ -302,14 +257,22 @@ class ControllerSettings(Section):
     constraint: Annotated[tuple[Constraint, ...], BeforeValidator(_as_tuple)] = ()
     cost: Annotated[tuple[CostTerm, ...], BeforeValidator(_as_tuple)] = ()
 
+    @property
+    def _turning(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Largest moments or rates, and their largest slopes, about each body axis."""
+        limits = self.limits
+        if self.inputs == "rates":
+            return limits.rates_rads, limits.rate_slopes_rads2
+        return limits.moments_Nm, limits.moment_rates_Nm_s
+
     def lower(self, uavs: int) -> Array:
         """Return the smallest inputs of that many UAVs, (4 uavs,)."""
-        return self.limits.lower(uavs, self.inputs)
+        return np.tile([self.limits.thrust_N[0], *(-largest for largest in self._turning[0])], uavs)
 
     def upper(self, uavs: int) -> Array:
         """Return the largest inputs of that many UAVs, (4 uavs,)."""
-        return self.limits.upper(uavs, self.inputs)
+        return np.tile([self.limits.thrust_N[1], *self._turning[0]], uavs)
 
     def step(self, uavs: int) -> Array:
         """Return the largest change of the inputs over one sampling period, (4 uavs,)."""
-        return self.limits.step(uavs, self.sampling_period_s, self.inputs)
+        return np.tile([self.limits.thrust_rate_N_s, *self._turning[1]], uavs) * self.sampling_period_s

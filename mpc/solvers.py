@@ -16,6 +16,7 @@ MOST_GUESSES = 8
 _ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
 _INFINITY = 1e30  # DAQP's own
 _NO_RESIDUALS = Residuals(np.inf, np.inf, np.inf)
+_DAQP: dict[int, Status] = {-1: "infeasible", -4: "limit"}
 _CLARABEL: dict[str, Status] = {
     "Solved": "solved", "PrimalInfeasible": "infeasible", "MaxIterations": "limit", "MaxTime": "limit"
 }  # fmt: skip
@@ -30,7 +31,7 @@ def solve(qp: QP, solver: SolverName) -> Solution:
         return unsolved(len(qp.g), len(qp.A), solver)
     if solver == "clarabel":
         return solve_clarabel(qp)
-    first = _by_daqp(qp)
+    first = solve_daqp(qp)
     return first if first.status == "solved" else replace(solve_clarabel(qp), fallback=True)
 
 
@@ -42,71 +43,26 @@ def unsolved(n: int, rows: int, solver: str) -> Solution:
     )  # fmt: skip
 
 
-def solve_daqp(qp: QP) -> Solution:
-    """Dual active-set method (Arnstrom, Bemporad, Axehill 2022), after `within_bounds`."""
-    return within_bounds(qp) or _by_daqp(qp)
-
-
 def within_bounds(qp: QP) -> Solution | None:
     """Return the solution of the QP with its bounds alone if it passes the residual check of the whole QP.
 
-    Most QPs of a run have no active row, and preparing the rows is most of a solver's work.
+    Most QPs have no active row, and preparing the rows is most of a solver's work. The kernel guesses active bounds,
+    solves, releases and adds bounds until the guess is consistent (primal-dual active-set method: Hintermueller, Ito,
+    Kunisch 2003). None without compiled kernels, and if the method cycles.
     """
-    if native.AVAILABLE:
-        guesses, z, multipliers, found = native.solve_within_bounds(qp.A.shape, qp.addresses, MOST_GUESSES)
-        if guesses <= 0 or (passed := Residuals(*found)).worst > RESIDUAL_TOLERANCE:
-            return None
-        return Solution(
-            status="solved", z=z, bound_multipliers=multipliers, row_multipliers=np.zeros(len(qp.A)),
-            residuals=passed, iterations=guesses, solver="active_set",
-        )  # fmt: skip
-    if (qp.row_lower == qp.row_upper).any() or not (np.isfinite(qp.g).all() and np.isfinite(qp.H).all()):
+    if not native.AVAILABLE:
         return None
-    z, multipliers, guesses = _active_set(qp.H, qp.g, qp.lower, qp.upper)
-    answer = _checked(qp, z, multipliers, np.zeros(len(qp.A)), "solved" if guesses else "limit", guesses, "active_set")
-    return answer if answer.status == "solved" else None
+    guesses, z, multipliers, found = native.solve_within_bounds(qp.A.shape, qp.addresses, MOST_GUESSES)
+    if guesses <= 0 or (passed := Residuals(*found)).worst > RESIDUAL_TOLERANCE:
+        return None
+    return Solution(
+        status="solved", z=z, bound_multipliers=multipliers, row_multipliers=np.zeros(len(qp.A)),
+        residuals=passed, iterations=guesses, solver="active_set",
+    )  # fmt: skip
 
 
-def _active_set(H: Array, g: Array, lower: Array, upper: Array) -> tuple[Array, Array, int]:
-    """Minimise 1/2 z' H z + g' z within bounds by a primal-dual active-set method (Hintermueller, Ito, Kunisch 2003).
-
-    Guess the active bounds; solve the remaining equations; release bounds whose multiplier has the wrong sign, add
-    violated ones; repeat until the guess is consistent. The method may cycle; it then reports failure.
-
-    Returns: Solution, (n,); multipliers, (n,), positive at upper bounds; number of guesses, 0 for a failure.
-    """
-    z, multipliers = np.zeros(len(g)), np.zeros(len(g))
-    # Start with the bounds at zero that the gradient pushes against, such as those of slacks.
-    held = np.where((lower >= 0.0) & (g > 0.0), -1, np.where((upper <= 0.0) & (g < 0.0), 1, 0))
-    for guess in range(1, MOST_GUESSES + 1):
-        free = held == 0
-        z[~free] = np.where(held < 0, lower, upper)[~free]
-        try:
-            U = np.linalg.cholesky(H[np.ix_(free, free)])
-        except np.linalg.LinAlgError:
-            break
-        z[free] = np.linalg.solve(U.T, np.linalg.solve(U, -g[free] - H[np.ix_(free, ~free)] @ z[~free]))
-        if not np.isfinite(z).all():
-            break
-        slope = H @ z + g
-        multipliers = np.where(free, 0.0, -slope)
-        stays = (lower == upper) | np.where(held < 0, slope >= 0.0, slope <= 0.0)
-        crossed = np.where(z < lower, -1, np.where(z > upper, 1, 0))
-        now = np.where(free, crossed, np.where(stays, held, 0))
-        if (now == held).all():
-            return z, multipliers, guess
-        held = now
-    return z, multipliers, 0
-
-
-def _by_daqp(qp: QP) -> Solution:
-    z, multipliers, status, iterations = _daqp(qp)
-    n = len(qp.g)
-    return _checked(qp, z, multipliers[:n], multipliers[n:], status, iterations, "daqp")
-
-
-def _daqp(qp: QP) -> tuple[Array, Array, Status, int]:
-    """Return DAQP's z, multipliers of bounds and rows, status, iterations."""
+def solve_daqp(qp: QP) -> Solution:
+    """Dual active-set method (Arnstrom, Bemporad, Axehill 2022)."""
     lower = np.maximum(np.concatenate([qp.lower, qp.row_lower]), -_INFINITY)
     upper = np.minimum(np.concatenate([qp.upper, qp.row_upper]), _INFINITY)
     sense = np.where(lower == upper, 5, 0).astype(np.int32)
@@ -114,8 +70,9 @@ def _daqp(qp: QP) -> tuple[Array, Array, Status, int]:
         np.ascontiguousarray(qp.H), qp.g, np.ascontiguousarray(qp.A), upper, lower, sense,
         iter_limit=_ITERATIONS, primal_tol=1e-9, dual_tol=1e-9,
     )  # fmt: skip
-    status: Status = "solved" if flag > 0 else "infeasible" if flag == -1 else "limit" if flag == -4 else "numerical"
-    return np.asarray(z), np.asarray(info["lam"], dtype=np.float64), status, int(info["iterations"])
+    status: Status = "solved" if flag > 0 else _DAQP.get(flag, "numerical")
+    bounds, rows = np.split(np.asarray(info["lam"], dtype=np.float64), [len(qp.g)])
+    return _checked(qp, np.asarray(z), bounds, rows, status, int(info["iterations"]), "daqp")
 
 
 def solve_clarabel(qp: QP) -> Solution:
@@ -140,27 +97,23 @@ def solve_clarabel(qp: QP) -> Solution:
     answer = clarabel.DefaultSolver(H, qp.g, sparse.csc_matrix(G), h, cones, settings).solve()
     status = _CLARABEL.get(str(answer.status).removeprefix("Almost"), "numerical")
     duals = np.split(np.asarray(answer.z), np.cumsum([len(part) for part in parts]))
-    bound_multipliers, row_multipliers = np.zeros(n), np.zeros(len(qp.A))
-    row_multipliers[equal] = duals[0]
-    bound_multipliers[bound_upper] += duals[1]
-    bound_multipliers[bound_lower] -= duals[2]
-    row_multipliers[has_upper] += duals[3]
-    row_multipliers[has_lower] -= duals[4]
-    return _checked(
-        qp, np.asarray(answer.x), bound_multipliers, row_multipliers, status, int(answer.iterations), "clarabel"
-    )
+    bounds, rows = np.zeros(n), np.zeros(len(qp.A))
+    rows[equal] = duals[0]
+    bounds[bound_upper] += duals[1]
+    bounds[bound_lower] -= duals[2]
+    rows[has_upper] += duals[3]
+    rows[has_lower] -= duals[4]
+    return _checked(qp, np.asarray(answer.x), bounds, rows, status, int(answer.iterations), "clarabel")
 
 
-def _checked(
-    qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array, status: Status, iterations: int, solver: str
-) -> Solution:
-    """Return the solution, with status "solved" only if the residuals pass."""
+def _checked(qp: QP, z: Array, bounds: Array, rows: Array, status: Status, iterations: int, solver: str) -> Solution:
+    """Return the solution with multipliers of bounds and rows, with status "solved" only if the residuals pass."""
     found = _NO_RESIDUALS
     if status == "solved":
-        found = residuals(qp, z, bound_multipliers, row_multipliers)
+        found = residuals(qp, z, bounds, rows)
         if found.worst > RESIDUAL_TOLERANCE:
             status = "numerical"
     return Solution(
-        status=status, z=z, bound_multipliers=bound_multipliers, row_multipliers=row_multipliers,
+        status=status, z=z, bound_multipliers=bounds, row_multipliers=rows,
         residuals=found, iterations=iterations, solver=solver,
     )  # fmt: skip

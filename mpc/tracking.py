@@ -3,15 +3,14 @@
 All agents compute the same gains once, by the Riccati recursion backwards from the regulator at hover. In deviations
 from the reference, with inputs u = u_ref + K(k) (x - x_ref) + feedforward + c, the team's cost is
 
-    constant + sum_k c(k)' M(k) c(k),    M(k) = R + B(k)' P(k+1) B(k),
+    constant + sum_k c(k)' M(k) c(k),    M(k) = R + B(k)' P(k+1) B(k).
 
-by completion of squares. So an agent's optimum without constraints follows from the others' corrections alone, and is
-zero where theirs are. Only where the trajectory under it violates a constraint is a QP solved, about that trajectory.
+So an agent's optimum without constraints follows from the others' corrections alone, and is zero where theirs are. Only
+where the trajectory under it violates a constraint is a QP solved, about that trajectory.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -21,53 +20,27 @@ from model.discretisation import zero_order_hold
 from model.flat import Track
 from model.linearisation import Model
 from model.obstacles import Obstacle
-from mpc.clearance import Clearance
 from mpc.cost import Cost, UserCosts
 from mpc.decision import Decision
-from mpc.feedback import Expansion, FeedbackLaw, Regulator
+from mpc.feedback import FeedbackLaw, Gains, Regulator
 from mpc.prediction import Linear
 from mpc.qp import QP
-from mpc.rows import Rows, separation_rows
+from mpc.rows import Clearance, Rows, separation_rows
 from mpc.settings import ControllerSettings
 
-# Gains computed in a sampling period while the team flies: 8 ms of processor time for four UAVs.
-INSTANTS = 16
+INSTANTS = 16  # gains computed in a sampling period while the team flies: 8 ms of processor time for four UAVs
 # Inputs on the reference at an instant, (4,), and feedback from the state, (4, n), of UAVs by their 0-based numbers.
 Uncontrolled = Mapping[int, tuple[Callable[[int], Array], Array]]
-# Integration steps per sampling period of the difference of reference and model.
-_STEPS = 2
-# A constraint counts as violated from this share of the range of inputs on, or of m or rad: rounding otherwise.
-_ROUNDING = 1e-9
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gains:
-    """The regulator at an instant of a reference.
-
-    Attributes:
-        K: Feedback gain, (m, n).
-        feedforward: Response to the difference between the reference and the model's step along it, (m,).
-        M, A_closed, B: Expansion about the reference, as in `Expansion`.
-    """
-
-    K: Array
-    feedforward: Array
-    M: Array
-    A_closed: Array
-    B: Array
+_STEPS = 2  # integration steps per sampling period of the difference of reference and model
+_ROUNDING = 1e-9  # from this share of the range of inputs on, or of m or rad, a constraint counts as violated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tracker:
-    """The regulator along a reference at instants 0..L-1 from `first` on; the last one, at rest, holds from then on.
+    """The regulator along a reference at instants 0..L-1 from `first` on; the last one, at rest, holds from then on."""
 
-    Attributes:
-        gains: At each instant; laws of several teams share them, as a copy would take as long as their computation.
-        first: Number of the first instant, that of the reference.
-    """
-
-    gains: Sequence[Gains]
-    first: int = 0
+    gains: Sequence[Gains]  # laws of several teams share them, as a copy would take as long as their computation
+    first: int = 0  # number of the first instant, that of the reference
 
     def over(self, start: int, steps: int) -> Sequence[Gains]:
         """Return the gains at some instants."""
@@ -79,23 +52,8 @@ class Recursion:
     """Linear-quadratic regulator along a reference in the making, some instants at a time, backwards from its end.
 
     States are deviations from the reference; the cost is blind to those off the manifold, as the expansion is. The
-    user's terms count as deviations from their values on the reference.
-
-    Args:
-        model: The system as the controller knows it.
-        track: The reference.
-        regulator: Of the team at hover.
-        cost: Q on the outputs, R on all inputs.
-        terms: The user's terms.
-        period_s: Sampling period, s.
-        uncontrolled: Inputs on the reference at an instant, (4,), and feedback from the state, (4, n), of each UAV
-            without an agent, by its 0-based number.
-        before: The regulator until then, of another team; None: this one holds from the start.
-        since: First instant of this team.
-    Source: docs/equations.md (70)-(72).
-
-    Attributes:
-        ready: Instant from which on the result holds; before, it is `meanwhile`.
+    user's terms count as deviations from their values on the reference. The regulator is that of the team at hover;
+    until the instant `since` that of another team, `before`, holds, or this one from the start. Source: (70)-(72).
     """
 
     def __init__(
@@ -105,22 +63,21 @@ class Recursion:
         self._model, self._track, self._regulator, self._cost, self._terms = model, track, regulator, cost, terms
         since -= track.first  # instants are rows from here on
         self._period_s, self._uncontrolled, self._since = period_s, uncontrolled or {}, since
-        moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
-        last = int(moving.max(initial=-1)) + 1
-        if before is not None:
-            last = len(before.gains) - 1
-        self._last = last
         self._found: list[Gains] = []  # from the end on
-        self._before = [] if before is None else before.gains
         self._P, self._p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(model.system.n)
-        self.ready = track.first + since
-        if before is not None:
-            self.ready += -(-max(last + 1 - since, 0) // INSTANTS)
+        self._before: Sequence[Gains] = []
+        self.ready = track.first + since  # instant from which on the result holds; before, it is `meanwhile`
+        if before is None:
+            moving = np.flatnonzero((track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1))
+            self._last = int(moving.max(initial=-1)) + 1
+        else:
+            self._before, self._last = before.gains, len(before.gains) - 1
+            self.ready += -(-max(self._last + 1 - since, 0) // INSTANTS)
 
     def meanwhile(self, off: Collection[int], horizon: int) -> Tracker:
-        """Return the regulator over horizons until this one is ready: the gains before, but not of UAVs that are off.
+        """Return the regulator until this one is ready: the gains before, but not of UAVs that are off, 0-based.
 
-        These, 0-based, and what they do count no more: a bob in the place of a released one swings freely.
+        What these do counts no more: a bob in the place of a released one swings freely.
         """
         gains = list(self._before)
         for k in range(self._since, min(self.ready - self._track.first + horizon, len(gains))):
@@ -177,24 +134,21 @@ class Recursion:
         A_closed = A - B @ gains[:, :-1]
         if k == self._last:
             K, feedforward = regulator.K, np.zeros(m)
+        else:
+            weighted = np.vstack([np.sqrt(cost.Q)[:, None] * at.C, padded(self._terms.about(x), n)]) @ across
+            P = weighted.T @ weighted + A.T @ P @ A - coupled.T @ gains[:, :-1]
+            self._P, self._p = (P + P.T) / 2.0, A_closed.T @ pushed
         frozen(K, feedforward, M, A_closed)
-        found = Gains(K=K, feedforward=feedforward, M=M, A_closed=A_closed, B=discrete.B)
-        if k == self._last:
-            return found
-        weighted = np.vstack([np.sqrt(cost.Q)[:, None] * at.C, padded(self._terms.about(x), n)]) @ across
-        P = weighted.T @ weighted + A.T @ P @ A - coupled.T @ gains[:, :-1]
-        self._P, self._p = (P + P.T) / 2.0, A_closed.T @ pushed
-        return found
+        return Gains(K=K, feedforward=feedforward, M=M, A_closed=A_closed, B=discrete.B)
 
 
 def _across(x: Array) -> Array:
     """Return the projection onto deviations with the rods' lengths kept, (n, n)."""
     projection = np.eye(len(x))
     for i, e in enumerate(state.StateView(x).e_P):
+        own = projection[state.uav_slice(i), state.uav_slice(i)]
         for part in (state.E, state.ROD_RATE):
-            block = state.uav_slice(i)
-            at = slice(block.start + part.start, block.start + part.stop)
-            projection[at, at] -= np.outer(e, e)
+            own[part, part] -= np.outer(e, e)
     return projection
 
 
@@ -205,7 +159,7 @@ def rollout(
     """Return states, (N_p + 1, n), with motor lag (N_p + 1, n + m), and inputs, (N_p, m), under the control law.
 
     Inputs include the law's corrections and are within bounds. Those of a decision are free, or also within rates if
-    the owned inputs before the first step are given, (m_own,). Source: docs/equations.md (35a), (73).
+    the owned inputs before the first step are given, (m_own,). Source: equations.md (35a), (73).
     """
     lower, upper = bounds = settings.lower(model.system.N), settings.upper(model.system.N)
     period_s, lag_s, at_x0 = settings.sampling_period_s, settings.motor_lag_s, law.uncorrected + law.c
@@ -229,25 +183,14 @@ def rollout(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """Trajectory under the control law with the corrections that are optimal without constraints.
+    """Trajectory under the control law with the corrections that are optimal without constraints."""
 
-    Attributes:
-        law: With these corrections.
-        along: Its expansion.
-        Z: States at steps 0..N_p, (N_p + 1, n).
-        U: Inputs, the owned ones without limits, (N_p, m).
-        u0: Inputs before the first step, (m,).
-        forces: Estimated external forces, (3 + 3 N,).
-        within: Whether no constraint is violated.
-    """
-
-    law: FeedbackLaw
-    along: Expansion
-    Z: Array
-    U: Array
-    u0: Array
-    forces: Array | None
-    within: bool
+    law: FeedbackLaw  # with these corrections
+    along: Sequence[Gains]  # its expansion
+    linear: Linear  # of the step
+    Z: Array  # states at steps 0..N_p, (N_p + 1, n)
+    U: Array  # inputs, the owned ones without limits, (N_p, m)
+    within: bool  # whether no constraint is violated
 
 
 class Along:
@@ -262,10 +205,10 @@ class Along:
         clear = () if self._clearance is None else self._clearance.penalties
         self._penalties = np.concatenate([self._rows.penalties, clear])
 
-    def course(self, model: Model, linear: Linear, law: FeedbackLaw, along: Expansion) -> Course:
+    def course(self, model: Model, linear: Linear, law: FeedbackLaw, along: Sequence[Gains]) -> Course:
         """Return the trajectory of a step. Source: docs/equations.md (72), (73)."""
         own, others, c = self._decision.own, self._decision.others, law.c.copy()
-        M = along.M
+        M = np.array([at.M for at in along])
         c[:, own] = 0.0
         if c.any():
             pushed = np.einsum("kij,kj->ki", M[:, own[:, None], others], c[:, others])
@@ -275,9 +218,8 @@ class Along:
         low, high, rate = self._decision.lower, self._decision.upper, self._decision.rate
         changes = np.diff(np.vstack([linear.u0[own], U[:, own]]), axis=0)
         over = [low - U[:, own], U[:, own] - high, np.abs(changes) - rate]
-        within = all((part <= _ROUNDING * (high - low)).all() for part in over) and self._apart(model, Z)
-        within = within and self._taut(Z, U)
-        return Course(law=law, along=along, Z=Z, U=U, u0=linear.u0, forces=linear.forces, within=within)
+        within = all((part <= _ROUNDING * (high - low)).all() for part in over) and self._keeps(model, Z, U)
+        return Course(law=law, along=along, linear=linear, Z=Z, U=U, within=within)
 
     def program(self, model: Model, course: Course) -> QP:
         """Return the QP of a course: without rows if it violates no constraint. Source: docs/equations.md (74)."""
@@ -288,7 +230,7 @@ class Along:
         H = np.zeros((size + slacks, size + slacks))
         for k in range(steps):
             at = slice(m * k, m * (k + 1))
-            H[at, at] = 2.0 * scale[:, None] * along.M[k][np.ix_(own, own)] * scale
+            H[at, at] = 2.0 * scale[:, None] * along[k].M[np.ix_(own, own)] * scale
         H[range(size, size + slacks), range(size, size + slacks)] = penalties
         g = np.concatenate([np.zeros(size), penalties])
         lower = np.concatenate([np.full(size, -np.inf), np.zeros(slacks)])
@@ -304,95 +246,65 @@ class Along:
             all_inputs[own, m * k : m * (k + 1)] += np.diag(scale)
             inputs[k] = all_inputs[own]
             if len(rows.on_tensions):
-                on = rows.on_tensions.at(np.concatenate([course.Z[k], course.U[k]]))
-                slack_N[k] = on.value
-                loosened.append(on.slope @ np.vstack([effect, all_inputs]))
-            effect = along.A_closed[k] @ effect
-            effect[:, m * k : m * (k + 1)] += along.B[k][:, own] * scale
+                slack_N[k], slope = rows.on_tensions.at(np.concatenate([course.Z[k], course.U[k]]))
+                loosened.append(slope @ np.vstack([effect, all_inputs]))
+            effect = along[k].A_closed @ effect
+            effect[:, m * k : m * (k + 1)] += along[k].B[:, own] * scale
             states.append(effect)
-        distances, on_places = [], []
-        for x, effect in zip(course.Z[1:], states, strict=True):
-            distance, direction = separation_rows(model.outputs(x)[: 3 * model.system.N], rows.pairs)
-            distances.append(distance)
-            on_places.append(direction @ model.linearise(x, course.u0).C[: 3 * model.system.N] @ effect)
-        apart = np.array(on_places).reshape(-1, size)
-        tilted = np.array(states)[:, rows.angles].reshape(-1, size)
-        changes = np.diff(inputs, axis=0).reshape(-1, size)
-        clear, clear_m = self._clear_rows(model, course, states)
-        tensions = np.array(loosened).reshape(-1, size)
-        parts = [inputs.reshape(-1, size), changes, apart, tilted, tilted, tensions, *clear]
-        A = np.zeros((sum(map(len, parts)), size + slacks))
-        A[:, :size] = np.concatenate(parts)
-        ends, clearances = np.cumsum(list(map(len, parts))), size + len(rows.penalties)
-        A[ends[1] : ends[2], size : size + 1] = 1.0
-        tilt = clearances - 1 - int(len(tensions) > 0)
-        A[ends[2] : ends[3], tilt : tilt + 1], A[ends[3] : ends[4], tilt : tilt + 1] = -1.0, 1.0
-        A[ends[4] : ends[5], clearances - 1 : clearances] = -1.0
-        for slack, (begin, end) in enumerate(pairwise(ends[5:]), start=clearances):
-            A[begin:end, slack] = 1.0
-        nominal = course.U[:, own]
-        low, high = decision.bounds(nominal, course.u0)
+        N, Z, last, u0 = model.system.N, course.Z[1:], size + len(rows.penalties), course.linear.u0
+        places, C = model.outputs_along(Z)[:, : 3 * N], [model.linearise(x, u0).C[: 3 * N] for x in Z]
+        far, directions = zip(*(separation_rows(at, rows.pairs) for at in places), strict=True)
+        apart = np.array([d @ C_k @ effect for d, C_k, effect in zip(directions, C, states, strict=True)])
+        nominal, angles = course.U[:, own], Z[:, rows.angles].reshape(-1)
+        (low, high), each = decision.bounds(nominal, u0), np.tile(scale, steps)
         changed, rate = np.diff(nominal, axis=0).reshape(-1), np.tile(decision.rate, steps - 1)
-        angles, none = course.Z[1:, rows.angles].reshape(-1), np.full(len(tilted), np.inf)
-        far, each = np.concatenate(distances), np.tile(scale, steps)
-        any_far, any_tension = np.full(len(far), np.inf), np.full(slack_N.size, -np.inf)
-        return QP(
-            H=H, g=g, lower=lower, upper=upper, A=A,
-            row_lower=np.concatenate([low * each, -rate - changed, rows.minimum_m - far, -none, -rows.limit - angles,
-                                      any_tension, -clear_m]),
-            row_upper=np.concatenate([high * each, rate - changed, any_far, rows.limit - angles, none,
-                                      -slack_N.reshape(-1), np.full(len(clear_m), np.inf)]),
-        )  # fmt: skip
-
-    def _clear_rows(self, model: Model, course: Course, states: list[Array]) -> tuple[Array, Array]:
-        """Return the decision's effect on distances from each obstacle, (obstacles, rows, size), and what they exceed.
-
-        The latter are the distances beyond the margins on the course, (obstacles * rows,), m.
-        """
-        size = self._decision.size
-        if self._clearance is None:
-            return np.zeros((0, 0, size)), np.zeros(0)
-        Z, keep = course.Z[1:], self._clearance
-        excess, normals = keep.excess(Z, self._places(model, course.Z).reshape(len(Z), -1, 3))
-        effects = [
-            keep.rows(model, x, course.u0, normals[:, k], effect)
-            for k, (x, effect) in enumerate(zip(Z, states, strict=True))
+        tilted, tilt = np.array(states)[:, rows.angles], last - 1 - int(len(loosened) > 0)
+        # Rows, column and sign of their slack, bounds.
+        table: list[tuple[Array, int, float, Array | float, Array | float]] = [
+            (inputs, 0, 0.0, low * each, high * each),
+            (np.diff(inputs, axis=0), 0, 0.0, -rate - changed, rate - changed),
+            (apart, size, 1.0, rows.minimum_m - np.concatenate(far), np.inf),
+            (tilted, tilt, -1.0, -np.inf, rows.limit - angles),
+            (tilted, tilt, 1.0, -rows.limit - angles, np.inf),
+            (np.array(loosened), last - 1, -1.0, -np.inf, -slack_N.reshape(-1)),
         ]
-        return np.stack(effects, axis=1).reshape(len(excess), -1, size), excess.reshape(-1)
+        if self._clearance is not None:
+            keep, (excess, normals) = self._clearance, self._clearance.excess(Z, places.reshape(len(Z), -1, 3))
+            clear = [keep.rows(Z[k], normals[:, k], effect, C[k] @ effect) for k, effect in enumerate(states)]
+            for i, beyond in enumerate(excess):
+                table.append((np.array([found[i] for found in clear]), last + i, 1.0, -beyond.reshape(-1), np.inf))
+        count = sum(part.size for part, *_ in table) // size
+        A, row_lower, row_upper, begin = np.zeros((count, size + slacks)), np.empty(count), np.empty(count), 0
+        for part, slack, sign, least, most in table:
+            at = slice(begin, begin + part.size // size)
+            A[at, :size], row_lower[at], row_upper[at], begin = part.reshape(-1, size), least, most, at.stop
+            if sign and part.size:
+                A[at, slack] = sign
+        return QP(H=H, g=g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper)
 
     def planned(self, model: Model, course: Course, announced: FeedbackLaw, z: Array, w: float) -> tuple[Array, Array]:
-        """Return owned inputs and corrections of a plan, (N_p, m_own) each.
-
-        Given are the law with the announced corrections, the solution of the QP and the weight of the new corrections.
-        """
+        """Return owned inputs and corrections of a plan, (N_p, m_own) each, by a solution and its weight w."""
         own = self._decision.own
         if course.within and (w == 1.0 or np.array_equal(course.law.c[:, own], announced.c[:, own])):
             return self._decision.clip(course.U[:, own]), course.law.c[:, own]
         c = announced.c.copy()
         c[:, own] = w * (course.law.c[:, own] + self._decision.inputs(z)) + (1.0 - w) * announced.c[:, own]
         law = replace(course.law, c=c)
-        _, U = rollout(model, self._settings, course.Z[0], law, course.forces, self._decision, course.u0[own])
+        u0, forces = course.linear.u0, course.linear.forces
+        _, U = rollout(model, self._settings, course.Z[0], law, forces, self._decision, u0[own])
         return U[:, own], c[:, own]
 
-    def _apart(self, model: Model, Z: Array) -> bool:
-        """Return whether distances, from obstacles too, and angles along a trajectory keep their limits."""
-        rows = self._rows
+    def _keeps(self, model: Model, Z: Array, U: Array) -> bool:
+        """Return whether distances, from obstacles too, angles and tensions along a trajectory keep their limits."""
+        rows, taut = self._rows, self._rows.on_tensions
         if not np.isfinite(Z).all() or (np.abs(Z[1:, rows.angles]) > rows.limit + _ROUNDING).any():
+            return False
+        if not all((taut.at(np.concatenate(point))[0] <= _ROUNDING).all() for point in zip(Z, U, strict=False)):
             return False
         if not len(rows.pairs) and self._clearance is None:
             return True
-        places = self._places(model, Z).reshape(len(Z) - 1, -1, 3)
+        places = model.outputs_along(Z[1:])[:, : 3 * model.system.N].reshape(len(Z) - 1, -1, 3)
         if self._clearance is not None and (self._clearance.excess(Z[1:], places)[0] < -_ROUNDING).any():
             return False
         apart = np.linalg.norm(places[:, rows.pairs[:, 0]] - places[:, rows.pairs[:, 1]], axis=2)
         return bool((apart >= rows.minimum_m - _ROUNDING).all())
-
-    def _taut(self, Z: Array, U: Array) -> bool:
-        """Return whether rod tensions along a trajectory keep their limit."""
-        on = self._rows.on_tensions
-        return all((on.at(np.concatenate(point)).value <= _ROUNDING).all() for point in zip(Z, U, strict=False))
-
-    @staticmethod
-    def _places(model: Model, Z: Array) -> Array:
-        """Return the positions of all UAVs at steps 1..N_p, (N_p, 3 N), inertial frame, m."""
-        return np.array([model.outputs(x)[: 3 * model.system.N] for x in Z[1:]])

@@ -117,8 +117,7 @@ def _agents(setup: Setup, iterations: int) -> list[dict[str, Any]]:
     here, period_s = str(_FILE), setup.settings.sampling_period_s
     t_s = period_s * np.arange(len(setup.Y_ref))
     y = {f"y_{k}": pd.Series(setup.Y_ref[:, k], index=t_s) for k in range(setup.Y_ref.shape[1])}
-    limits_of = setup.settings.limits
-    lower, upper = limits_of.lower(setup.system.N), limits_of.upper(setup.system.N)
+    lower, upper = setup.settings.lower(setup.system.N), setup.settings.upper(setup.system.N)
     found: list[dict[str, Any]] = []
     for agent in range(setup.system.N):
         own = range(INPUTS * agent, INPUTS * (agent + 1))

@@ -101,8 +101,7 @@ def test_inputs_are_clipped_and_numbers_logged(tmp_path: Path, monkeypatch: pyte
     """Inputs beyond the limits would be refused by the others: the agent clips them. Numbers go to the record."""
     messages = stepped(own(tmp_path, monkeypatch, "return 1e9 * np.ones(4), {'k': self.k}"), 3)
     plan = next(message for message in messages if isinstance(message, Plan))
-    limits = setup().settings.limits
-    np.testing.assert_array_equal(plan.inputs, limits.upper(1)[None])
+    np.testing.assert_array_equal(plan.inputs, setup().settings.upper(1)[None])
     logged = [(m.names, m.values.tolist(), m.problem) for m in messages if isinstance(m, Note)]
     assert logged == [(("k",), [float(k)], "") for k in range(3)]
 

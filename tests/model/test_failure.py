@@ -77,14 +77,6 @@ def test_two_neighbours_gone_is_too_much() -> None:
         failed_hover(table_1(), {0, 1}, {0, 1})
 
 
-def test_a_thrustless_uav_needs_a_vertical_rod() -> None:
-    """The rod of a UAV without thrust carries its weight along itself only."""
-    rods = np.tile([0.0, 0.0, 1.0], (4, 1))
-    rods[DEAD] = [0.6, 0.0, 0.8]
-    with pytest.raises(ParameterError, match="expected a vertical one for UAV3 of given thrust"):
-        hover(table_1(), rods, {DEAD: 0.0})
-
-
 def moving(system: System) -> tuple[Array, Array]:
     """A state off its equilibrium, everything in motion, and inputs near hover."""
     rng = np.random.default_rng(17)

@@ -32,7 +32,7 @@ def test_prediction_along_the_control_law_is_exact_on_it(lag_s: float) -> None:
     prediction = controller.predict(linear, controller.discretise(linear), np.tile(at_rest.u, (40, 1)), law)
     assert isinstance(prediction, Prediction)
     z, V = z0, []
-    lower, upper = settings.limits.lower(4), settings.limits.upper(4)
+    lower, upper = settings.lower(4), settings.upper(4)
     for at_x0 in law.uncorrected:
         u = np.clip(at_x0 + law.K @ (z - z0), lower, upper)
         V.append(u[controller.own] - at_rest.u[controller.own])

@@ -71,8 +71,8 @@ def case(request: pytest.FixtureRequest) -> Case:
     at = situation(setup, SETTINGS, seed=9)
     one = controller(setup, SETTINGS, owned)
     linear = one.linearise(at.x, at.u)
-    qp = one.condense(linear, one.predict(linear, one.discretise(linear), at.U, None), at.U, at.y_ref)
-    half = (SETTINGS.limits.upper(len(owned)) - SETTINGS.limits.lower(len(owned))) / 2.0
+    qp = one.condense(linear, one.predict(linear, one.discretise(linear), at.U, None), at.y_ref)
+    half = (SETTINGS.upper(len(owned)) - SETTINGS.lower(len(owned))) / 2.0
     rng = np.random.default_rng(2)
     v, slacks = 0.2 * rng.standard_normal((HORIZON, len(half))), (0.07, 0.02, 0.3, 0.5)
     inputs = at.U.copy()
@@ -119,7 +119,7 @@ def test_every_row_is_accounted_for(case: Case) -> None:
 def test_rate_rows(case: Case) -> None:
     """Distance of each rate row to its bounds is that of the inputs' change over one period, paper section V-A."""
     own = case.own
-    rate = SETTINGS.limits.step(len(own) // 4, SETTINGS.sampling_period_s)
+    rate = SETTINGS.step(len(own) // 4)
     change = np.diff(case.inputs[:, own], axis=0)
     assert close(case.below[block(case, "rate")], (change + rate).reshape(-1))
     assert close(case.above[block(case, "rate")], (rate - change).reshape(-1))
@@ -129,8 +129,8 @@ def test_first_rate_is_a_bound(case: Case) -> None:
     """The first input's change against the input in force is bounded by the rate, or by the input's own bound."""
     own = case.own
     uavs = len(own) // 4
-    low, high = SETTINGS.limits.lower(uavs), SETTINGS.limits.upper(uavs)
-    rate, half = SETTINGS.limits.step(uavs, SETTINGS.sampling_period_s), (high - low) / 2.0
+    low, high = SETTINGS.lower(uavs), SETTINGS.upper(uavs)
+    rate, half = SETTINGS.step(uavs), (high - low) / 2.0
     in_force = case.at.u[own]
     assert close(in_force + case.qp.lower[: len(own)] * half, np.maximum(low, in_force - rate))
     assert close(in_force + case.qp.upper[: len(own)] * half, np.minimum(high, in_force + rate))
@@ -231,7 +231,7 @@ def test_tension_rows_with_others_that_respond(owned: tuple[int, ...]) -> None:
     linear = one.linearise(at.x, at.u)
     prediction = one.predict(linear, one.discretise(linear), at.U, law)
     assert isinstance(prediction, Prediction)
-    qp = one.condense(linear, prediction, at.U, at.y_ref, law)
+    qp = one.condense(linear, prediction, at.y_ref, law)
     v = 0.2 * np.random.default_rng(2).standard_normal((HORIZON, len(one.own)))
     half = (settings.upper(len(owned)) - settings.lower(len(owned))) / 2.0
     dX = prediction.dX_free[:-1] + convolve(prediction.effect, v * half)

@@ -13,7 +13,7 @@ from model.state import input_indices
 from mpc.controller import Controller
 from mpc.cost import Cost
 from mpc.feedback import FeedbackLaw, regulator
-from mpc.prediction import closed_loop
+from mpc.prediction import predict
 from mpc.settings import ControllerSettings, Weights
 from tests.support.systems import Situation, paper_setup, situation
 
@@ -72,7 +72,7 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
     x_ref = at.x + 0.1 * rng.standard_normal((steps, setup.system.n))
     feedforward, c = rng.standard_normal((2, steps, setup.system.m))
     law = FeedbackLaw(K=gain(), u_rest=setup.hover.u, error=at.x - x_ref, feedforward=feedforward, c=c)
-    prediction = closed_loop(discrete, at.u, own, law)
+    prediction = predict(discrete, at.u, own, at.U, law)
     v = 0.1 * rng.standard_normal((steps, len(own)))
 
     dx = np.zeros(setup.system.n)
@@ -108,7 +108,7 @@ def test_corrections_reproduce_the_inputs() -> None:
     linear = one.linearise(at.x, at.u)
     discrete = one.discretise(linear)
     prediction = one.predict(linear, discrete, at.U, law)
-    optimum = one.conclude(one.solve(one.condense(linear, prediction, at.U, at.y_ref)), prediction, at.U, law)
+    optimum = one.conclude(one.solve(one.condense(linear, prediction, at.y_ref)), prediction, at.U, law)
     dx = np.zeros(setup.system.n)
     for k, c in enumerate(optimum.c):
         u = setup.hover.u + gain() @ (law.error[k] + dx) + law.c[k]
@@ -137,7 +137,7 @@ def test_a_start_is_not_relaxed_towards_nothing() -> None:
     assert law is not None
     linear = part.linearise(at.x, at.u)
     prediction = part.predict(linear, part.discretise(linear), at.U, law)
-    solution = part.solve(part.condense(linear, prediction, at.U, at.y_ref))
+    solution = part.solve(part.condense(linear, prediction, at.y_ref))
     best = full.conclude(solution, prediction, at.U, law).c
     before = law.c[:, full.own]
     assert np.abs(best - before).max() > 0.01, "nothing to relax: the comparison shows nothing"

@@ -25,12 +25,11 @@ def _loop(
     *,
     next_tick: bool = False,
     age: int = 1,
-    whole: bool = False,
     system: System = SYSTEM,
 ) -> Loop:
     model, at_rest = Model(system), hover(system)
     team = [Controller(model, at_rest, settings, (uav,)) for uav in range(system.N)]
-    return Loop(team, next_tick=next_tick, age=age, with_corrections=whole)
+    return Loop(team, next_tick=next_tick, age=age)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +95,8 @@ def test_plans_of_the_paper_are_states_of_the_loop() -> None:
     settings = ControllerSettings(horizon=6)
     loop = _loop(settings)
     assert len(loop.matrix(Mismatch())) > SYSTEM.N * settings.horizon * 4
-    whole = _loop(SHARED.model_copy(update={"horizon": 6, "relaxation": 0.5}), whole=True)
+    whole = _loop(SHARED.model_copy(update={"horizon": 6, "relaxation": 0.5}))
+    whole._plans = tuple(map(whole._plan_map, whole._controllers))
     # The announced corrections decay, so the loop without them has the same slowest modes.
     assert whole.growth(Mismatch(lag_s=0.02)) == pytest.approx(_loop().growth(Mismatch(lag_s=0.02)), abs=1e-6)
 

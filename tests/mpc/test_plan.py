@@ -19,8 +19,8 @@ def limits_kept(settings: ControllerSettings, owned: tuple[int, ...], u: Array, 
     """Return whether a plan keeps bounds and rates, the first rate against the inputs in force."""
     uavs = len(owned)
     own = [4 * i + j for i in owned for j in range(4)]
-    low, high = settings.limits.lower(uavs), settings.limits.upper(uavs)
-    rate = settings.limits.step(uavs, settings.sampling_period_s)
+    low, high = settings.lower(uavs), settings.upper(uavs)
+    rate = settings.step(uavs)
     change = np.abs(np.diff(np.vstack([u[own], plan]), axis=0))
     return bool((plan >= low).all() and (plan <= high).all() and (change <= rate + LIMIT_SLACK).all())
 
@@ -36,7 +36,7 @@ def test_plan_keeps_bounds_and_rates(owned: tuple[int, ...], seed: int) -> None:
     optimum = step(controller(setup, settings, owned), at)
     assert optimum.solution.status == "solved"
     assert limits_kept(settings, owned, at.u, optimum.U)
-    own_rate = settings.limits.step(len(owned), settings.sampling_period_s)
+    own_rate = settings.step(len(owned))
     assert (np.abs(np.diff(optimum.U, axis=0)) > 0.99 * own_rate).any(), "no rate was ever at its limit"
 
 
@@ -49,8 +49,8 @@ def test_inputs_outside_their_limits_come_back(thrust: float) -> None:
     u[4] = thrust
     optimum = step(controller(setup, settings, (1,)), Situation(x=at.x, u=u, U=at.U, y_ref=at.y_ref))
     assert optimum.solution.status == "solved"
-    assert (settings.limits.lower(1) <= optimum.U).all()
-    assert (settings.limits.upper(1) >= optimum.U).all()
+    assert (settings.lower(1) <= optimum.U).all()
+    assert (settings.upper(1) >= optimum.U).all()
 
 
 @pytest.mark.parametrize("horizon", [1, 10, 40])

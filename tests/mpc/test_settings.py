@@ -46,6 +46,7 @@ def test_limits_per_uav() -> None:
     limits = Limits(
         thrust_N=(2.0, 30.0), moments_Nm=(1.0, 2.0, 3.0), thrust_rate_N_s=80.0, moment_rates_Nm_s=(4.0, 8.0, 16.0)
     )
-    assert limits.lower(2).tolist() == [2.0, -1.0, -2.0, -3.0] * 2
-    assert limits.upper(2).tolist() == [30.0, 1.0, 2.0, 3.0] * 2
-    assert limits.step(2, 0.25).tolist() == [20.0, 1.0, 2.0, 4.0] * 2
+    settings = ControllerSettings(limits=limits, sampling_period_s=0.25)
+    assert settings.lower(2).tolist() == [2.0, -1.0, -2.0, -3.0] * 2
+    assert settings.upper(2).tolist() == [30.0, 1.0, 2.0, 3.0] * 2
+    assert settings.step(2).tolist() == [20.0, 1.0, 2.0, 4.0] * 2

@@ -17,8 +17,9 @@ from model.maneuver import Maneuver, Phase
 from model.obstacles import Obstacle, Solid, clearances
 from model.state import R0, StateView, input_slice
 from mpc.controller import Controller, StepResult
+from mpc.feedback import Gains
 from mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
-from mpc.tracking import INSTANTS, Course, Gains, Recursion, rollout
+from mpc.tracking import INSTANTS, Course, Recursion, rollout
 from tests.model.test_flat import unequal
 
 PERIOD_S = 0.05
@@ -70,11 +71,11 @@ def test_cost_is_the_sum_of_squares_of_corrections() -> None:
             y = model.linearise(track.X[start + k], track.U[start + k]).C @ xi
             u = law.K[k] @ xi + c[k]
             found += y @ (cost.Q * y) + u @ (cost.R * u)
-            xi = along.A_closed[k] @ xi + along.B[k] @ c[k]
+            xi = along[k].A_closed @ xi + along[k].B @ c[k]
             xi = _on_manifold(track.X[start + k + 1], xi)
         return float(found + np.sum((regulator.root @ xi) ** 2))
 
-    added = float(np.einsum("km,kmn,kn->", c, along.M, c))
+    added = float(np.einsum("km,kmn,kn->", c, np.array([at.M for at in along]), c))
     assert total(c) - total(0.0 * c) == pytest.approx(added, rel=SAME_COST)
 
 
@@ -95,7 +96,7 @@ def step(one: Controller, x0: Array, c: Array, start: int = 60) -> tuple[Course,
     linear = one.linearise(x0, u0)
     course = one.predict(linear, one.discretise(linear), track.U[start : start + 12], law)
     assert isinstance(course, Course)
-    qp = one.condense(linear, course, track.U[start : start + 12], np.zeros((13, 25)), law)
+    qp = one.condense(linear, course, np.zeros((13, 25)), law)
     return course, one.conclude(one.solve(qp), course, track.U[start : start + 12], law)
 
 
@@ -174,7 +175,7 @@ def test_program_keeps_limits_that_the_law_violates(changed: dict[str, object], 
     # All UAVs are owned, so the plan is the trajectory; limits on states hold but for the expansion's error.
     np.testing.assert_allclose(U, result.U, atol=1e-6)
     changes = np.abs(np.diff(np.vstack([track.U[start - 1], U]), axis=0))
-    assert (changes <= settings.limits.step(4, PERIOD_S) + 1e-6).all()
+    assert (changes <= settings.step(4) + 1e-6).all()
     before, after = (_violation(model, settings, *of) for of in ((course.Z, course.U), (Z, U)))
     if wanted is not None:
         assert after < 0.25 * before

@@ -22,7 +22,7 @@ def programs(one: Controller, x: Array, u: Array, U: Array, y_ref: Array) -> tup
     """Hessian and gradient of a controller's program."""
     linear = one.linearise(x, u)
     law = one.law(x, np.tile(x, (len(U), 1)), np.zeros_like(U))
-    qp = one.condense(linear, one.predict(linear, one.discretise(linear), U, law), U, y_ref)
+    qp = one.condense(linear, one.predict(linear, one.discretise(linear), U, law), y_ref)
     return qp.H, qp.g
 
 
@@ -65,13 +65,13 @@ def test_a_curved_term_is_expanded_about_the_present_state() -> None:
     assert isinstance(free, Prediction)
 
     def value(x: Array) -> float:
-        return float(own.regulation.user_costs.at(x).value[0])
+        return float(own.regulation.user_costs.at(x)[0][0])
 
     steps = 1e-6 * np.eye(len(at.x))
     slope = np.array([(value(at.x + h) - value(at.x - h)) / 2e-6 for h in steps])
     ahead = value(at.x) + slope @ free.dX_free[1]
     expected = 2.0 * 2.0 * 0.7 * ahead * (slope @ free.effect[:, 0])
-    scale = (settings.limits.upper(1) - settings.limits.lower(1)) / 2.0
+    scale = (settings.upper(1) - settings.lower(1)) / 2.0
     difference = (own_g - g)[: len(scale)] / scale
     assert np.abs(difference - expected).max() <= 1e-6 * np.abs(expected).max()
 

@@ -138,7 +138,8 @@ def attitude_after(Theta: Array, omega: Array, tau: Array) -> tuple[Array, Array
 def test_fail_safe_keeps_the_limits(seed: int) -> None:
     """The fail-safe keeps the bounds and rates of the actuators at any attitude and rate."""
     rng = np.random.default_rng(seed)
-    low, high, step = LIMITS.lower(N), LIMITS.upper(N), LIMITS.step(N, PERIOD_S)
+    settings = ControllerSettings(limits=LIMITS, sampling_period_s=PERIOD_S)
+    low, high, step = settings.lower(N), settings.upper(N), settings.step(N)
     plans = schedule(labelled(1, 0), labelled(2, 0))
     before = rng.uniform(low, high)
     for _ in range(50):

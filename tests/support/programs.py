@@ -75,5 +75,5 @@ def collected(minimum_m: float) -> list[QP]:
         for one in [*centralized, *team(setup, settings, [(0,), (1, 2)])]:
             linear = one.linearise(at.x, at.u)
             prediction = one.predict(linear, one.discretise(linear), at.U, None)
-            programs.append(deepcopy(one.condense(linear, prediction, at.U, at.y_ref)))
+            programs.append(deepcopy(one.condense(linear, prediction, at.y_ref)))
     return programs

@@ -68,9 +68,8 @@ def published(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
     """Return M_0q and f_0q of paper (11), with the term of (7) inside its sum (`tests.support.paper_form`)."""
     x, N = symbols.x, symbols.N
     v0, w = x[state.V0], ca.skew(x[state.OMEGA0])
-    R0, g = rotation(x[state.THETA0]), symbols.gravity
+    R0, (g, m_T, J_bar) = rotation(x[state.THETA0]), symbols.payload()
     M = ca.SX.zeros(6 + 3 * N, 6 + 3 * N)
-    J_bar, m_T = symbols.payload_inertia, symbols.payload_mass
     translation, turning = ca.SX.zeros(3), ca.SX.zeros(3)
     links = []
     for i in range(N):

@@ -106,7 +106,7 @@ def situation(setup: Setup, settings: ControllerSettings, seed: int, size: float
     """Return a step away from equilibrium: state, inputs, announced plans and reference are disturbed differently."""
     rng = np.random.default_rng(seed)
     steps, u_hover = settings.horizon, setup.hover.u
-    half = (settings.limits.upper(setup.system.N) - settings.limits.lower(setup.system.N)) / 2.0
+    half = (settings.upper(setup.system.N) - settings.lower(setup.system.N)) / 2.0
     x = disturbed(setup, rng, size)
     u = u_hover + size * half * rng.standard_normal(setup.system.m)
     U = u_hover + size * half * rng.standard_normal((steps, setup.system.m))

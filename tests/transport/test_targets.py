@@ -87,7 +87,7 @@ def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
     law = controller.law(x, run.X_ref[30:40], c, None, 30)
     led = headed(run, message(run, 40, points_m=[[0.5, 0.0, -10.0]]))
     assert led.ahead is not None
-    controller.head(led.X_ref, led.ahead)
+    controller.regulation.head(led.X_ref, led.ahead)
     again = controller.law(x, led.X_ref[30:40], c, None, 30)
     assert (led.X_ref[:40] == run.X_ref[:40]).all()
     assert law is not None
