@@ -131,8 +131,8 @@ def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node:
                 fixed = time.monotonic() >= again_s
                 again_s = time.monotonic() + _AGAIN_S if fixed else again_s
                 told = chain(told, messages.scenes(tick, at_ns, fixed=fixed))
-            for topic, kind, message in told:
-                node.put(topic, cdr(kind, message))
+            for topic, message in told:
+                node.put(topic, cdr(message))
             done = tick
         if history.control is not None or tail.ended:
             return

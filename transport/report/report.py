@@ -229,7 +229,7 @@ def _text(value: float | None, form: str, sentence: str = "{}") -> str:
 
 def write_csv(path: Path, rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> None:
     """Write a table atomically; floats are written by repr, which reads back as the same bits."""
-    with _atomic_file(path) as file, io.TextIOWrapper(file, encoding="utf-8", newline="") as text:
+    with atomic_file(path) as file, io.TextIOWrapper(file, encoding="utf-8", newline="") as text:
         writer = csv.DictWriter(text, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
@@ -237,12 +237,12 @@ def write_csv(path: Path, rows: Iterable[Mapping[str, Any]], columns: Sequence[s
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file atomically."""
-    with _atomic_file(path) as file:
+    with atomic_file(path) as file:
         file.write(content)
 
 
 @contextmanager
-def _atomic_file(path: Path) -> Iterator[BinaryIO]:
+def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Open a file that gets its name only when it is complete."""
     partial = path.with_name(path.name + ".partial")
     with partial.open("wb") as file:

@@ -4,7 +4,6 @@ Poses are in the frame "inertial", z down, whose parent "map" has z up. Plans ar
 markers are its drawing, as in the viewer.
 """
 
-import struct
 from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import chain
@@ -12,28 +11,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from model.arrays import Array
 from model.rotations import rotation
 from model.state import StateView
 from transport.log.run_log import RunLog
-from transport.scene.drawing import INERTIAL, PAYLOAD, Drawing, Label, Lines, Part, quaternion
+from transport.report.mcap_copy import Schema, mcap_copy
+from transport.scene.drawing import INERTIAL, PAYLOAD, ROOT, UPSIDE_DOWN, Drawing, Label, Lines, Part, quaternion, tree
 from transport.scene.drawing import Pose as FramePose
-from transport.scene.scene import Scene, SceneBuilder
+from transport.scene.scene import SceneBuilder
 
-ROOT = "map"
-# Topic and type of targets; first bytes of CDR, and where the name of the frame begins in a stamped message.
+# Topic and type of targets.
 TARGET = "/target", "geometry_msgs/msg/PoseStamped"
-_LITTLE_ENDIAN, _FRAME_AT = b"\x00\x01", 16
-_UPSIDE_DOWN: FramePose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 _LINE_LIST, _TEXT, _TRIANGLES, _DELETE = 5, 9, 11, 2  # visualization_msgs/msg/Marker
 # Width of a drawn line per pixel of the viewer, and height of names, m.
 _LINE_M, _TEXT_M = 0.004, 0.12
+_LEVEL = np.eye(3)
 
-# A message: topic, type, and content.
-Told = tuple[str, str, Any]
+# A topic, and a message for it.
+Told = tuple[str, Any]
 
 
 @cache
@@ -42,9 +40,9 @@ def types() -> Any:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def cdr(kind: str, message: Any) -> bytes:
-    """Return a message of a type such as "geometry_msgs/msg/PoseStamped" as bytes."""
-    return bytes(types().serialize_cdr(message, kind, little_endian=True))
+def cdr(message: Any) -> bytes:
+    """Return a message as bytes."""
+    return bytes(types().serialize_cdr(message, message.__msgtype__, little_endian=True))
 
 
 def _new(kind: str, **fields: Any) -> Any:
@@ -52,12 +50,9 @@ def _new(kind: str, **fields: Any) -> Any:
     return types().types[f"{package}/msg/{name}"](**fields)
 
 
-def _time(at_ns: int) -> Any:
-    return _new("builtin_interfaces/Time", sec=at_ns // 10**9, nanosec=at_ns % 10**9)
-
-
 def _header(at_ns: int, frame: str = INERTIAL) -> Any:
-    return _new("std_msgs/Header", stamp=_time(at_ns), frame_id=frame)
+    stamp = _new("builtin_interfaces/Time", sec=at_ns // 10**9, nanosec=at_ns % 10**9)
+    return _new("std_msgs/Header", stamp=stamp, frame_id=frame)
 
 
 def _vector(kind: str, values: Array) -> Any:
@@ -68,9 +63,12 @@ def _rotation(R: Array) -> Any:
     return _new("geometry_msgs/Quaternion", **dict(zip("wxyz", quaternion(R).tolist(), strict=True)))
 
 
-def _pose(position: Array, R: Array | None = None) -> Any:
-    turned = _rotation(np.eye(3) if R is None else R)
-    return _new("geometry_msgs/Pose", position=_vector("Point", position), orientation=turned)
+def _pose(position: Array, R: Array = _LEVEL) -> Any:
+    return _new("geometry_msgs/Pose", position=_vector("Point", position), orientation=_rotation(R))
+
+
+def _pose_stamped(at_ns: int, position: Array, R: Array = _LEVEL) -> Any:
+    return _new("geometry_msgs/PoseStamped", header=_header(at_ns), pose=_pose(position, R))
 
 
 class GoalError(ValueError):
@@ -80,21 +78,18 @@ class GoalError(ValueError):
 def goal_in(data: bytes) -> Array:
     """Return the position of a geometry_msgs/PoseStamped in CDR in the inertial frame, (3,), m.
 
-    Raises: GoalError: it has another size, or another frame than "inertial", none, or "map", or is not finite.
+    Raises: GoalError: it is none, is in another frame than "inertial", none, or "map", or is not finite.
     """
-    if len(data) < _FRAME_AT or data[:2] != _LITTLE_ENDIAN:
-        raise GoalError("expected little-endian CDR")
-    (length,) = struct.unpack_from("<I", data, _FRAME_AT - 4)
-    begin = _FRAME_AT + length + (4 - _FRAME_AT - length) % 8  # aligned after the four bytes of CDR's own header
-    if len(data) != begin + 7 * 8:
-        raise GoalError(f"expected a PoseStamped of {begin + 56} bytes, got {len(data)}")
-    frame, place = data[_FRAME_AT : _FRAME_AT + length].rstrip(b"\0").decode(errors="replace"), np.zeros(3)
-    place[:] = struct.unpack_from("<3d", data, begin)
+    try:
+        goal: Any = types().deserialize_cdr(data, TARGET[1])
+    except SerdeError as error:
+        raise GoalError(f"expected a PoseStamped ({error})") from error
+    place, frame = np.array([getattr(goal.pose.position, axis) for axis in "xyz"]), goal.header.frame_id
     if not np.isfinite(place).all():
         raise GoalError("expected a finite position, got nan or infinity")
     if frame not in ("", INERTIAL, ROOT):
         raise GoalError(f"expected the frame {INERTIAL} or {ROOT}, got {frame[:40]!r}")
-    turned: Array = _UPSIDE_DOWN[1] @ place
+    turned: Array = UPSIDE_DOWN[1] @ place
     return turned if frame == ROOT else place
 
 
@@ -117,62 +112,50 @@ class Ros2Messages:
 
     def states(self, tick: int, at_ns: int) -> Iterator[Told]:
         """Yield poses and twists at a tick, stamped with a time, ns."""
-        setup, history = self._builder.setup, self._builder.history
-        x, header = history.plant_states[tick].x, _header(at_ns)
-        view, bodies, geometry = StateView(x), 1 + setup.system.N, "geometry_msgs/msg"
-        places = [view.r0_I, *setup.model.outputs(x)[: 3 * setup.system.N].reshape(-1, 3)]
-        angles, rates = [view.Theta0, *view.Theta], [view.omega0_P, *view.omega_B]
-        velocities = setup.model.velocities(x).reshape(-1, 3)
-        for i, name in enumerate([PAYLOAD, *(f"uav{i}" for i in range(1, bodies))]):
-            R = rotation(angles[i])
-            linear, angular = _vector("Vector3", velocities[i]), _vector("Vector3", R @ rates[i])
+        setup, x = self._builder.setup, self._builder.history.plant_states[tick].x
+        view, places = StateView(x), setup.model.outputs(x)[: 3 * setup.system.N].reshape(-1, 3)
+        bodies = zip(
+            [PAYLOAD, *(f"uav{i + 1}" for i in range(setup.system.N))],
+            [view.r0_I, *places],
+            map(rotation, [view.Theta0, *view.Theta]),
+            setup.model.velocities(x).reshape(-1, 3),
+            [view.omega0_P, *view.omega_B],
+            strict=True,
+        )
+        for name, place, R, velocity, rates in bodies:
+            yield f"/{name}/pose", _pose_stamped(at_ns, place, R)
+            linear, angular = _vector("Vector3", velocity), _vector("Vector3", R @ rates)
             twist = _new("geometry_msgs/Twist", linear=linear, angular=angular)
-            pose = _new("geometry_msgs/PoseStamped", header=header, pose=_pose(places[i], R))
-            yield f"/{name}/pose", f"{geometry}/PoseStamped", pose
-            stamped = _new("geometry_msgs/TwistStamped", header=header, twist=twist)
-            yield f"/{name}/twist", f"{geometry}/TwistStamped", stamped
-        goal = _pose(setup.maneuver.path(np.array([tick * setup.settings.sampling_period_s]))[0][0])
-        yield "/reference/pose", f"{geometry}/PoseStamped", _new("geometry_msgs/PoseStamped", header=header, pose=goal)
+            yield f"/{name}/twist", _new("geometry_msgs/TwistStamped", header=_header(at_ns), twist=twist)
+        goal_I = setup.maneuver.path(np.array([tick * setup.settings.sampling_period_s]))[0][0]
+        yield "/reference/pose", _pose_stamped(at_ns, goal_I)
 
     def scenes(self, tick: int, at_ns: int, *, fixed: bool) -> Iterator[Told]:
         """Yield plans, transforms and markers at a tick, stamped with a time, ns; with `fixed` also the bodies'."""
-        kinds, scene = self.topics(), self._builder.at(tick)
-        for topic, path in self._plans(scene, at_ns):
-            yield topic, kinds[topic], path
+        scene = self._builder.at(tick)
+        for found in scene.predictions:
+            for k, uav in enumerate(self._builder.setup.owned[found.agent - 1]):
+                yield f"/uav{uav + 1}/plan", self._path(found.uavs_I[:, k], at_ns)
+            yield f"/agent{found.agent}/{PAYLOAD}/plan", self._path(found.payload_I, at_ns)
         poses = self._drawing.poses(scene)
-        transforms = [_transform(ROOT, INERTIAL, _UPSIDE_DOWN, at_ns)]
-        transforms += [_transform(INERTIAL, name, pose, at_ns) for name, pose in poses.items() if name != INERTIAL]
-        yield "/tf", kinds["/tf"], _new("tf2_msgs/TFMessage", transforms=transforms)
-        parts: list[Part] = list(self._drawing.moving(scene, flown=False))
-        markers = [_marker(part, at_ns) for part in [*parts, *(self._drawing.fixed if fixed else ())] if _shown(part)]
+        transforms = [_transform(*link, at_ns) for link in tree(poses)]
+        yield "/tf", _new("tf2_msgs/TFMessage", transforms=transforms)
+        parts: list[Part] = [lines for lines in self._drawing.moving(scene, flown=False) if len(lines.segments)]
+        markers = [_marker(part, at_ns) for part in [*parts, *(self._drawing.fixed if fixed else ())]]
         for marker in markers:
             if marker.header.frame_id not in poses:  # a UAV that has left
                 marker.action = _DELETE
-        yield "/markers", kinds["/markers"], _new("visualization_msgs/MarkerArray", markers=markers)
+        yield "/markers", _new("visualization_msgs/MarkerArray", markers=markers)
 
-    def _plans(self, scene: Scene, at_ns: int) -> Iterator[tuple[str, Any]]:
-        def path(positions: Array) -> Any:
-            poses = [
-                _new("geometry_msgs/PoseStamped", header=_header(at_ns + k * self.period_ns), pose=_pose(position))
-                for k, position in enumerate(positions)
-            ]
-            return _new("nav_msgs/Path", header=_header(at_ns), poses=poses)
-
-        for found in scene.predictions:
-            for k, uav in enumerate(self._builder.setup.owned[found.agent - 1]):
-                yield f"/uav{uav + 1}/plan", path(found.uavs_I[:, k])
-            yield f"/agent{found.agent}/{PAYLOAD}/plan", path(found.payload_I)
+    def _path(self, positions: Array, at_ns: int) -> Any:
+        poses = [_pose_stamped(at_ns + k * self.period_ns, position) for k, position in enumerate(positions)]
+        return _new("nav_msgs/Path", header=_header(at_ns), poses=poses)
 
 
 def _transform(parent: str, child: str, pose: FramePose, at_ns: int) -> Any:
     transform = _new("geometry_msgs/Transform", translation=_vector("Vector3", pose[0]), rotation=_rotation(pose[1]))
     header = _header(at_ns, parent)
     return _new("geometry_msgs/TransformStamped", header=header, child_frame_id=child, transform=transform)
-
-
-def _shown(part: Part) -> bool:
-    """Return whether a part has anything to draw."""
-    return not isinstance(part, Lines) or len(part.segments) > 0
 
 
 def _marker(part: Part, at_ns: int) -> Any:
@@ -222,24 +205,13 @@ def write_bag(builder: SceneBuilder, log: RunLog, out: Path) -> int:
     Raises: OSError: it cannot be written.
     """
     messages, ticks = Ros2Messages(builder), sorted(builder.history.plant_states)
-    partial = out.with_name(out.name + ".partial")
-    with partial.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library="payload-transport")
-        writer.add_metadata("exported run", dict(log.header))
-        schemas: dict[str, int] = {}
-        channels: dict[str, int] = {}
-        for topic, kind in messages.topics().items():
-            if kind not in schemas:
-                definition = types().generate_msgdef(kind, ros_version=2)[0].encode()
-                schemas[kind] = writer.register_schema(kind, "ros2msg", definition)
-            channels[topic] = writer.register_channel(topic, "cdr", schemas[kind])
+    kinds = set(messages.topics().values())
+    definitions = {kind: types().generate_msgdef(kind, ros_version=2)[0].encode() for kind in kinds}
+    with mcap_copy(out, log.header, profile="ros2") as copy:
         for tick in ticks:
             at_ns = tick * builder.setup.period_ns
-            for topic, kind, message in chain(
-                messages.states(tick, at_ns), messages.scenes(tick, at_ns, fixed=tick == ticks[0])
-            ):
-                writer.add_message(channels[topic], at_ns, cdr(kind, message), publish_time=at_ns)
-        writer.finish()  # type: ignore[no-untyped-call]
-    partial.replace(out)
+            scenes = messages.scenes(tick, at_ns, fixed=tick == ticks[0])
+            for topic, message in chain(messages.states(tick, at_ns), scenes):
+                kind = message.__msgtype__
+                copy.put(topic, Schema(kind, "ros2msg", definitions[kind], "cdr"), cdr(message), at_ns)
     return len(ticks)
