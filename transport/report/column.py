@@ -171,9 +171,9 @@ def finish(figure: Figure, panels: Sequence[Axes], setup: Setup, until_s: float,
     shade_phases(setup, list(panels), until_s)
     labels: list[tuple[float, str]] = []
     for number, mark in enumerate(marks, start=1):
-        style = {"color": _LINK, "linestyle": ":"} if mark.of_links else {"color": _FAULT, "linestyle": "-"}
+        colour, dashes = (_LINK, ":") if mark.of_links else (_FAULT, "-")
         for panel in panels:
-            panel.axvline(mark.time_s, linewidth=0.8, zorder=1.5, **style)
+            panel.axvline(mark.time_s, linewidth=0.8, zorder=1.5, color=colour, linestyle=dashes)
         first = str(number)
         if labels and mark.time_s - labels[-1][0] < _NEAR * until_s:
             time_s, text = labels.pop()

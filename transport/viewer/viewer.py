@@ -79,7 +79,7 @@ class Viewer:
         running = "live" if self._paced else f"live, without pacing: a frame every {_FRAME_UNPACED_S:g} s"
         self._set_notice(notice or ("" if live is None else running), warning=bool(notice))
         self._server.on_client_connect(self._add_page)
-        self._server.on_client_disconnect(lambda client: self._guard.pages.pop(client.client_id, None))
+        self._server.on_client_disconnect(self._remove_page)
         self._updated_s = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -115,9 +115,7 @@ class Viewer:
         if any(page.shown < page.sent and now_s - page.progress_s < _PATIENCE_S for page in pages):
             return
         if self.view3d.outdated or self.shown is None or history.nearest(tick) != self.shown.tick:
-            asyncio.run_coroutine_threadsafe(
-                self._send(self._builder.at(tick)), self._server.get_event_loop()
-            ).result()
+            asyncio.run_coroutine_threadsafe(self._send(self._builder.at(tick)), self._server.get_event_loop()).result()
 
     def show_until(self, ended: Callable[[], bool]) -> None:
         """Show the run until `ended()`."""
@@ -163,6 +161,9 @@ class Viewer:
             sent=self._frame, shown=self._frame, progress_s=time.monotonic(), receipt=client.gui.add_html("")
         )
         self.view3d.outdated = True
+
+    def _remove_page(self, client: Any) -> None:
+        self._guard.pages.pop(client.client_id, None)
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
