@@ -19,7 +19,7 @@ pytest.importorskip("rosbags", reason="needs the extra ros2")
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from transport.report.ros2 import GoalError, cdr, goal_in, types, write_bag
+from transport.report.ros2 import TARGET, GoalError, cdr, goal_in, types, write_bag
 
 PHASES = [{"name": "move", "duration_s": 0.5, "displacement_m": [0.1, 0.05, -0.2]}]
 # Central differences over 50 ms of a motion with a jerk of 20 m/s^3 at most.
@@ -80,12 +80,8 @@ def test_what_cannot_be_published_is_refused(tmp_path: Path) -> None:
 
 def stamped(frame: str, place: tuple[float, float, float]) -> bytes:
     """Return a pose at a place as bytes."""
-    kinds = types().types
-    header = kinds["std_msgs/msg/Header"](stamp=kinds["builtin_interfaces/msg/Time"](sec=7, nanosec=5), frame_id=frame)
-    point = kinds["geometry_msgs/msg/Point"](**dict(zip("xyz", place, strict=True)))
-    turn = kinds["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
-    pose = kinds["geometry_msgs/msg/Pose"](position=point, orientation=turn)
-    return cdr(kinds["geometry_msgs/msg/PoseStamped"](header=header, pose=pose))
+    header = {"stamp": {"sec": 7, "nanosec": 5}, "frame_id": frame}
+    return cdr(TARGET[1], {"header": header, "pose": {"position": dict(zip("xyz", place, strict=True))}})
 
 
 @pytest.mark.parametrize("frame", ["", "inertial", "map"])

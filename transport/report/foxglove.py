@@ -5,31 +5,21 @@ a second field (`inputs`, `inputs_shape`): viewers plot `inputs[0]`, but few plo
 with the fewest digits that read back as the same bits.
 """
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import orjson
-from foxglove_schemas_protobuf.Color_pb2 import Color
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
-from foxglove_schemas_protobuf.Point3_pb2 import Point3
-from foxglove_schemas_protobuf.Pose_pb2 import Pose
-from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
-from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
-from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from model.arrays import Array
 from protocol.wire.messages import KINDS, Message
 from transport.log.run_log import RunLog, topic_of
 from transport.log.writer import LAST_TIME_NS, SEQUENCES
-from transport.report.mcap_copy import Schema, mcap_copy
-from transport.scene.drawing import Drawing, Label, Lines, Mesh, Part, quaternion, tree
+from transport.report.mcap_copy import Fields, Schema, colour_fields, mcap_copy, point_fields, pose_fields
+from transport.scene.drawing import Drawing, Label, Lines, Mesh, Part, tree
 from transport.scene.drawing import Pose as FramePose
 from transport.scene.scene import Scene, SceneBuilder
 
@@ -39,9 +29,9 @@ _PATHS = 100
 NUMBERS = "transport.Numbers"
 # Array fields with two axes; all others have one.
 _MATRICES = ("points", "uav_states", "inputs", "corrections")
+_LINE_LIST = 2  # foxglove.LinePrimitive
+_FIXED: Fields = {"scale_invariant": True}  # on the screen
 _SCALARS = {str: "string", int: "integer", float: "number", bool: "boolean"}
-
-Json = dict[str, Any]
 
 
 def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
@@ -62,12 +52,14 @@ def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
         for number, tick in enumerate(ticks):
             scene, at_ns = builder.at(tick), tick * period_ns
             poses = drawing.poses(scene)
-            transforms = [_transform(*link, at_ns) for link in tree(poses)]
+            transforms: Any = [_transform(*link, at_ns) for link in tree(poses)]
             copy.put("/tf", _TRANSFORMS, FrameTransforms(transforms=transforms).SerializeToString(), at_ns)
             scenes = {"now": drawing.moving(scene, flown=False)}
             if number % every == 0 or tick == ticks[-1]:
                 scenes["paths"] = iter([drawing.flown(scene)])
-            entities = {name: [_entity(part, at_ns) for part in parts] for name, parts in scenes.items()}
+            entities: dict[str, Any] = {
+                name: [_entity(part, at_ns) for part in parts] for name, parts in scenes.items()
+            }
             if shown != poses.keys():  # at the start, and when a UAV leaves or the payload touches the ground
                 shown = set(poses)
                 entities["bodies"] = [_entity(part, at_ns, empty=part.frame not in shown) for part in drawing.fixed]
@@ -77,7 +69,7 @@ def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
     return len(ticks)
 
 
-def _json(name: str, schema: Json) -> Schema:
+def _json(name: str, schema: Fields) -> Schema:
     return Schema(name, "jsonschema", orjson.dumps(schema), "json")
 
 
@@ -89,73 +81,40 @@ def _protobuf(message: type[Any]) -> Schema:
 _TRANSFORMS, _SCENE = _protobuf(FrameTransforms), _protobuf(SceneUpdate)
 
 
-def _entity(part: Part, at_ns: int, *, empty: bool = False) -> SceneEntity:
+def _entity(part: Part, at_ns: int, *, empty: bool = False) -> Fields:
     """Return a part of the drawing, which moves with its frame and is replaced by the next of its name."""
-    name = f"{part.frame}/{part.name}"
-    entity = SceneEntity(timestamp=_time(at_ns), frame_id=part.frame, id=name, frame_locked=True)
+    entity = _at(at_ns) | {"frame_id": part.frame, "id": f"{part.frame}/{part.name}", "frame_locked": True}
     match part:
         case _ if empty:
-            pass
+            return entity
         case Lines():
-            entity.lines.add(
-                type=LinePrimitive.LINE_LIST,
-                pose=_pose(np.zeros(3)),
-                thickness=part.width,
-                scale_invariant=True,
-                points=_points(part.segments.reshape(-1, 3)),
-                colors=[_colour(colour) for colour in np.repeat(part.colours, 2, axis=0)],
-            )
+            colours = [colour_fields(colour) for colour in np.repeat(part.colours, 2, axis=0)]
+            shape = {"type": _LINE_LIST, "points": _points(part.segments.reshape(-1, 3)), "colors": colours}
+            return entity | {"lines": [_FIXED | shape | {"thickness": part.width, "pose": pose_fields()}]}
         case Mesh():
-            entity.triangles.add(
-                pose=_pose(np.zeros(3)),
-                points=_points(part.vertices),
-                color=_colour(part.colour, part.opacity),
-                indices=part.faces.reshape(-1).tolist(),
-            )
+            shape = {"points": _points(part.vertices), "indices": part.faces.reshape(-1).tolist()}
+            colour = colour_fields(part.colour, part.opacity)
+            return entity | {"triangles": [shape | {"color": colour, "pose": pose_fields()}]}
         case Label():
-            entity.texts.add(
-                pose=_pose(part.position),
-                billboard=True,
-                font_size=14.0,
-                scale_invariant=True,
-                color=_colour(part.colour),
-                text=part.text,
-            )
-    return entity
+            style: Fields = {"color": colour_fields(part.colour), "billboard": True, "font_size": 14.0}
+            return entity | {"texts": [_FIXED | style | {"text": part.text, "pose": pose_fields(part.position)}]}
 
 
-def _transform(parent: str, child: str, pose: FramePose, at_ns: int) -> FrameTransform:
-    place = _pose(*pose)
-    return FrameTransform(
-        timestamp=_time(at_ns),
-        parent_frame_id=parent,
-        child_frame_id=child,
-        translation=place.position,
-        rotation=place.orientation,
-    )
+def _transform(parent: str, child: str, pose: FramePose, at_ns: int) -> Fields:
+    place = pose_fields(*pose)
+    frames = {"parent_frame_id": parent, "child_frame_id": child}
+    return _at(at_ns) | frames | {"translation": place["position"], "rotation": place["orientation"]}
 
 
-def _pose(position: Array, R: Array | None = None) -> Pose:
-    w, x, y, z = (1.0, 0.0, 0.0, 0.0) if R is None else quaternion(R).tolist()
-    return Pose(
-        position=Vector3(**dict(zip("xyz", position.tolist(), strict=True))), orientation=Quaternion(x=x, y=y, z=z, w=w)
-    )
+def _points(points: Array) -> list[Fields]:
+    return [point_fields(point) for point in points]
 
 
-def _points(points: Array) -> list[Point3]:
-    return [Point3(x=x, y=y, z=z) for x, y, z in points.tolist()]
+def _at(at_ns: int) -> Fields:
+    return {"timestamp": {"seconds": at_ns // 10**9, "nanos": at_ns % 10**9}}
 
 
-def _colour(colour: Iterable[float], opacity: float = 1.0) -> Color:
-    r, g, b = (channel / 255.0 for channel in colour)
-    return Color(r=r, g=g, b=b, a=opacity)
-
-
-def _time(at_ns: int) -> Timestamp:
-    return Timestamp(seconds=at_ns // 10**9, nanos=at_ns % 10**9)
-
-
-def _numbers(scene: Scene) -> Json:
+def _numbers(scene: Scene) -> Fields:
     return {
         "cost": scene.cost,
         "attitude_deg": dict(zip(("roll", "pitch", "yaw"), scene.attitude_deg.tolist(), strict=True)),
@@ -166,7 +125,7 @@ def _numbers(scene: Scene) -> Json:
     }
 
 
-def _object(title: str, properties: Json) -> Json:
+def _object(title: str, properties: Fields) -> Fields:
     return {"title": title, "type": "object", "properties": properties, "required": list(properties)}
 
 
@@ -186,7 +145,7 @@ _NUMBERS = _object(
 
 def to_json(message: Message) -> bytes:
     """Return a message as a JSON object."""
-    content: Json = {}
+    content: Fields = {}
     for name in message.__struct_fields__:
         content[name] = getattr(message, name)
         if name in _MATRICES:
@@ -194,9 +153,9 @@ def to_json(message: Message) -> bytes:
     return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
-def json_schema(kind: str) -> Json:
+def json_schema(kind: str) -> Fields:
     """Return the JSON Schema of a kind of message, for viewers."""
-    cls, properties = KINDS[kind], Json()
+    cls, properties = KINDS[kind], Fields()
     for name, hint in get_type_hints(cls).items():
         if name in cls.__struct_fields__:
             properties[name] = _type(hint)
@@ -205,7 +164,7 @@ def json_schema(kind: str) -> Json:
     return {"description": (cls.__doc__ or "").split("\n", 1)[0], **_object(cls.__name__, properties)}
 
 
-def _type(hint: Any) -> Json:
+def _type(hint: Any) -> Fields:
     if hint == Array:
         return {"type": "array", "items": {"type": "number"}}
     if get_origin(hint) is Literal:

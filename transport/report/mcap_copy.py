@@ -1,16 +1,23 @@
 """A copy of a log in another format, for viewers, as an MCAP file."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 from mcap.writer import CompressionType, Writer
 
+from model.arrays import Array
 from transport.report.report import atomic_file
+from transport.scene.drawing import quaternion
 
 # Metadata record with the header of the log; another name than in a log, which the copy is not.
 METADATA = "exported run"
+_ORIGIN, _LEVEL = np.zeros(3), np.eye(3)
+
+# Fields of a message by name.
+Fields = dict[str, Any]
 
 
 class Schema(NamedTuple):
@@ -49,3 +56,19 @@ def mcap_copy(out: Path, header: Mapping[str, str], profile: str = "") -> Iterat
         writer.add_metadata(METADATA, dict(header))
         yield McapCopy(writer)
         writer.finish()  # type: ignore[no-untyped-call]
+
+
+def point_fields(point: Array) -> Fields:
+    """Return a point or vector, (3,), as Foxglove and ROS 2 have it."""
+    return dict(zip("xyz", point.tolist(), strict=True))
+
+
+def pose_fields(position: Array = _ORIGIN, R: Array = _LEVEL) -> Fields:
+    """Return a position, (3,), m, and a rotation, (3, 3), as Foxglove and ROS 2 have them."""
+    orientation = dict(zip("wxyz", quaternion(R).tolist(), strict=True))
+    return {"position": point_fields(position), "orientation": orientation}
+
+
+def colour_fields(colour: Iterable[float], opacity: float = 1.0) -> Fields:
+    """Return a colour, 0..255, as Foxglove and ROS 2 have it."""
+    return dict(zip("rgba", (*(float(channel) / 255.0 for channel in colour), float(opacity)), strict=True))

@@ -4,7 +4,7 @@ Poses are in the frame "inertial", z down, whose parent "map" has z up. Plans ar
 markers are its drawing, as in the viewer.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cache
 from itertools import chain
 from pathlib import Path
@@ -18,20 +18,18 @@ from model.arrays import Array
 from model.rotations import rotation
 from model.state import StateView
 from transport.log.run_log import RunLog
-from transport.report.mcap_copy import Schema, mcap_copy
-from transport.scene.drawing import INERTIAL, PAYLOAD, ROOT, UPSIDE_DOWN, Drawing, Label, Lines, Part, quaternion, tree
-from transport.scene.drawing import Pose as FramePose
+from transport.report.mcap_copy import Fields, Schema, colour_fields, mcap_copy, point_fields, pose_fields
+from transport.scene.drawing import INERTIAL, PAYLOAD, ROOT, UPSIDE_DOWN, Drawing, Label, Lines, Mesh, Part, tree
 from transport.scene.scene import SceneBuilder
 
+_GEOMETRY = "geometry_msgs/msg"
 # Topic and type of targets.
-TARGET = "/target", "geometry_msgs/msg/PoseStamped"
+TARGET = "/target", f"{_GEOMETRY}/PoseStamped"
 _LINE_LIST, _TEXT, _TRIANGLES, _DELETE = 5, 9, 11, 2  # visualization_msgs/msg/Marker
 # Width of a drawn line per pixel of the viewer, and height of names, m.
 _LINE_M, _TEXT_M = 0.004, 0.12
-_LEVEL = np.eye(3)
-
-# A topic, and a message for it.
-Told = tuple[str, Any]
+# Values of fields that are not given; of other types 0.
+_EMPTY = {"string": "", "bool": False}
 
 
 @cache
@@ -40,35 +38,24 @@ def types() -> Any:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def cdr(message: Any) -> bytes:
-    """Return a message as bytes."""
-    return bytes(types().serialize_cdr(message, message.__msgtype__, little_endian=True))
+def cdr(kind: str, given: Fields) -> bytes:
+    """Return a message of a type such as "geometry_msgs/msg/PoseStamped" as bytes; all fields not given are empty."""
+    return bytes(types().serialize_cdr(_message(kind, given), kind, little_endian=True))
 
 
-def _new(kind: str, **fields: Any) -> Any:
-    package, name = kind.split("/")
-    return types().types[f"{package}/msg/{name}"](**fields)
+def _message(kind: str, given: Fields) -> Any:
+    fields = types().fielddefs[kind][1]
+    return types().types[kind](**{name: _field(node, about, given.get(name)) for name, (node, about) in fields})
 
 
-def _header(at_ns: int, frame: str = INERTIAL) -> Any:
-    stamp = _new("builtin_interfaces/Time", sec=at_ns // 10**9, nanosec=at_ns % 10**9)
-    return _new("std_msgs/Header", stamp=stamp, frame_id=frame)
-
-
-def _vector(kind: str, values: Array) -> Any:
-    return _new(f"geometry_msgs/{kind}", **dict(zip("xyz", map(float, values), strict=True)))
-
-
-def _rotation(R: Array) -> Any:
-    return _new("geometry_msgs/Quaternion", **dict(zip("wxyz", quaternion(R).tolist(), strict=True)))
-
-
-def _pose(position: Array, R: Array = _LEVEL) -> Any:
-    return _new("geometry_msgs/Pose", position=_vector("Point", position), orientation=_rotation(R))
-
-
-def _pose_stamped(at_ns: int, position: Array, R: Array = _LEVEL) -> Any:
-    return _new("geometry_msgs/PoseStamped", header=_header(at_ns), pose=_pose(position, R))
+def _field(node: Any, about: Any, value: Any) -> Any:
+    match node.name:
+        case "NAME":
+            return _message(about, value or {})
+        case "BASE":
+            return _EMPTY.get(about[0], 0) if value is None else value
+    (of, inner), _ = about
+    return np.zeros(0, dtype=inner[0]) if of.name == "BASE" else [_message(inner, each) for each in value or ()]
 
 
 class GoalError(ValueError):
@@ -94,24 +81,24 @@ def goal_in(data: bytes) -> Array:
 
 
 class Ros2Messages:
-    """Messages about the ticks of one run, whose history may grow."""
+    """Messages about the ticks of one run, whose history may grow.
+
+    Attributes:
+        topics: Type of each topic.
+    """
 
     def __init__(self, builder: SceneBuilder) -> None:
         self._builder, self._drawing = builder, Drawing(builder)
         self.period_ns, self.speed = builder.setup.period_ns, builder.setup.scenario.clock.speed
+        uavs = [f"uav{i + 1}" for i in range(builder.setup.system.N)]
+        self.topics = {"/tf": "tf2_msgs/msg/TFMessage", "/markers": "visualization_msgs/msg/MarkerArray"}
+        self.topics |= {f"/{body}/pose": f"{_GEOMETRY}/PoseStamped" for body in [PAYLOAD, *uavs, "reference"]}
+        self.topics |= {f"/{body}/twist": f"{_GEOMETRY}/TwistStamped" for body in [PAYLOAD, *uavs]}
+        plans = [*uavs, *(f"agent{agent}/{PAYLOAD}" for agent in builder.setup.agents)]
+        self.topics |= {f"/{name}/plan": "nav_msgs/msg/Path" for name in plans}
 
-    def topics(self) -> dict[str, str]:
-        """Return the type of each topic."""
-        setup, geometry = self._builder.setup, "geometry_msgs/msg"
-        bodies = [PAYLOAD, *(f"uav{i + 1}" for i in range(setup.system.N))]
-        found = {"/tf": "tf2_msgs/msg/TFMessage", "/markers": "visualization_msgs/msg/MarkerArray"}
-        found |= {f"/{body}/pose": f"{geometry}/PoseStamped" for body in [*bodies, "reference"]}
-        found |= {f"/{body}/twist": f"{geometry}/TwistStamped" for body in bodies}
-        plans = [*bodies[1:], *(f"agent{agent}/{PAYLOAD}" for agent in setup.agents)]
-        return found | {f"/{name}/plan": "nav_msgs/msg/Path" for name in plans}
-
-    def states(self, tick: int, at_ns: int) -> Iterator[Told]:
-        """Yield poses and twists at a tick, stamped with a time, ns."""
+    def states(self, tick: int, at_ns: int) -> Iterator[tuple[str, bytes]]:
+        """Yield topic and bytes of poses and twists at a tick, stamped with a time, ns."""
         setup, x = self._builder.setup, self._builder.history.plant_states[tick].x
         view, places = StateView(x), setup.model.outputs(x)[: 3 * setup.system.N].reshape(-1, 3)
         bodies = zip(
@@ -123,80 +110,64 @@ class Ros2Messages:
             strict=True,
         )
         for name, place, R, velocity, rates in bodies:
-            yield f"/{name}/pose", _pose_stamped(at_ns, place, R)
-            linear, angular = _vector("Vector3", velocity), _vector("Vector3", R @ rates)
-            twist = _new("geometry_msgs/Twist", linear=linear, angular=angular)
-            yield f"/{name}/twist", _new("geometry_msgs/TwistStamped", header=_header(at_ns), twist=twist)
+            yield self._told(f"/{name}/pose", _stamped(at_ns) | {"pose": pose_fields(place, R)})
+            twist = {"linear": point_fields(velocity), "angular": point_fields(R @ rates)}
+            yield self._told(f"/{name}/twist", _stamped(at_ns) | {"twist": twist})
         goal_I = setup.maneuver.path(np.array([tick * setup.settings.sampling_period_s]))[0][0]
-        yield "/reference/pose", _pose_stamped(at_ns, goal_I)
+        yield self._told("/reference/pose", _stamped(at_ns) | {"pose": pose_fields(goal_I)})
 
-    def scenes(self, tick: int, at_ns: int, *, fixed: bool) -> Iterator[Told]:
-        """Yield plans, transforms and markers at a tick, stamped with a time, ns; with `fixed` also the bodies'."""
+    def scenes(self, tick: int, at_ns: int, *, fixed: bool) -> Iterator[tuple[str, bytes]]:
+        """Yield topic and bytes of plans, transforms and markers, with `fixed` those of the bodies too."""
         scene = self._builder.at(tick)
         for found in scene.predictions:
             for k, uav in enumerate(self._builder.setup.owned[found.agent - 1]):
-                yield f"/uav{uav + 1}/plan", self._path(found.uavs_I[:, k], at_ns)
-            yield f"/agent{found.agent}/{PAYLOAD}/plan", self._path(found.payload_I, at_ns)
-        poses = self._drawing.poses(scene)
-        transforms = [_transform(*link, at_ns) for link in tree(poses)]
-        yield "/tf", _new("tf2_msgs/TFMessage", transforms=transforms)
+                yield self._told(f"/uav{uav + 1}/plan", self._path(found.uavs_I[:, k], at_ns))
+            yield self._told(f"/agent{found.agent}/{PAYLOAD}/plan", self._path(found.payload_I, at_ns))
+        poses, transforms = self._drawing.poses(scene), []
+        for parent, child, pose in tree(poses):
+            place = pose_fields(*pose)
+            transform = {"translation": place["position"], "rotation": place["orientation"]}
+            transforms.append(_stamped(at_ns, parent) | {"child_frame_id": child, "transform": transform})
+        yield self._told("/tf", {"transforms": transforms})
         parts: list[Part] = [lines for lines in self._drawing.moving(scene, flown=False) if len(lines.segments)]
-        markers = [_marker(part, at_ns) for part in [*parts, *(self._drawing.fixed if fixed else ())]]
-        for marker in markers:
-            if marker.header.frame_id not in poses:  # a UAV that has left
-                marker.action = _DELETE
-        yield "/markers", _new("visualization_msgs/MarkerArray", markers=markers)
+        markers = [_marker(part, at_ns, poses) for part in [*parts, *(self._drawing.fixed if fixed else ())]]
+        yield self._told("/markers", {"markers": markers})
 
-    def _path(self, positions: Array, at_ns: int) -> Any:
-        poses = [_pose_stamped(at_ns + k * self.period_ns, position) for k, position in enumerate(positions)]
-        return _new("nav_msgs/Path", header=_header(at_ns), poses=poses)
+    def _told(self, topic: str, given: Fields) -> tuple[str, bytes]:
+        return topic, cdr(self.topics[topic], given)
 
-
-def _transform(parent: str, child: str, pose: FramePose, at_ns: int) -> Any:
-    transform = _new("geometry_msgs/Transform", translation=_vector("Vector3", pose[0]), rotation=_rotation(pose[1]))
-    header = _header(at_ns, parent)
-    return _new("geometry_msgs/TransformStamped", header=header, child_frame_id=child, transform=transform)
+    def _path(self, positions: Array, at_ns: int) -> Fields:
+        times_ns = [at_ns + k * self.period_ns for k in range(len(positions))]
+        poses = [_stamped(t) | {"pose": pose_fields(place)} for t, place in zip(times_ns, positions, strict=True)]
+        return _stamped(at_ns) | {"poses": poses}
 
 
-def _marker(part: Part, at_ns: int) -> Any:
-    """Return a part of the drawing as a marker, which moves with its frame and replaces the last of its name."""
-    kind, points, colours, text, scale = _TRIANGLES, np.zeros((0, 3)), np.zeros((0, 3)), "", np.ones(3)
-    place, colour, opacity = np.zeros(3), (0.0, 0.0, 0.0), 1.0
+def _stamped(at_ns: int, frame: str = INERTIAL) -> Fields:
+    return {"header": {"stamp": {"sec": at_ns // 10**9, "nanosec": at_ns % 10**9}, "frame_id": frame}}
+
+
+def _marker(part: Part, at_ns: int, frames: Mapping[str, Any]) -> Fields:
+    """Return a part of the drawing as a marker, which moves with its frame and replaces the last of its name.
+
+    A part without a frame, such as that of a UAV that has left, is deleted.
+    """
+    marker = _stamped(at_ns, part.frame) | {"ns": f"{part.frame}/{part.name}", "frame_locked": True}
     match part:
+        case _ if part.frame not in frames:
+            return marker | {"action": _DELETE}
         case Lines():
-            kind, points, colours = _LINE_LIST, part.segments.reshape(-1, 3), np.repeat(part.colours, 2, axis=0)
-            scale = np.full(3, part.width * _LINE_M)
+            points = [point_fields(point) for point in part.segments.reshape(-1, 3)]
+            colours = [colour_fields(colour) for colour in np.repeat(part.colours, 2, axis=0)]
+            scale = point_fields(np.full(3, part.width * _LINE_M))
+            shape = {"type": _LINE_LIST, "points": points, "colors": colours, "scale": scale, "pose": pose_fields()}
+            return marker | shape | {"color": colour_fields((0, 0, 0))}
         case Label():
-            kind, place, colour, text, scale = _TEXT, part.position, part.colour, part.text, np.full(3, _TEXT_M)
-        case _:
-            points, colour, opacity = part.vertices[part.faces.reshape(-1)], part.colour, part.opacity
-    return _new(
-        "visualization_msgs/Marker",
-        header=_header(at_ns, part.frame),
-        ns=f"{part.frame}/{part.name}",
-        id=0,
-        type=kind,
-        action=0,
-        pose=_pose(place),
-        scale=_vector("Vector3", scale),
-        color=_colour(colour, opacity),
-        lifetime=_new("builtin_interfaces/Duration", sec=0, nanosec=0),
-        frame_locked=True,
-        points=[_vector("Point", point) for point in points],
-        colors=[_colour(given) for given in colours],
-        texture_resource="",
-        texture=_new("sensor_msgs/CompressedImage", header=_header(0, ""), format="", data=np.zeros(0, dtype=np.uint8)),
-        uv_coordinates=[],
-        text=text,
-        mesh_resource="",
-        mesh_file=_new("visualization_msgs/MeshFile", filename="", data=np.zeros(0, dtype=np.uint8)),
-        mesh_use_embedded_materials=False,
-    )
-
-
-def _colour(colour: Sequence[float] | Array, opacity: float = 1.0) -> Any:
-    r, g, b = (float(channel) / 255.0 for channel in colour)
-    return _new("std_msgs/ColorRGBA", r=r, g=g, b=b, a=float(opacity))
+            shape = {"type": _TEXT, "text": part.text, "scale": point_fields(np.full(3, _TEXT_M))}
+            return marker | shape | {"pose": pose_fields(part.position), "color": colour_fields(part.colour)}
+        case Mesh():
+            points = [point_fields(point) for point in part.vertices[part.faces.reshape(-1)]]
+            shape = {"type": _TRIANGLES, "points": points, "scale": point_fields(np.ones(3)), "pose": pose_fields()}
+            return marker | shape | {"color": colour_fields(part.colour, part.opacity)}
 
 
 def write_bag(builder: SceneBuilder, log: RunLog, out: Path) -> int:
@@ -204,14 +175,14 @@ def write_bag(builder: SceneBuilder, log: RunLog, out: Path) -> int:
 
     Raises: OSError: it cannot be written.
     """
-    messages, ticks = Ros2Messages(builder), sorted(builder.history.plant_states)
-    kinds = set(messages.topics().values())
-    definitions = {kind: types().generate_msgdef(kind, ros_version=2)[0].encode() for kind in kinds}
+    messages, ticks, schemas = Ros2Messages(builder), sorted(builder.history.plant_states), {}
+    for topic, kind in messages.topics.items():
+        definition = types().generate_msgdef(kind, ros_version=2)[0].encode()
+        schemas[topic] = Schema(kind, "ros2msg", definition, "cdr")
     with mcap_copy(out, log.header, profile="ros2") as copy:
         for tick in ticks:
             at_ns = tick * builder.setup.period_ns
             scenes = messages.scenes(tick, at_ns, fixed=tick == ticks[0])
-            for topic, message in chain(messages.states(tick, at_ns), scenes):
-                kind = message.__msgtype__
-                copy.put(topic, Schema(kind, "ros2msg", definitions[kind], "cdr"), cdr(message), at_ns)
+            for topic, data in chain(messages.states(tick, at_ns), scenes):
+                copy.put(topic, schemas[topic], data, at_ns)
     return len(ticks)
