@@ -58,23 +58,18 @@ class Row(NamedTuple):
     percent: tuple[float | None, ...]  # difference from the first run; None if not defined
 
 
-def _lost_percent(summary: Summary) -> float | None:
+def _lost(summary: Summary) -> float | None:
     messages = summary["messages"]
-    return 100.0 * messages["lost"] / messages["sent"] if messages["sent"] else None
+    return messages["lost"] / messages["sent"] if messages["sent"] else None
 
 
-def _exceeded_percent(summary: Summary) -> float | None:
+def _exceeded(summary: Summary) -> float | None:
     share = summary["constraint_violation_max"]
-    return None if share is None else 0.0 if share < HELD else 100.0 * share
-
-
-def _missed_percent(summary: Summary) -> float | None:
-    share = summary["deadline"]["share"]
-    return None if share is None else 100.0 * share
+    return None if share is None else share * (share >= HELD)
 
 
 _YES = {None: None, True: "yes", False: "no"}
-# Compared quantities: name, unit, dotted key or function of a summary (docs/summary.md).
+# Compared quantities: name, unit, dotted key or function of a summary (docs/summary.md); percentages of shares.
 _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     ("scenario", "", "scenario"),
     ("outcome", "", "outcome"),
@@ -90,15 +85,15 @@ _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     (f"payload error, max of last {SWING_S:g} s", "m", "payload_tracking.swing_m"),
     ("payload swing decays", "", lambda summary: _YES[summary["payload_tracking"]["decays"]]),
     ("separation, min", "m", "separation_min_m"),
-    ("limits exceeded, max", "%", _exceeded_percent),
+    ("limits exceeded, max", "%", _exceeded),
     ("agent step, median", "ms", "agent_step_ms.p50"),
     ("agent step, p99", "ms", "agent_step_ms.p99"),
     ("rest of tick, median", "ms", "rest_of_tick_ms.p50"),
     ("real-time factor", "", "real_time_factor"),
-    ("deadlines missed", "%", _missed_percent),
+    ("deadlines missed", "%", "deadline.share"),
     ("plan age, mean", "ticks", "plan_age_ticks.mean"),
     ("plan age, max", "ticks", "plan_age_ticks.max"),
-    ("plans lost", "%", _lost_percent),
+    ("plans lost", "%", _lost),
     ("messages rejected", "", "messages.rejected"),
     ("solver fallbacks", "", "solver.fallbacks"),
     ("solver failures", "", "solver.failures"),
@@ -112,6 +107,8 @@ def rows(runs: Sequence[Compared]) -> list[Row]:
     for name, unit, of in _QUANTITIES:
         value_of = of if callable(of) else partial(reduce, getitem, of.split("."))
         values = tuple(value_of(one.summary) for one in runs)
+        if unit == "%":
+            values = tuple(None if value is None else 100.0 * value for value in values)
         if any(value is not None for value in values):
             table.append(Row(name, unit, values, tuple(_difference_percent(value, values[0]) for value in values)))
     return table

@@ -24,16 +24,7 @@ from transport.analysis.series import SWING_S, Series, series_of, swing_of
 from transport.log.run_log import RunLog
 from transport.report.column import column_panels, draw_legend, finish, head, legend_height_in, limits, marks_of
 from transport.report.figures_3d import draw_trajectories
-from transport.report.style import (
-    COMPONENTS,
-    RC,
-    REFERENCE,
-    label_decades,
-    line_width,
-    save,
-    scale_cost,
-    shade_phases,
-)
+from transport.report.style import COMPONENTS, RC, REFERENCE, label_decades, line_width, save, scale_cost, shade_phases
 from transport.scene.drawing import UAV_COLOURS, uav_style
 
 # Makes the panels of a figure, given their heights, inches.

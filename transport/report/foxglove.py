@@ -42,18 +42,18 @@ def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
     period_ns = builder.setup.period_ns
     schemas = {kind: _json(f"transport.{cls.__name__}", json_schema(kind)) for kind, cls in KINDS.items()}
     numbers = _json(NUMBERS, _NUMBERS)
-    with mcap_copy(out, log.header) as copy:
+    with mcap_copy(out, log.header) as put:
         for message, received_ns in ((entry.message, entry.received_ns) for entry in log.messages):
             topic, at_ns = topic_of(message), min(message.tick * period_ns, LAST_TIME_NS)
             sequence = message.sequence % SEQUENCES
-            copy.put(topic, schemas[message.kind], to_json(message), at_ns, received_ns, sequence)
+            put(topic, schemas[message.kind], to_json(message), at_ns, received_ns, sequence)
         drawing, ticks = Drawing(builder), sorted(builder.history.plant_states)
         every, shown = max(1, len(ticks) // _PATHS), set[str]()
         for number, tick in enumerate(ticks):
             scene, at_ns = builder.at(tick), tick * period_ns
             poses = drawing.poses(scene)
             transforms: Any = [_transform(*link, at_ns) for link in tree(poses)]
-            copy.put("/tf", _TRANSFORMS, FrameTransforms(transforms=transforms).SerializeToString(), at_ns)
+            put("/tf", _TRANSFORMS, FrameTransforms(transforms=transforms).SerializeToString(), at_ns)
             scenes = {"now": drawing.moving(scene, flown=False)}
             if number % every == 0 or tick == ticks[-1]:
                 scenes["paths"] = iter([drawing.flown(scene)])
@@ -64,8 +64,8 @@ def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
                 shown = set(poses)
                 entities["bodies"] = [_entity(part, at_ns, empty=part.frame not in shown) for part in drawing.fixed]
             for name, parts in entities.items():
-                copy.put(f"/scene/{name}", _SCENE, SceneUpdate(entities=parts).SerializeToString(), at_ns)
-            copy.put("/numbers", numbers, orjson.dumps(_numbers(scene)), at_ns)
+                put(f"/scene/{name}", _SCENE, SceneUpdate(entities=parts).SerializeToString(), at_ns)
+            put("/numbers", numbers, orjson.dumps(_numbers(scene)), at_ns)
     return len(ticks)
 
 

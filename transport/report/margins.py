@@ -33,7 +33,6 @@ class HoverMargins:
     """Result of the analysis, for both values of `clock.actuation`.
 
     Attributes:
-        scenario: Its name.
         without: Agents that are gone, 1-based, whose UAVs follow the fail-safe.
         settling_s: Time in which the slowest deviation decays by e with the plant as known; None if one does not: the
             team does not hold the payload.

@@ -179,10 +179,10 @@ def write_bag(builder: SceneBuilder, log: RunLog, out: Path) -> int:
     for topic, kind in messages.topics.items():
         definition = types().generate_msgdef(kind, ros_version=2)[0].encode()
         schemas[topic] = Schema(kind, "ros2msg", definition, "cdr")
-    with mcap_copy(out, log.header, profile="ros2") as copy:
+    with mcap_copy(out, log.header, profile="ros2") as put:
         for tick in ticks:
             at_ns = tick * builder.setup.period_ns
             scenes = messages.scenes(tick, at_ns, fixed=tick == ticks[0])
             for topic, data in chain(messages.states(tick, at_ns), scenes):
-                copy.put(topic, schemas[topic], data, at_ns)
+                put(topic, schemas[topic], data, at_ns)
     return len(ticks)

@@ -63,11 +63,7 @@ DIVERGED: Any = {"markerfacecolor": "#ffffff", "linestyle": "none"}
 
 _THINNEST = 1.0
 # Fields of files that name program and date.
-_UNNAMED = {
-    ".png": ("Software",),
-    ".svg": ("Date", "Creator"),
-    ".pdf": ("CreationDate", "Creator", "Producer"),
-}
+_UNNAMED = {".png": ("Software",), ".svg": ("Date", "Creator"), ".pdf": ("CreationDate", "Creator", "Producer")}
 # Margin around a cropped drawing, inches.
 _MARGIN_IN = 0.03
 # Names of phases: distance from the panel, points; width of a letter, in font sizes; fewest letters.

@@ -1,9 +1,8 @@
 """History of a run by tick, as far as its log has been read: its messages, and the state of its links."""
 
-from bisect import bisect_right
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 from protocol.scenario.links import LinkChanges, words_of
 from protocol.scenario.setup import Setup
@@ -33,10 +32,8 @@ class RunHistory:
     Attributes:
         plant_states: Plant states by tick; a tick can be shown once its plant state is here.
         plans, reports: Plans and reports of steps by agent and tick.
-        first: First tick that can be shown, 0 if there is none.
-        last: Last tick that can be shown, -1 if there is none.
-        changes: Link changes in the order of their numbers, without duplicates.
-        targets: Targets in the order of their numbers, without duplicates.
+        first, last: Ticks from and until which can be shown, 0 and -1 if there is none.
+        changes, targets: Link changes and targets in the order of their numbers, without duplicates.
         begun, setup: The run without them, and with them.
         control: The coordinator's message about the end of the run, once it has ended.
         events: Sentences about faults, links and roster, each with its tick.
@@ -94,8 +91,7 @@ class RunHistory:
         """Return the newest recorded tick up to `tick`, or the first one; at least one must be recorded."""
         if tick in self.plant_states:
             return tick
-        ticks = sorted(self.plant_states)
-        return ticks[max(0, bisect_right(ticks, tick) - 1)]
+        return max((recorded for recorded in self.plant_states if recorded < tick), default=self.first)
 
     def roster(self, tick: int) -> Roster | None:
         """Return the roster at a tick; None while none is known."""
@@ -103,20 +99,13 @@ class RunHistory:
         return max(known, key=lambda roster: roster.version, default=None)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkState:
-    """One directed link between agents at an instant.
-
-    Attributes:
-        sender, receiver: Agents, 1-based.
-        age_s: Age of the sender's newest plan that the receiver used, s; None if it used none or made no step.
-        loss: Share of the sender's plans of the last `LOSS_WINDOW_S` that the link lost, 0..1.
-    """
+class LinkState(NamedTuple):
+    """One directed link between agents, 1-based, at an instant."""
 
     sender: int
     receiver: int
-    age_s: float | None
-    loss: float
+    age_s: float | None  # of the sender's newest plan that the receiver used; None if it used none or made no step
+    loss: float  # share of the sender's plans of the last `LOSS_WINDOW_S` that the link lost, 0..1
 
 
 class LinkHistory:
@@ -152,15 +141,8 @@ class LinkHistory:
         }
         # The plan of tick k has not arrived yet.
         ticks = range(max(0, tick - self._window), max(1, tick))
-        return tuple(
-            LinkState(
-                sender=ends[0],
-                receiver=ends[1],
-                age_s=ages.get(ends),
-                loss=sum(self._is_lost(ends, k) for k in ticks) / len(ticks),
-            )
-            for ends in self._links
-        )
+        lost = {ends: sum(self._is_lost(ends, k) for k in ticks) / len(ticks) for ends in self._links}
+        return tuple(LinkState(*ends, ages.get(ends), loss) for ends, loss in lost.items())
 
     def settings(self, sender: int, receiver: int, tick: int) -> tuple[float, float]:
         """Return fixed delay, s, and loss, 0..1, of a link for the plan of a tick."""

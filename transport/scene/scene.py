@@ -1,7 +1,10 @@
 """The scene of a run at a tick: poses, predicted paths, links and agents; arrays only, no drawing, no clock."""
 
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,88 +30,7 @@ _FORGOTTEN = 100
 _TOUCHING_M = 2e-3
 
 
-class Predictor:
-    """Predictions of agents: the trajectory of the nonlinear model, as their controllers compute it.
-
-    With closed-loop prediction every agent applies the shared control law with its announced corrections, otherwise its
-    announced inputs.
-    """
-
-    def __init__(self, setup: Setup) -> None:
-        self._setup, self._regulation = setup, _regulation(setup)
-        self._newest: tuple[Ahead, Regulation] | None = None
-
-    def states(self, history: RunHistory, agent: int, tick: int) -> Array | None:
-        """Return the states an agent predicted with its plan of a tick, k.
-
-        Returns: States at ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k, or an agent or UAV was
-            off the roster.
-        Source: docs/equations.md (32), (35).
-        """
-        own, plant_state, roster = history.plans.get((agent, tick)), history.plant_states[tick], history.roster(tick)
-        whole = roster is None or (set(roster.agents) == set(self._setup.agents) and not roster.off)
-        if own is None or not whole:
-            return None
-        setup, report, steps = history.setup_at(tick), history.reports.get((agent, tick)), self._setup.settings.horizon
-        alignment = setup.scenario.controller.received_plans
-        announced = AnnouncedInputs(setup.owned, setup.hover.u, alignment=alignment, own=agent)
-        announced.add(own)
-        x, z0, forces = plant_state.x, plant_state.x, np.zeros(3 + 3 * setup.system.N)
-        if setup.settings.motor_lag_s > 0.0:
-            z0 = np.concatenate([x, self._actual(history, tick)])
-        if report is not None:
-            forces[:3] = report.force
-            for peer, age in zip(report.peers, report.plan_ages, strict=True):
-                if age >= 0 and (used := history.plans.get((peer, tick - age))) is not None:
-                    announced.add(used)
-        law, regulation = None, self._following(setup)
-        if regulation is not None:
-            c = announced.corrections(tick, steps, tick + 1)
-            law = regulation.law(z0, setup.X_ref[tick : tick + steps], c, forces, tick)
-        if law is None:
-            # Inputs before the start of the plan are already fixed.
-            first = min(max(own.start_tick - tick, 0), steps)
-            U = np.tile(plant_state.u, (steps, 1))
-            U[first:] = announced.sequence(own.start_tick, steps - first, tick + 1)
-            none = np.zeros((steps, len(z0)))
-            law = FeedbackLaw(K=np.zeros((U.shape[1], len(z0))), u_rest=U, error=none, feedforward=0.0 * U, c=0.0 * U)
-        return rollout(setup.model, setup.settings, z0, law, forces)[0][:, : len(x)]
-
-    def _following(self, setup: Setup) -> Regulation | None:
-        """Return the shared control law with the targets of a run."""
-        if self._regulation is None or setup.ahead is None:
-            return self._regulation
-        if self._newest is None or self._newest[0] is not setup.ahead:
-            found = copy(self._regulation)
-            found.head(setup.X_ref, setup.ahead)
-            self._newest = setup.ahead, found
-        return self._newest[1]
-
-    def _actual(self, history: RunHistory, tick: int) -> Array:
-        """Return the actual inputs at a tick as its agents estimate them: by the lag from the commands before, (m,)."""
-        settings, system = self._setup.settings, self._setup.system
-        gains = None if system.rate_gains is None else tuple(system.rate_gains.tolist())
-        # What is left of deviations from commands after a period.
-        left = motors.shares(settings.motor_lag_s, settings.sampling_period_s, gains, system.N)[2]
-        a: Array = self._setup.hover.u
-        for k in range(max(0, tick - _FORGOTTEN), tick):
-            if (before := history.plant_states.get(k)) is not None:
-                a = before.u + left[0] * (a - before.u) + left[1] * (motors.commanded_states(before.x) - before.u)
-        return a
-
-
-def _regulation(setup: Setup) -> Regulation | None:
-    """Return the shared control law of the team; None with open-loop prediction or a controller of the user."""
-    if setup.settings.prediction != "closed_loop" or setup.scenario.agents.controller != "mpc":
-        return None
-    try:
-        return Regulation(setup.model, setup.hover, setup.settings, setup.X_ref, setup.track)
-    except FeedbackError:
-        return None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PredictedPaths:
+class PredictedPaths(NamedTuple):
     """Paths that one agent predicts over its horizon of N_p steps, inertial frame, m."""
 
     agent: int  # 1-based
@@ -155,7 +77,7 @@ class SceneBuilder:
         self.start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N].reshape(-1, 3)
         self.hover_N = float(np.mean(setup.hover.u[::INPUTS]))
         self._cost = StageCost(setup)
-        self._predictor: Predictor | None = None
+        self._newest: tuple[Ahead, Regulation] | None = None
         self._positions: dict[int, Array] = {}
 
     @property
@@ -241,12 +163,82 @@ class SceneBuilder:
         return self._positions[tick]
 
     def _predictions(self, tick: int) -> tuple[PredictedPaths, ...]:
-        self._predictor = self._predictor or Predictor(self.history.begun)
         predictions = []
         for agent, owned in zip(self.setup.agents, self.setup.owned, strict=True):
-            states = self._predictor.states(self.history, agent, tick)
+            states = self._predicted_states(agent, tick)
             if states is not None and np.isfinite(states).all():
                 y = np.array([self.setup.model.outputs(x) for x in states])[:, : 3 * self.setup.system.N]
                 uavs_I = y.reshape(len(y), -1, 3)[:, list(owned)]
-                predictions.append(PredictedPaths(agent=agent, uavs_I=uavs_I, payload_I=StateView(states).r0_I))
+                predictions.append(PredictedPaths(agent, uavs_I, StateView(states).r0_I))
         return tuple(predictions)
+
+    def _predicted_states(self, agent: int, tick: int) -> Array | None:
+        """Return the states an agent predicted with its plan of a tick, k: the trajectory of the nonlinear model.
+
+        With closed-loop prediction every agent applies the shared control law with its announced corrections, otherwise
+        its announced inputs.
+
+        Returns: States at ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k, or an agent or UAV was
+            off the roster.
+        Source: docs/equations.md (32), (35).
+        """
+        history, setup = self.history, self.history.setup_at(tick)
+        own, plant_state, roster = history.plans.get((agent, tick)), history.plant_states[tick], history.roster(tick)
+        if own is None or (roster is not None and (set(roster.agents) != set(setup.agents) or roster.off)):
+            return None
+        report, steps = history.reports.get((agent, tick)), setup.settings.horizon
+        alignment = setup.scenario.controller.received_plans
+        announced = AnnouncedInputs(setup.owned, setup.hover.u, alignment=alignment, own=agent)
+        announced.add(own)
+        x, z0, forces = plant_state.x, plant_state.x, np.zeros(3 + 3 * setup.system.N)
+        if setup.settings.motor_lag_s > 0.0:
+            z0 = np.concatenate([x, self._actual_inputs(tick)])
+        if report is not None:
+            forces[:3] = report.force
+            for peer, age in zip(report.peers, report.plan_ages, strict=True):
+                if age >= 0 and (used := history.plans.get((peer, tick - age))) is not None:
+                    announced.add(used)
+        law, regulation = None, self._following(setup)
+        if regulation is not None:
+            c = announced.corrections(tick, steps, tick + 1)
+            law = regulation.law(z0, setup.X_ref[tick : tick + steps], c, forces, tick)
+        if law is None:
+            # Inputs before the start of the plan are already fixed.
+            first = min(max(own.start_tick - tick, 0), steps)
+            U = np.tile(plant_state.u, (steps, 1))
+            U[first:] = announced.sequence(own.start_tick, steps - first, tick + 1)
+            none = np.zeros((steps, len(z0)))
+            law = FeedbackLaw(K=np.zeros((U.shape[1], len(z0))), u_rest=U, error=none, feedforward=0.0 * U, c=0.0 * U)
+        return rollout(setup.model, setup.settings, z0, law, forces)[0][:, : len(x)]
+
+    @cached_property
+    def _regulation(self) -> Regulation | None:
+        """The shared control law of the team; None with open-loop prediction or a controller of the user."""
+        setup = self.history.begun
+        if setup.settings.prediction != "closed_loop" or setup.scenario.agents.controller != "mpc":
+            return None
+        with suppress(FeedbackError):
+            return Regulation(setup.model, setup.hover, setup.settings, setup.X_ref, setup.track)
+        return None
+
+    def _following(self, setup: Setup) -> Regulation | None:
+        """Return the shared control law with the targets of a run."""
+        if self._regulation is None or setup.ahead is None:
+            return self._regulation
+        if self._newest is None or self._newest[0] is not setup.ahead:
+            found = copy(self._regulation)
+            found.head(setup.X_ref, setup.ahead)
+            self._newest = setup.ahead, found
+        return self._newest[1]
+
+    def _actual_inputs(self, tick: int) -> Array:
+        """Return the actual inputs at a tick as its agents estimate them: by the lag from the commands before, (m,)."""
+        settings, system = self.setup.settings, self.setup.system
+        gains = None if system.rate_gains is None else tuple(system.rate_gains.tolist())
+        # What is left of deviations from commands after a period.
+        left = motors.shares(settings.motor_lag_s, settings.sampling_period_s, gains, system.N)[2]
+        a: Array = self.setup.hover.u
+        for k in range(max(0, tick - _FORGOTTEN), tick):
+            if (before := self.history.plant_states.get(k)) is not None:
+                a = before.u + left[0] * (a - before.u) + left[1] * (motors.commanded_states(before.x) - before.u)
+        return a

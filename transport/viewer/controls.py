@@ -51,7 +51,7 @@ class _AfterRest:
 
 
 class TargetControls:
-    """Widgets that send the payload somewhere: a handle to drag, numbers, steps and keys."""
+    """Widgets in a folder that send the payload somewhere: a handle to drag, numbers, steps and keys."""
 
     def __init__(self, server: Any, builder: SceneBuilder, commands: Commands) -> None:
         self._builder, self._go, self._targets = builder, commands.target, 0
@@ -60,8 +60,8 @@ class TargetControls:
         self._place_I: Array = builder.setup.maneuver.path(np.zeros(1))[0][0]
         self._send_after_rest = _AfterRest(self._send)
         gui = server.gui
-        self._folder = gui.add_folder("Target")
-        with self._folder:
+        self.folder = gui.add_folder("Target")
+        with self.folder:
             self._state = gui.add_html("")
             # Three number fields would lose the sign of -0.5 while it is typed: they show -0 as 0.
             self._typed = gui.add_text("x, y, z (m)", _in_text(self._place_I), hint="inertial frame: z points down")
@@ -95,8 +95,8 @@ class TargetControls:
         self._state.content = html.notice(self._problem, warning=True) + state
 
     def close(self) -> None:
-        """Hide the controls of a run that has ended."""
-        self._folder.visible = self._handle.visible = False
+        """Remove handle and keys when the run has ended."""
+        self._handle.visible = False
         for command in self._keys:
             command.remove()
         self._keys.clear()
@@ -137,7 +137,7 @@ class TargetControls:
 
 
 class LinkControls:
-    """Widgets that delay, impair and cut links between agents, one in one direction or all."""
+    """Widgets in a folder that delay, impair and cut links between agents, one in one direction or all."""
 
     def __init__(self, gui: Any, builder: SceneBuilder, commands: Commands) -> None:
         self._builder, self._commands = builder, commands
@@ -146,8 +146,8 @@ class LinkControls:
         self._ends = {_ALL: None} | {f"{a} to {b}": (a, b) for a, b in self._pairs[:_MOST_LINKS]}
         self._shown = False
         self._moved: set[str] = set()  # keys of links whose widgets a user has moved, not yet sent
-        self._folder = gui.add_folder("Links", visible=bool(self._pairs))
-        with self._folder:
+        self.folder = gui.add_folder("Links", visible=bool(self._pairs))
+        with self.folder:
             self._link = gui.add_dropdown("link", tuple(self._ends))
             self._delay = gui.add_slider("delay (s)", 0.0, 1.0, 0.01, 0.0, hint="as transport link set --delay")
             self._loss = gui.add_slider("loss (%)", 0, 100, 1, 0, hint="30 % is transport link set --loss 0.3")
@@ -164,10 +164,6 @@ class LinkControls:
         if not self._shown:
             self._shown = True
             self._choose(_ALL)
-
-    def close(self) -> None:
-        """Hide the controls of a run that has ended."""
-        self._folder.visible = False
 
     def _choose(self, link: str) -> None:
         """Show the values of a link, or the largest of all links."""
@@ -196,19 +192,14 @@ class LinkControls:
         self._commands.clear()
 
 
-class ProcessControls:
-    """Buttons that kill and restart each agent."""
-
-    def __init__(self, gui: Any, builder: SceneBuilder, commands: Commands) -> None:
-        self._folder = gui.add_folder("Processes")
-        with self._folder:
-            for agent in builder.setup.agents:
-                buttons = gui.add_button_group(f"agent {agent}", ("kill", "restart"))
-                buttons.on_click(from_browser(partial(commands.fault, target=agent_name(agent))))
-
-    def close(self) -> None:
-        """Hide the buttons of a run that has ended."""
-        self._folder.visible = False
+def add_processes(gui: Any, builder: SceneBuilder, commands: Commands) -> Any:
+    """Return a folder with buttons that kill and restart each agent."""
+    folder = gui.add_folder("Processes")
+    with folder:
+        for agent in builder.setup.agents:
+            buttons = gui.add_button_group(f"agent {agent}", ("kill", "restart"))
+            buttons.on_click(from_browser(partial(commands.fault, target=agent_name(agent))))
+    return folder
 
 
 def _in_text(place: Array) -> str:

@@ -54,11 +54,7 @@ def notice(text: str, *, warning: bool) -> str:
 def flight(scene: Scene, duration_s: float, behind_s: float, *, watched: bool) -> str:
     """Return a table of time, phase, cost, attitude and position error of the payload.
 
-    Args:
-        scene: Shown scene.
-        duration_s: Duration of the run, s.
-        behind_s: Time by which the scene is behind an active run, s; 0 for a recorded one.
-        watched: Whether the page is to say so if no further table comes.
+    It says how far the scene is behind an active run, and, if watched, later on that no further table has come.
     """
     roll, pitch, yaw = scene.attitude_deg
     rows = {"time": f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}"}

@@ -7,7 +7,7 @@ from transport.flight.live import Commands
 from transport.scene.drawing import LAYERS
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
-from transport.viewer.controls import LinkControls, ProcessControls, TargetControls, from_browser
+from transport.viewer.controls import LinkControls, TargetControls, add_processes, from_browser
 from transport.viewer.playback import Playback
 from transport.viewer.plots import Plots
 from transport.viewer.view3d import View3D
@@ -44,14 +44,16 @@ class Panel:
         follows = gui.add_checkbox("camera follows the team", is_live)
         with gui.add_folder("Run"):
             self._flight = gui.add_html("")
-        self._target = None if commands is None else TargetControls(server, builder, commands)
-        self._links = None if commands is None else LinkControls(gui, builder, commands)
+        self._target, self._links, self._live = None, None, [self._follow]
+        if commands is not None:
+            self._target, self._links = TargetControls(server, builder, commands), LinkControls(gui, builder, commands)
+            self._live += [self._target.folder, self._links.folder]
         with gui.add_folder("Plots"):
             self._plots = Plots(gui, builder, is_live=is_live)
         with gui.add_folder("Agents"):
             self._agents = gui.add_html("")
-        processes = None if commands is None else ProcessControls(gui, builder, commands)
-        self._controls = [controls for controls in (self._target, self._links, processes) if controls is not None]
+        if commands is not None:
+            self._live.append(add_processes(gui, builder, commands))
         with gui.add_folder("Events"):
             self._events = gui.add_html("")
         with gui.add_folder("Show", expand_by_default=not is_live):
@@ -104,6 +106,8 @@ class Panel:
 
     def close_controls(self) -> None:
         """Hide the controls of a live run, which has ended."""
-        self._is_over, self._follow.visible = True, False
-        for controls in self._controls:
-            controls.close()
+        self._is_over = True
+        for widget in self._live:
+            widget.visible = False
+        if self._target is not None:
+            self._target.close()

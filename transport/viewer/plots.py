@@ -24,11 +24,6 @@ class Plots:
 
     Those of a recorded run show the whole run, faded after the shown tick; those of a live run the seconds before it,
     by the time before it, since the browser does not move a time axis with its data.
-
-    Args:
-        gui: Panel, in the folder that is open.
-        builder: Scenes of the run.
-        is_live: Whether the run is active.
     """
 
     def __init__(self, gui: Any, builder: SceneBuilder, *, is_live: bool) -> None:

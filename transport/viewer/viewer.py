@@ -39,15 +39,10 @@ _NICE = 10
 
 
 class Viewer:
-    """Viewer of one run.
+    """Viewer of one run, on the first free port from `port` on, or on any for 0.
 
-    Args:
-        builder: Scenes of the run.
-        host: Address to listen on.
-        port: First port to try; 0 for any.
-        notice: Sentence to show on top of the panel, such as what a log lacks.
-        tail: Log of a live run, read as it grows.
-        live: The live run to send requests to; None for a recorded run.
+    A live run has a log that is read as it grows, and takes requests. A notice, such as what a log lacks, is on top of
+    the panel.
 
     Attributes:
         notice: The sentence on top of the panel.
