@@ -40,8 +40,11 @@ def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
     Raises: OSError: it cannot be written.
     """
     period_ns = builder.setup.period_ns
-    schemas = {kind: _json(f"transport.{cls.__name__}", json_schema(kind)) for kind, cls in KINDS.items()}
-    numbers = _json(NUMBERS, _NUMBERS)
+    schemas = {
+        kind: Schema(f"transport.{cls.__name__}", "jsonschema", orjson.dumps(json_schema(kind)), "json")
+        for kind, cls in KINDS.items()
+    }
+    numbers = Schema(NUMBERS, "jsonschema", Path(__file__).with_name("numbers.schema.json").read_bytes(), "json")
     with mcap_copy(out, log.header) as put:
         for message, received_ns in ((entry.message, entry.received_ns) for entry in log.messages):
             topic, at_ns = topic_of(message), min(message.tick * period_ns, LAST_TIME_NS)
@@ -67,10 +70,6 @@ def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
                 put(f"/scene/{name}", _SCENE, SceneUpdate(entities=parts).SerializeToString(), at_ns)
             put("/numbers", numbers, orjson.dumps(_numbers(scene)), at_ns)
     return len(ticks)
-
-
-def _json(name: str, schema: Fields) -> Schema:
-    return Schema(name, "jsonschema", orjson.dumps(schema), "json")
 
 
 def _protobuf(message: type[Any]) -> Schema:
@@ -125,24 +124,6 @@ def _numbers(scene: Scene) -> Fields:
     }
 
 
-def _object(title: str, properties: Fields) -> Fields:
-    return {"title": title, "type": "object", "properties": properties, "required": list(properties)}
-
-
-_NUMBER, _MAYBE = {"type": "number"}, {"type": ["number", "null"]}
-_NUMBERS = _object(
-    NUMBERS,
-    {
-        "cost": _NUMBER,
-        "attitude_deg": _object("roll, pitch, yaw", dict.fromkeys(("roll", "pitch", "yaw"), _NUMBER)),
-        "payload_error_m": _NUMBER,
-        "phase": {"type": "string"},
-        "step_ms": {"type": "array", "items": _MAYBE},
-        "oldest_plan_s": _MAYBE,
-    },
-)
-
-
 def to_json(message: Message) -> bytes:
     """Return a message as a JSON object."""
     content: Fields = {}
@@ -161,7 +142,8 @@ def json_schema(kind: str) -> Fields:
             properties[name] = _type(hint)
         if name in _MATRICES:
             properties[f"{name}_shape"] = _type(tuple[int, ...])
-    return {"description": (cls.__doc__ or "").split("\n", 1)[0], **_object(cls.__name__, properties)}
+    about = {"title": cls.__name__, "description": (cls.__doc__ or "").split("\n", 1)[0], "type": "object"}
+    return about | {"properties": properties, "required": list(properties)}
 
 
 def _type(hint: Any) -> Fields:

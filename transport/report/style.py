@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_params_from_file
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -14,33 +15,10 @@ from protocol.scenario.setup import Setup
 
 # Width of every figure: a column of a paper (8.5 cm), inches.
 COLUMN_IN = 3.35
+# Settings of matplotlib; the type depends on its version.
+RC: Any = rc_params_from_file(Path(__file__).with_name("figures.mplstyle"), use_default_template=False)
 # Sizes of text in print, points: titles and labels, numbers at axes and legends.
-TEXT, SMALL = 7.0, 6.0
-DPI = 240
-
-_TICKS = {
-    "labelsize": SMALL, "major.pad": 1.5, "major.size": 2.0, "major.width": 0.6, "minor.size": 1.2, "minor.width": 0.4
-}  # fmt: skip
-RC: Any = {  # the type depends on the version of matplotlib
-    "font.size": TEXT,
-    "axes.labelsize": TEXT,
-    "axes.titlesize": TEXT,
-    "axes.labelpad": 1.5,
-    "axes.linewidth": 0.6,
-    **{f"{axis}tick.{name}": value for axis in "xy" for name, value in _TICKS.items()},
-    "legend.fontsize": SMALL,
-    "legend.frameon": False,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#d9d9d9",
-    "grid.linewidth": 0.5,
-    "lines.linewidth": 1.2,
-    "figure.dpi": DPI,
-    "savefig.dpi": DPI,
-    "svg.hashsalt": "transport",  # otherwise names inside an SVG are random
-}
+TEXT, SMALL = RC["font.size"], RC["legend.fontsize"]
 
 # Colours of components (x, y, z; roll, pitch, yaw), different from those of UAVs, and in grey from each other.
 COMPONENTS = ("#000000", "#E69F00", "#7B52AB")
@@ -126,5 +104,5 @@ def save(figure: Figure, path: Path, *, cropped: bool = False, pdf: bool = False
     files = [path.with_suffix(ending) for ending in _UNNAMED if pdf or ending != ".pdf"]
     for file in files:
         metadata = dict.fromkeys(_UNNAMED[file.suffix])
-        figure.savefig(file, metadata=metadata, bbox_inches=box, dpi=DPI)
+        figure.savefig(file, metadata=metadata, bbox_inches=box, dpi=RC["savefig.dpi"])
     return files
