@@ -99,20 +99,14 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
     Figure and drawing take the style from `matplotlib.rcParams`: call it within `rc_context(RC)`.
     """
     setup = with_targets(setup, log.of(Target))
-    match name:
-        case "trajectories":
-            draw_trajectories(figure, setup, series)
-            return True
-        case "timing":
-            return _draw_timing(figure, setup, log)
-        case "performance":
-            draw: Callable[..., list[Axes]] = _draw_performance
-        case "inputs":
-            draw = _draw_inputs
-        case _:
-            draw = _draw_estimate
+    if name == "trajectories":
+        draw_trajectories(figure, setup, series)
+        return True
+    if name == "timing":
+        return _draw_timing(figure, setup, log)
+    over_time = {"performance": _draw_performance, "inputs": _draw_inputs, "estimate": _draw_estimate}
     marks = marks_of(setup, log)
-    panels = draw(setup, log, series, partial(column_panels, figure, marks=marks))
+    panels = over_time[name](setup, log, series, partial(column_panels, figure, marks=marks))
     if panels:
         finish(figure, panels, setup, float(series.times_s[-1]) + setup.settings.sampling_period_s, marks)
     return bool(panels)
