@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -25,8 +25,11 @@ _RIGHT_IN, BOTTOM_IN = 0.08, 0.28
 # Height of a row of a legend, and its margin, inches; parts of an entry and of the title of a row, in font sizes.
 _ROW_IN, _MARGIN_IN = 0.115, 0.08
 _HANDLE, _PAD, _BETWEEN = 1.6, 0.4, 0.8
-# Most entries of a legend beside a title.
+# Most entries of a legend beside a title, and its distances, in font sizes.
 _MOST = 5
+_CLOSE: Any = {
+    "handlelength": 1.0, "handletextpad": 0.3, "columnspacing": 0.7, "borderaxespad": 0.0, "borderpad": 0.1
+}  # fmt: skip
 
 _LIMIT, _FAULT, _LINK = "#B2182B", "#B2182B", "#E69F00"
 _LINE_IN, _APART_IN = 0.105, 0.06
@@ -84,18 +87,7 @@ def head(panel: Axes, title: str, *, legend: bool = True) -> None:
     panel.text(0.0, 1.0, title, transform=panel.transAxes + up, ha="left", va="bottom", fontsize=TEXT)
     handles, labels = panel.get_legend_handles_labels()
     if legend and 1 < len(handles) <= _MOST:
-        panel.legend(
-            handles,
-            labels,
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            ncols=len(handles),
-            handlelength=1.0,
-            handletextpad=0.3,
-            columnspacing=0.7,
-            borderaxespad=0.0,
-            borderpad=0.1,
-        )
+        panel.legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(handles), **_CLOSE)
 
 
 def legend_height_in(rows: Rows) -> float:
@@ -174,24 +166,15 @@ def finish(figure: Figure, panels: Sequence[Axes], setup: Setup, until_s: float,
         colour, dashes = (_LINK, ":") if mark.of_links else (_FAULT, "-")
         for panel in panels:
             panel.axvline(mark.time_s, linewidth=0.8, zorder=1.5, color=colour, linestyle=dashes)
-        first = str(number)
-        if labels and mark.time_s - labels[-1][0] < _NEAR * until_s:
-            time_s, text = labels.pop()
-            labels.append((time_s, f"{text.split('-')[0]}-{first}"))
-        else:
-            labels.append((mark.time_s, first))
+        time_s, text = mark.time_s, str(number)
+        if labels and time_s - labels[-1][0] < _NEAR * until_s:
+            time_s, before = labels.pop()
+            text = f"{before.split('-')[0]}-{number}"
+        labels.append((time_s, text))
     for time_s, text in labels:
-        at_edge = time_s > (1.0 - _NEAR) * until_s
-        panels[0].annotate(
-            text,
-            (time_s, 1.0),
-            (-1.5 if at_edge else 1.5, -1.0),
-            xycoords=panels[0].get_xaxis_transform(),
-            textcoords="offset points",
-            ha="right" if at_edge else "left",
-            va="top",
-            fontsize=SMALL,
-        )
+        right_pt, side = (-1.5, "right") if time_s > (1.0 - _NEAR) * until_s else (1.5, "left")
+        place: Any = {"xycoords": panels[0].get_xaxis_transform(), "textcoords": "offset points", "va": "top"}
+        panels[0].annotate(text, (time_s, 1.0), (right_pt, -1.0), ha=side, fontsize=SMALL, **place)
     if marks:
         figure.text(0.02, 0.04 / figure.get_figheight(), "\n".join(caption_of(marks)), fontsize=SMALL, va="bottom")
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import threadpoolctl
@@ -36,21 +36,15 @@ class HoverMargins:
         without: Agents that are gone, 1-based, whose UAVs follow the fail-safe.
         settling_s: Time in which the slowest deviation decays by e with the plant as known; None if one does not: the
             team does not hold the payload.
-        growth: Growth rate of the fastest growing mode with the plant as known, 1/s.
+        growth_per_s: Growth rate of the fastest growing mode with the plant as known.
         margins: Of each property of `mpc.margins.Mismatch`, none where the hover is unstable as known.
     """
 
     scenario: str
     without: tuple[int, ...]
     settling_s: dict[str, float | None]
-    growth: dict[str, float]
+    growth_per_s: dict[str, float]
     margins: dict[str, dict[str, Margin]]
-
-    def tree(self) -> dict[str, object]:
-        """Return the result as plain values; None stands for beyond the searched range."""
-        plain = asdict(self)
-        plain["growth_per_s"] = plain.pop("growth")
-        return plain
 
 
 def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
@@ -90,7 +84,7 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
             scenario=name,
             without=absent,
             settling_s={actuation: loop.settling_s(known) for actuation, loop in loops.items()},
-            growth={actuation: loop.growth(known) for actuation, loop in loops.items()},
+            growth_per_s={actuation: loop.growth(known) for actuation, loop in loops.items()},
             margins={actuation: margins(loop) for actuation, loop in loops.items()},
         )
 
@@ -121,7 +115,7 @@ def _range(name: str, margin: Margin | None) -> str:
 
 def notes(found: HoverMargins) -> Iterator[str]:
     """Yield what is unstable, or does not decay, with the plant as the controllers know it."""
-    for actuation, growth in found.growth.items():
+    for actuation, growth in found.growth_per_s.items():
         if growth > GROWTH:
             yield f"{actuation}: the hover is unstable, deviations grow by e in {1.0 / growth:.3g} s"
         elif found.settling_s[actuation] is None:

@@ -138,18 +138,10 @@ class View3D:
         drawing, scene = self._drawing, self._server.scene
         middle = (drawing.low + drawing.high) / 2.0
         width = 2.0 * np.ceil(0.7 * drawing.size)
-        self._grid = scene.add_grid(
-            "/grid",
-            width=width,
-            height=width,
-            position=(round(middle[0]), round(middle[1]), drawing.floor),
-            cell_size=0.5,
-            section_size=1.0,
-            cell_color=(235, 235, 235),
-            section_color=(210, 210, 210),
-            infinite_grid=False,
-            fade_distance=100.0,
-        )
+        place, greys = (round(middle[0]), round(middle[1]), drawing.floor), ((235, 235, 235), (210, 210, 210))
+        lines = {"cell_size": 0.5, "section_size": 1.0, "cell_color": greys[0], "section_color": greys[1]}
+        size = {"width": width, "height": width, "infinite_grid": False, "fade_distance": 100.0}
+        self._grid = scene.add_grid("/grid", position=place, **lines, **size)
         self._axes = scene.add_frame(
             "/axes", axes_length=0.5, axes_radius=0.015, position=(*drawing.start_I[:2], drawing.floor)
         )
