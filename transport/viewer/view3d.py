@@ -27,7 +27,6 @@ class View3D:
         self._server, self._drawing = server, drawing
         self.shown: Scene | None = None
         self.outdated = True
-        self._hidden: set[str] = set()
         self._frames: dict[str, Any] = {}
         self._nodes: dict[str, Any] = {}
         self._layers: dict[str, list[Any]] = {name: [] for name in ("", *LAYERS)}
@@ -45,7 +44,6 @@ class View3D:
 
     def show_layer(self, name: str, shown: bool) -> None:
         """Show or hide one of `LAYERS`."""
-        (self._hidden.discard if shown else self._hidden.add)(name)
         for node in self._layers[name]:
             node.visible = shown
         self.outdated = True
@@ -62,7 +60,7 @@ class View3D:
         for lines in self._drawing.moving(scene):
             if lines.name not in self._nodes:
                 self._add(lines)
-            elif lines.layer not in self._hidden:
+            elif self._nodes[lines.name].visible:
                 _set_lines(self._nodes[lines.name], lines)
         for node in (self._grid, self._axes):
             if node.position[2] != self._drawing.floor:  # a target is below everything before
