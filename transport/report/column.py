@@ -18,10 +18,6 @@ from protocol.wire.messages import FaultNote, LinkChange, Roster, Target
 from transport.log.run_log import RunLog
 from transport.report.style import COLUMN_IN, SMALL, TEXT, shade_phases
 
-# Margins and gap between panels, inches: fixed, as a layout engine takes as long as drawing.
-LEFT_IN, TOP_IN, GAP_IN = 0.46, 0.32, 0.2
-_RIGHT_IN, BOTTOM_IN = 0.08, 0.28
-
 # Height of a row of a legend, and its margin, inches; parts of an entry and of the title of a row, in font sizes.
 _ROW_IN, _MARGIN_IN = 0.115, 0.08
 _HANDLE, _PAD, _BETWEEN = 1.6, 0.4, 0.8
@@ -54,15 +50,16 @@ def column_panels(
     marks: Sequence[Mark] = (),
     *,
     x_label: str = "time (s)",
-    left_in: float = LEFT_IN,
-    right_in: float = _RIGHT_IN,
-    top_in: float = TOP_IN,
-    gap_in: float = GAP_IN,
-    bottom_in: float = BOTTOM_IN,
+    left_in: float = 0.46,
+    right_in: float = 0.08,
+    top_in: float = 0.32,
+    gap_in: float = 0.2,
+    bottom_in: float = 0.28,
 ) -> list[Axes]:
     """Return stacked panels of an empty figure, which gets its size, with room above and for the caption of marks.
 
-    Only the lowest panel has numbers and a label below it.
+    Margins and gaps are fixed, as a layout engine takes as long as drawing. Only the lowest panel has numbers and a
+    label below it.
     """
     below_in = bottom_in + _LINE_IN * len(caption_of(marks)) + (_APART_IN if marks else 0.0)
     total_in = top_in + sum(heights_in) + (len(heights_in) - 1) * gap_in + below_in
