@@ -6,13 +6,14 @@ with the fewest digits that read back as the same bits.
 """
 
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 import orjson
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap_protobuf.schema import build_file_descriptor_set
+from pydantic import TypeAdapter
 
 from model.arrays import Array
 from protocol.wire.messages import KINDS, Message
@@ -31,7 +32,6 @@ NUMBERS = "transport.Numbers"
 _MATRICES = ("points", "uav_states", "inputs", "corrections")
 _LINE_LIST = 2  # foxglove.LinePrimitive
 _FIXED: Fields = {"scale_invariant": True}  # on the screen
-_SCALARS = {str: "string", int: "integer", float: "number", bool: "boolean"}
 
 
 def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
@@ -139,18 +139,8 @@ def json_schema(kind: str) -> Fields:
     cls, properties = KINDS[kind], Fields()
     for name, hint in get_type_hints(cls).items():
         if name in cls.__struct_fields__:
-            properties[name] = _type(hint)
+            properties[name] = TypeAdapter(list[float] if hint == Array else hint).json_schema()
         if name in _MATRICES:
-            properties[f"{name}_shape"] = _type(tuple[int, ...])
+            properties[f"{name}_shape"] = TypeAdapter(list[int]).json_schema()
     about = {"title": cls.__name__, "description": (cls.__doc__ or "").split("\n", 1)[0], "type": "object"}
     return about | {"properties": properties, "required": list(properties)}
-
-
-def _type(hint: Any) -> Fields:
-    if hint == Array:
-        return {"type": "array", "items": {"type": "number"}}
-    if get_origin(hint) is Literal:
-        return {"type": "string", "enum": list(get_args(hint))}
-    if get_origin(hint) is tuple:
-        return {"type": "array", "items": _type(get_args(hint)[0])}
-    return {"type": _SCALARS[hint]}
