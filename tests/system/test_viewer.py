@@ -40,7 +40,7 @@ from transport.log.run_folder import setup_of
 from transport.log.run_log import LogTail, read_log
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
-from transport.viewer.panel import Playback
+from transport.viewer.playback import Playback
 from transport.viewer.viewer import Viewer, open_viewer
 
 M = TypeVar("M", bound=Message)
@@ -411,7 +411,7 @@ def test_playback_pauses_plays_and_follows() -> None:
     assert playback.advance(1.0, 0, 100) == 0
     playback.toggle()
     assert playback.advance(1.0, 0, 100) == 20
-    playback.set_speed(2.0)
+    playback.speed = 2.0
     assert playback.advance(1.0, 0, 100) == 60
     assert playback.advance(9.0, 0, 100) == 100
     assert not playback.playing

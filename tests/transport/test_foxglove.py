@@ -24,11 +24,18 @@ from tests.support.messages import messages as any_message
 from transport.cli.main import app
 from transport.log.run_folder import open_run
 from transport.log.run_log import read_log, topic_of
-from transport.report.foxglove import CHANNELS, METADATA, json_schema, to_json
+from transport.report.foxglove import NUMBERS, json_schema, to_json
+from transport.report.mcap_copy import METADATA
 from transport.scene.drawing import Drawing
 from transport.scene.scene import SceneBuilder
 
 EXACT = 1e-12
+# Additional channels and their schemas (docs/viewer.md).
+CHANNELS = {
+    "/tf": "foxglove.FrameTransforms",
+    **{f"/scene/{name}": "foxglove.SceneUpdate" for name in ("bodies", "paths", "now")},
+    "/numbers": NUMBERS,
+}
 TICKS = 6
 
 

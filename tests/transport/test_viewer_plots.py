@@ -142,9 +142,9 @@ def test_the_camera_follows_the_team(live: Viewer, builder: SceneBuilder) -> Non
         (client,) = live.clients()
         places = []
         for tick in (0, LAST):
-            if tick == 0:
-                live.view3d.look_at(builder.at(0))
             live.view3d.show(builder.at(tick))
+            if tick == 0:
+                live.view3d.look_at(team=True)
             places.append((client.camera.position - builder.at(tick).uavs_I.mean(axis=0), client.camera.look_at))
         np.testing.assert_allclose(places[0][0], places[1][0], atol=NEAR_M)
         assert np.linalg.norm(places[1][1] - places[0][1]) > 0.1

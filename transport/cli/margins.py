@@ -1,5 +1,6 @@
 """The command `transport margins`."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -45,7 +46,7 @@ def margins(
     with scenario_errors(settings):
         found = hover_margins(setup, [int(agent) for agent in absent])
     if output is Format.json:
-        show_json(found.tree())
+        show_json(asdict(found))
     else:
         table = Table("property", *ACTUATIONS, box=None)
         for row in rows(found):

@@ -64,7 +64,7 @@ def ros2(
     setup = setup_of(folder)
     history, tail = RunHistory(setup), LogTail(folder / _LOG, KINDS, setup)
     messages = Ros2Messages(SceneBuilder(setup, history))
-    kinds = {topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics().items()}
+    kinds = {topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics.items()}
     heard = {TARGET[0]: (TARGET[1], types().hash_rihs01(TARGET[1]))}
     targets = Targets(Commands(there, lambda text, _: typer.echo(text, err=True)))
     try:
@@ -112,8 +112,6 @@ class Targets:
 
 def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node: RosNode, targets: Targets) -> None:
     """Publish the ticks of a run until it has ended: the states of all, plans and drawing of the newest."""
-    from transport.report.ros2 import cdr
-
     history.add(tail.read())
     speed, done, again_s, began_ns = messages.speed, history.last - 1, 0.0, 0
     while True:
@@ -131,8 +129,8 @@ def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node:
                 fixed = time.monotonic() >= again_s
                 again_s = time.monotonic() + _AGAIN_S if fixed else again_s
                 told = chain(told, messages.scenes(tick, at_ns, fixed=fixed))
-            for topic, kind, message in told:
-                node.put(topic, cdr(kind, message))
+            for topic, data in told:
+                node.put(topic, data)
             done = tick
         if history.control is not None or tail.ended:
             return

@@ -1,7 +1,7 @@
 """Margins of a scenario: how far the plant may differ from the controllers' model."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from os import PathLike
 from typing import Any, Unpack
 
@@ -25,7 +25,7 @@ class Margins:
     @property
     def data(self) -> dict[str, Any]:
         """Margins by actuation and property, as plain values; None is beyond the searched range."""
-        return self.found.tree()
+        return asdict(self.found)
 
     def plot(self) -> RunFigure:
         """Return the ranges as a figure."""

@@ -9,33 +9,30 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.animation import FFMpegWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 from rich.console import Console
 from rich.progress import track
 
-from model.arrays import Array
 from transport.analysis.series import Series, series_of
 from transport.log.run_folder import open_run
-from transport.report.figures_3d import draw_parts, frame, line
+from transport.report.figures_3d import UP, draw_parts, frame, line
 from transport.report.style import COMPONENTS, RC, REFERENCE, scale_cost, shade_phases
-from transport.scene.drawing import UAV_COLOURS, Drawing, age_colour
+from transport.scene.drawing import Drawing
 from transport.scene.scene import Scene, SceneBuilder
 
 KINDS = (".gif", ".mp4")
 # Frames per second; length of the animation of a run, whatever its duration, s.
 FPS, LENGTH_S = 10.0, 6.0
-# Palette of a GIF: the colours used, each in several shades towards white for the edges of lines.
-_INKS = ("#000000", "#555555", REFERENCE, *UAV_COLOURS, *COMPONENTS[1:])
-_SHADES = (1.0, 0.8, 0.6, 0.4, 0.2)
 _DPI = 100
 _SIZE_IN = (7.2, 4.4)
-_UP = np.array([1.0, 1.0, -1.0])
 _FADED = "#d0d0d0"
 _DECADES = 4
-_GREYS = (1.0, 0.95, 0.9, 0.85, 0.7)
+# Frames of a GIF whose colours all of its frames have.
+_PALETTE = 6
+# Values from which a colour is that of the paper.
+_PAPER = 246
 
 
 class AnimationError(RuntimeError):
@@ -83,59 +80,25 @@ class AnimationPage:
     """Figure of one run, of at least one tick, whose moving parts are redrawn for every frame."""
 
     def __init__(self, builder: SceneBuilder, series: Series) -> None:
-        self._setup, self._series = builder.setup, series
-        self.figure = Figure(figsize=_SIZE_IN, dpi=_DPI)
-        self._space: Any = self.figure.add_axes((-0.04, 0.0, 0.58, 0.95), projection="3d")
-        self._above = self.figure.add_axes((0.54, 0.42, 0.44, 0.47))
-        self._cost, self._attitude = (self.figure.add_axes((0.62, y, 0.36, 0.11)) for y in (0.25, 0.10))
-        self._moving: list[Any] = []
-        self._drawing = Drawing(builder)
+        self._series, self._drawing = series, Drawing(builder)
+        self._cost_shown = np.where(series.cost > 0.0, series.cost, np.nan)  # a logarithmic axis has no zeros
         self._reach_m = float(np.ptp(builder.start_I[:, :2], axis=0).max(initial=0.0)) / 2.0 + 0.4
-        self._draw_fixed_parts()
-
-    def show(self, scene: Scene) -> None:
-        """Draw a scene in place of the previous one."""
-        for artist in self._moving:
-            artist.remove()
-        self._moving = []
-        row = int(np.searchsorted(self._series.ticks, scene.tick))
-        poses, parts = self._drawing.poses(scene), [*self._drawing.fixed, *self._drawing.moving(scene)]
-        for axes in (self._space, self._above):
-            above = axes is self._above
-            hidden = ("reference", *(("actual paths", "thrust") if above else ("links",)))
-            shown = [part for part in parts if part.layer not in hidden]
-            self._moving += draw_parts(axes, shown, poses, above=above, width=0.45)
-        centre = scene.uavs_I[:, :2].mean(axis=0)
-        # z points away from the viewer, so y points down.
-        self._above.set_xlim(centre[0] - self._reach_m * 1.9, centre[0] + self._reach_m * 1.9)
-        self._above.set_ylim(centre[1] + self._reach_m, centre[1] - self._reach_m)
-        series, until = self._series, slice(0, row + 1)
-        t = series.times_s[until]
-        self._moving += self._cost.plot(t, _shown_cost(series)[until], color="#000000", linewidth=1.2)
-        for column, colour in enumerate(COMPONENTS):
-            self._moving += self._attitude.plot(t, series.attitude_deg[until, column], color=colour, linewidth=1.2)
-        text = f"{scene.time_s:5.2f} s   {scene.phase}"
-        self._moving.append(self.figure.text(0.03, 0.94, text, fontsize=10.0, family="monospace", weight="bold"))
-
-    def _draw_fixed_parts(self) -> None:
-        setup, series, space = self._setup, self._series, self._space
+        self._moving: list[Any] = []
+        self.figure = Figure(figsize=_SIZE_IN, dpi=_DPI)
+        space: Any = self.figure.add_axes((-0.04, 0.0, 0.58, 0.95), projection="3d")
+        self._space, self._above = space, self.figure.add_axes((0.54, 0.42, 0.44, 0.47))
+        self._cost, self._attitude = (self.figure.add_axes((0.62, y, 0.36, 0.11)) for y in (0.25, 0.10))
         line(space, series.payload_reference_I, color=REFERENCE, linewidth=0.8, linestyle="--")
-        frame(space, np.concatenate([series.uavs_I.reshape(-1, 3), series.x[:, :3]]) * _UP, zoom=0.85)
+        frame(space, np.concatenate([series.uavs_I.reshape(-1, 3), series.x[:, :3]]) * UP, zoom=0.85)
         space.view_init(elev=20.0, azim=-62.0)
         space.tick_params(labelsize=7.0, pad=-2.0)
-        for name in ("xlabel", "ylabel", "zlabel"):
-            getattr(space, f"set_{name}")("")
+        space.set(xlabel="", ylabel="", zlabel="")
         space.yaxis.set_major_locator(MaxNLocator(2))
         self.figure.text(0.03, 0.03, "x, y, altitude in m", fontsize=7.0)
-        above = self._above
-        above.set_aspect("equal")
-        above.set_title(
-            "from above, with predicted paths\nlinks grey: fresh, orange: delayed, black: no plan", fontsize=7.5
-        )
-        above.set_xticks([])
-        above.set_yticks([])
-        for name in ("top", "right"):
-            above.spines[name].set_visible(True)
+        self._above.set(aspect="equal", xticks=[], yticks=[])
+        self._above.spines[["top", "right"]].set_visible(True)
+        title = "from above, with predicted paths\nlinks grey: fresh, orange: delayed, black: no plan"
+        self._above.set_title(title, fontsize=7.5)
         for axes, label in ((self._cost, "cost"), (self._attitude, "attitude\n(deg)")):
             axes.tick_params(labelsize=7.0)
             axes.set_ylabel(label, fontsize=7.5)
@@ -147,33 +110,44 @@ class AnimationPage:
             at = 0.01 + 0.11 * k, 0.97
             self._attitude.text(*at, name, color=colour, fontsize=7.0, va="top", transform=self._attitude.transAxes)
         self._attitude.set_xlabel("time (s)", fontsize=7.5, labelpad=1.0)
-        shade_phases(setup, [self._cost, self._attitude], float(series.times_s[-1]) + 1e-9, named=False)
-        self._cost.plot(series.times_s, _shown_cost(series), color=_FADED, linewidth=0.8)
+        shade_phases(builder.setup, [self._cost, self._attitude], float(series.times_s[-1]) + 1e-9, named=False)
+        self._cost.plot(series.times_s, self._cost_shown, color=_FADED, linewidth=0.8)
         self._attitude.plot(series.times_s, series.attitude_deg, color=_FADED, linewidth=0.8)
 
-
-def _shown_cost(series: Series) -> Array:
-    """Return the cost without zeros, which a logarithmic axis does not have."""
-    return np.where(series.cost > 0.0, series.cost, np.nan)
+    def show(self, scene: Scene) -> None:
+        """Draw a scene in place of the previous one."""
+        for artist in self._moving:
+            artist.remove()
+        poses, parts = self._drawing.poses(scene), [*self._drawing.fixed, *self._drawing.moving(scene)]
+        in_space = [part for part in parts if part.layer not in ("reference", "links")]
+        from_above = [part for part in parts if part.layer not in ("reference", "actual paths", "thrust")]
+        self._moving = draw_parts(self._space, in_space, poses, above=False, width=0.45)
+        self._moving += draw_parts(self._above, from_above, poses, above=True, width=0.45)
+        x, y = scene.uavs_I[:, :2].mean(axis=0)
+        # z points away from the viewer, so y points down.
+        self._above.set_xlim(x - self._reach_m * 1.9, x + self._reach_m * 1.9)
+        self._above.set_ylim(y + self._reach_m, y - self._reach_m)
+        until = slice(0, int(np.searchsorted(self._series.ticks, scene.tick)) + 1)
+        t = self._series.times_s[until]
+        self._moving += self._cost.plot(t, self._cost_shown[until], color="#000000", linewidth=1.2)
+        for angles_deg, colour in zip(self._series.attitude_deg.T, COMPONENTS, strict=True):
+            self._moving += self._attitude.plot(t, angles_deg[until], color=colour, linewidth=1.2)
+        text = f"{scene.time_s:5.2f} s   {scene.phase}"
+        self._moving.append(self.figure.text(0.03, 0.94, text, fontsize=10.0, family="monospace", weight="bold"))
 
 
 def _write_gif(frames: Iterator[Figure], out: Path) -> None:
-    # With one palette for all frames, pixels that do not change take no bytes.
-    palette = Image.new("P", (1, 1))
-    ages = [np.divide(age_colour(age_s, 0.0), 255.0) for age_s in (0.0, 0.05, 0.1, 0.2, 0.3, 0.5)]
-    inks = [*(to_rgb(ink) for ink in _INKS), *ages]
-    faded = [1.0 - share * (1.0 - np.asarray(ink)) for ink in inks for share in _SHADES]
-    colours = np.round(255.0 * np.vstack([*(np.full(3, grey) for grey in _GREYS), *faded]))
-    palette.putpalette(colours.astype(int).reshape(-1).tolist())
     images = []
     for figure in frames:
         canvas = FigureCanvasAgg(figure)
         canvas.draw()  # type: ignore[no-untyped-call]
-        pixels = np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
-        images.append(Image.fromarray(pixels).quantize(palette=palette, dither=Image.Dither.NONE))
-    images[0].save(
-        out, save_all=True, append_images=images[1:], duration=round(1e3 / FPS), loop=0, optimize=True, disposal=1
-    )
+        images.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))  # type: ignore[no-untyped-call]
+    # With one palette for all frames, pixels that do not change take no bytes.
+    some = Image.fromarray(np.vstack([np.asarray(image) for image in images[:: max(1, len(images) // _PALETTE)]]))
+    palette = some.quantize(256)
+    palette.putpalette([255 if value > _PAPER else value for value in palette.getpalette() or ()])
+    first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
+    first.save(out, save_all=True, append_images=others, duration=round(1e3 / FPS), loop=0, optimize=True, disposal=1)
 
 
 def _write_mp4(frames: Iterator[Figure], out: Path) -> None:

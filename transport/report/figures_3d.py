@@ -29,7 +29,7 @@ _TALLEST_IN, _LEFT_IN, _RIGHT_IN, _BELOW_IN = 3.2, 0.15, 0.4, 0.6
 _TICKS = 5
 # Of obstacles, behind which the team is seen.
 _OPACITY = 0.25
-_UP = np.array([1.0, 1.0, -1.0])  # z points down in the data and up on paper
+UP = np.array([1.0, 1.0, -1.0])  # z points down in the data and up on paper
 
 
 def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
@@ -41,7 +41,7 @@ def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
     above_in = legend_height_in(rows)
     figure.set_layout_engine("none")
     figure.set_size_inches(COLUMN_IN, above_in + _TALLEST_IN + _BELOW_IN)
-    axes: Any = figure.add_axes(_square(figure, 1.0, np.zeros(2)), projection="3d", facecolor="none")
+    axes: Any = figure.add_axes((0.0, 0.0, 1.0, COLUMN_IN / figure.get_figheight()), projection="3d", facecolor="none")
     payload_I = StateView(series.x).r0_I
     line(axes, series.payload_reference_I, color=REFERENCE, linewidth=1.0, linestyle="--")
     uavs_I = np.where(series.on_rods[..., None], series.uavs_I, np.nan)  # released ones have left
@@ -54,9 +54,9 @@ def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
     everything = np.concatenate([series.uavs_I[series.on_rods], payload_I])
     for mesh in obstacles(setup, everything.min(axis=0), everything.max(axis=0)):
         colour = (*(np.array(mesh.colour) / 255.0), _OPACITY)
-        solid = list(mesh.vertices[mesh.faces] * _UP)
+        solid = list(mesh.vertices[mesh.faces] * UP)
         axes.add_collection3d(Poly3DCollection(solid, facecolors=colour, linewidths=0.0), autolim=False)
-    frame(axes, everything * _UP, ticks=_TICKS)
+    frame(axes, everything * UP, ticks=_TICKS)
     axes.tick_params(pad=-3.0)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.labelpad = -7.0
@@ -68,20 +68,13 @@ def _fit(figure: Figure, axes: Any, above_in: float) -> None:
     """Scale and move a 3D drawing so that its box is as large as fits below the legend, between the numbers."""
     corners = np.array(list(itertools.product(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())))
     projected = np.column_stack([corners, np.ones(len(corners))]) @ axes.get_proj().T
-    flat = projected[:, :2] / projected[:, 3:]
-    places = axes.transAxes.inverted().transform(axes.transData.transform(flat))
+    places = axes.transAxes.inverted().transform(axes.transData.transform(projected[:, :2] / projected[:, 3:]))
     low, high = places.min(axis=0), places.max(axis=0)  # shares of the square
+    size_in = figure.get_size_inches()
     side_in = float((np.array([COLUMN_IN - _LEFT_IN - _RIGHT_IN, _TALLEST_IN]) / (high - low)).min())
-    middle_in = np.array([(COLUMN_IN + _LEFT_IN - _RIGHT_IN) / 2.0, 0.0])
-    top_in = np.array([0.0, figure.get_figheight() - above_in])
-    corner_in = middle_in + top_in - side_in * np.array([(low + high)[0] / 2.0, high[1]])
-    axes.set_position(_square(figure, side_in, corner_in))
-
-
-def _square(figure: Figure, side_in: float, corner_in: Array) -> tuple[float, float, float, float]:
-    """Return a square as a place in a figure, given its lower left corner, (2,), inches."""
-    width_in, height_in = figure.get_size_inches()
-    return corner_in[0] / width_in, corner_in[1] / height_in, side_in / width_in, side_in / height_in
+    middle_top_in = np.array([(COLUMN_IN + _LEFT_IN - _RIGHT_IN) / 2.0, size_in[1] - above_in])
+    corner_in = middle_top_in - side_in * np.array([(low + high)[0] / 2.0, high[1]])
+    axes.set_position((*(corner_in / size_in), *(side_in / size_in)))
 
 
 def _rows_to_draw(setup: Setup, series: Series) -> list[int]:
@@ -98,17 +91,14 @@ def _rows_to_draw(setup: Setup, series: Series) -> list[int]:
 
 
 def _formation(axes: Any, setup: Setup, series: Series, k: int) -> None:
+    """Draw rods, UAVs and the outline of the payload in row k."""
     view = StateView(series.x[k])
-    R_IP = rotation(view.Theta0)
-    corners = np.array([view.r0_I + R_IP @ uav.rho for uav in setup.system.uavs])
-    for i, corner in enumerate(corners):
-        if not series.on_rods[k, i]:
-            continue
-        line(axes, np.array([series.uavs_I[k, i], corner]), color="#555555", linewidth=0.8)
-        axes.plot(*(series.uavs_I[k, i] * _UP), marker="o", markersize=4.0, color=uav_style(i)["color"])
-    outline = np.vstack([corners, corners[:1]])
-    line(axes, outline, color=PAYLOAD, linewidth=2.0)
-    axes.plot(*(view.r0_I * _UP), marker="s", markersize=4.0, color=PAYLOAD)
+    corners = np.array([view.r0_I + rotation(view.Theta0) @ uav.rho for uav in setup.system.uavs])
+    for i in np.flatnonzero(series.on_rods[k]):
+        line(axes, np.array([series.uavs_I[k, i], corners[i]]), color="#555555", linewidth=0.8)
+        line(axes, series.uavs_I[k, i], marker="o", markersize=4.0, color=uav_style(int(i))["color"])
+    line(axes, np.vstack([corners, corners[:1]]), color=PAYLOAD, linewidth=2.0)
+    line(axes, view.r0_I, marker="s", markersize=4.0, color=PAYLOAD)
 
 
 def frame(axes: Any, points: Array, *, zoom: float = 0.95, ticks: int = 8) -> None:
@@ -119,10 +109,8 @@ def frame(axes: Any, points: Array, *, zoom: float = 0.95, ticks: int = 8) -> No
     # A maneuver that only climbs needs width for the labels.
     widen = np.maximum(0.0, _SLIMMEST * float((high - low).max()) - (high - low)) / 2.0
     low, high = low - widen, high + widen
-    axes.set_xlim(low[0], high[0])
     # z points down: with x to the right, y points towards the reader; otherwise the drawing is a mirror image.
-    axes.set_ylim(high[1], low[1])
-    axes.set_zlim(low[2], high[2])
+    axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), zlim=(low[2], high[2]), xlabel="x (m)", ylabel="y (m)")
     axes.set_box_aspect(high - low, zoom=zoom)
     # The same spacing of ticks on all axes, a half or quarter of it on short ones, shows that scales are equal.
     values = MaxNLocator(nbins=ticks, steps=[1, 2, 5, 10]).tick_values(0.0, float((high - low).max()))
@@ -130,8 +118,6 @@ def frame(axes: Any, points: Array, *, zoom: float = 0.95, ticks: int = 8) -> No
     for axis, length in zip((axes.xaxis, axes.yaxis, axes.zaxis), high - low, strict=True):
         parts = 1.0 if length > 3.0 * spacing else 2.0 if length > spacing else 4.0
         axis.set_major_locator(MultipleLocator(spacing / parts))
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
     axes.set_zlabel("altitude, -z (m)", labelpad=10.0)
     axes.view_init(elev=18.0, azim=-60.0)
 
@@ -141,36 +127,32 @@ def draw_parts(axes: Any, parts: Iterable[Part], poses: Mapping[str, Pose], *, a
 
     Lines have `width` points for a pixel on the screen. From above, meshes are transparent, so that nothing is hidden.
     """
-    triangles, faces, pieces, colours, widths, drawn = [], [], [], [], [], []
+    solid, faces, segments, colours, widths, drawn = [], [], [], [], [], []
     for part in (part for part in parts if part.frame in poses):
         position, R = poses[part.frame]
         match part:
             case Mesh():
-                triangles.append((part.vertices @ R.T + position)[part.faces])
-                opacity = 0.2 if above else part.opacity
-                faces += [(*(np.array(part.colour) / 255.0), opacity)] * len(part.faces)
-            case Lines() if len(part.segments):
-                pieces.append(part.segments @ R.T + position)
-                colours.append(part.colours / 255.0)
+                solid += list((part.vertices @ R.T + position)[part.faces] * UP)
+                faces += [(*(np.array(part.colour) / 255.0), 0.2 if above else part.opacity)] * len(part.faces)
+            case Lines():
+                segments += list((part.segments @ R.T + position) * UP)
+                colours += list(part.colours / 255.0)
                 widths += [width * part.width] * len(part.segments)
             case Label() if above:
                 x, y, _ = part.position + position  # labels face the reader
-                colour = np.array(part.colour) / 255.0
-                style = {"fontsize": 8.0, "color": colour, "ha": "center", "va": "center", "weight": "bold"}
-                drawn.append(axes.text(x, y, part.text, **style))
-    solid, segments = np.concatenate(triangles) * _UP, np.concatenate(pieces) * _UP
-    line_style: Any = {"colors": np.concatenate(colours), "linewidths": widths}
+                style = {"fontsize": 8.0, "color": np.array(part.colour) / 255.0, "weight": "bold"}
+                drawn.append(axes.text(x, y, part.text, ha="center", va="center", **style))
+    line_style: Any = {"colors": colours, "linewidths": widths}
     if above:
-        order = np.argsort(solid[..., 2].mean(axis=1))
-        flat = LineCollection(list(segments[..., :2]), **line_style)
-        bodies = PolyCollection(list(solid[order, :, :2]), facecolors=[faces[k] for k in order], linewidths=0.0)
-        return [*drawn, axes.add_collection(flat), axes.add_collection(bodies)]
-    lines = Line3DCollection(list(segments), **line_style)
-    mesh = Poly3DCollection(list(solid), facecolors=faces, linewidths=0.0)
-    return [axes.add_collection3d(artist, autolim=False) for artist in (lines, mesh)]
+        order = np.argsort([triangle[:, 2].mean() for triangle in solid])
+        flat = LineCollection([piece[:, :2] for piece in segments], **line_style)
+        bodies = [solid[k][:, :2] for k in order]
+        polygons = PolyCollection(bodies, facecolors=[faces[k] for k in order], linewidths=0.0)
+        return [*drawn, axes.add_collection(flat), axes.add_collection(polygons)]
+    mesh = Poly3DCollection(solid, facecolors=faces, linewidths=0.0)
+    return [axes.add_collection3d(artist, autolim=False) for artist in (Line3DCollection(segments, **line_style), mesh)]
 
 
-def line(axes: Any, points_I: Array, **style: Any) -> list[Any]:
-    """Draw a path, (k, 3), inertial frame, m; return the drawn lines."""
-    drawn: list[Any] = axes.plot(*(points_I * _UP).T, **style)
-    return drawn
+def line(axes: Any, points_I: Array, **style: Any) -> None:
+    """Draw a path, (k, 3), or a point, (3,), inertial frame, m."""
+    axes.plot(*(points_I * UP).T, **style)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import threadpoolctl
@@ -33,25 +33,18 @@ class HoverMargins:
     """Result of the analysis, for both values of `clock.actuation`.
 
     Attributes:
-        scenario: Its name.
         without: Agents that are gone, 1-based, whose UAVs follow the fail-safe.
         settling_s: Time in which the slowest deviation decays by e with the plant as known; None if one does not: the
             team does not hold the payload.
-        growth: Growth rate of the fastest growing mode with the plant as known, 1/s.
+        growth_per_s: Growth rate of the fastest growing mode with the plant as known.
         margins: Of each property of `mpc.margins.Mismatch`, none where the hover is unstable as known.
     """
 
     scenario: str
     without: tuple[int, ...]
     settling_s: dict[str, float | None]
-    growth: dict[str, float]
+    growth_per_s: dict[str, float]
     margins: dict[str, dict[str, Margin]]
-
-    def tree(self) -> dict[str, object]:
-        """Return the result as plain values; None stands for beyond the searched range."""
-        plain = asdict(self)
-        plain["growth_per_s"] = plain.pop("growth")
-        return plain
 
 
 def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
@@ -73,8 +66,7 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
     if absent and setup.settings.prediction != "closed_loop":
         raise ScenarioError(name, "controller.prediction", "expected closed_loop where agents are gone, got open_loop")
     gone = [uav for agent in absent for uav in setup.owned[agent - 1]]
-    period_s = setup.settings.sampling_period_s
-    age = max(1, math.ceil(setup.scenario.links.delay_s / period_s - 1e-9))
+    age = max(1, math.ceil(setup.scenario.links.delay_s / setup.settings.sampling_period_s - 1e-9))
     # Several threads are slower than one with matrices of this size.
     with threadpoolctl.threadpool_limits(1):
         settings = setup.settings.model_copy(update={"linearisation": "present"})  # about hover both are the same
@@ -82,17 +74,18 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
         team = [Controller(setup.model, setup.hover, settings, owned, setup.X_ref) for owned in present]
         for controller in team if gone else ():
             controller.without(gone)
-        uncontrolled = {uav: setup.fail_safe.gain(uav) for uav in gone}
+        fail_safe = {uav: setup.fail_safe.gain(uav) for uav in gone}
         loops = {
-            name: Loop(team, next_tick=name == "next_tick", age=age, uncontrolled=uncontrolled) for name in ACTUATIONS
+            actuation: Loop(team, next_tick=actuation == "next_tick", age=age, uncontrolled=fail_safe)
+            for actuation in ACTUATIONS
         }
         known = Mismatch(lag_s=setup.settings.motor_lag_s)
         return HoverMargins(
             scenario=name,
             without=absent,
-            settling_s={name: loop.settling_s(known) for name, loop in loops.items()},
-            growth={name: loop.growth(known) for name, loop in loops.items()},
-            margins={name: margins(loop) for name, loop in loops.items()},
+            settling_s={actuation: loop.settling_s(known) for actuation, loop in loops.items()},
+            growth_per_s={actuation: loop.growth(known) for actuation, loop in loops.items()},
+            margins={actuation: margins(loop) for actuation, loop in loops.items()},
         )
 
 
@@ -104,26 +97,29 @@ def rows(found: HoverMargins) -> Iterator[tuple[str, ...]]:
         yield (label, *(_range(name, found.margins[actuation].get(name)) for actuation in ACTUATIONS))
 
 
+def _ends(name: str, margin: Margin) -> tuple[float, float]:
+    """Return the ends of a range that is drawn and printed, in ms or as factors."""
+    unit, least, most = (1e3, 0.0, FARTHEST_S) if name.endswith("_s") else (1.0, 1.0 / FARTHEST, FARTHEST)
+    return unit * (margin.lower or least), unit * (margin.upper or most)
+
+
 def _range(name: str, margin: Margin | None) -> str:
     if margin is None:
         return "unstable"
-    unit, farthest = (1e3, FARTHEST_S) if name.endswith("_s") else (1.0, FARTHEST)
-    lower = 0.0 if margin.lower is None else margin.lower
-    upper = f"> {farthest * unit:g}" if margin.upper is None else f"{margin.upper * unit:.3g}"
-    if name.endswith("_s") and lower == 0.0:
-        return f"up to {upper}"
-    below = f"< {1.0 / farthest:g}" if margin.lower is None else f"{lower * unit:.3g}"
-    return f"{below} to {upper}"
+    lower, upper = _ends(name, margin)
+    above = f"> {upper:g}" if margin.upper is None else f"{upper:.3g}"
+    if lower == 0.0:
+        return f"up to {above}"
+    return f"{f'< {lower:g}' if margin.lower is None else f'{lower:.3g}'} to {above}"
 
 
 def notes(found: HoverMargins) -> Iterator[str]:
     """Yield what is unstable, or does not decay, with the plant as the controllers know it."""
-    for actuation, growth in found.growth.items():
-        settling_s = found.settling_s[actuation]
-        if growth <= GROWTH and settling_s is None:
-            yield f"{actuation}: not holdable, some deviation does not decay"
+    for actuation, growth in found.growth_per_s.items():
         if growth > GROWTH:
             yield f"{actuation}: the hover is unstable, deviations grow by e in {1.0 / growth:.3g} s"
+        elif found.settling_s[actuation] is None:
+            yield f"{actuation}: not holdable, some deviation does not decay"
 
 
 def draw(found: HoverMargins, figure: Figure) -> None:
@@ -132,19 +128,12 @@ def draw(found: HoverMargins, figure: Figure) -> None:
     times = [name for name in LABELS if name.endswith("_s")]
     factors = [name for name in LABELS if name not in times]
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.6))
-    for axes, names, unit in ((left, times, 1e3), (right, factors, 1.0)):
+    for axes, names in ((left, times), (right, factors)):
         for i, actuation in enumerate(ACTUATIONS):
-            for j, name in enumerate(names):
-                margin = found.margins[actuation].get(name)
-                if margin is None:
-                    continue
-                farthest = FARTHEST_S if unit > 1.0 else FARTHEST
-                lower = margin.lower or (0.0 if unit > 1.0 else 1.0 / farthest)
-                upper = margin.upper or farthest
-                axes.barh(
-                    j + 0.36 * (i - 0.5), unit * (upper - lower), 0.32, unit * lower, color=CURVES[i][0],
-                    label=actuation if j == 0 else None,
-                )  # fmt: skip
+            of = found.margins[actuation]  # all or none
+            lower, upper = np.array([_ends(name, of[name]) for name in names if name in of]).reshape(-1, 2).T
+            places = np.arange(len(lower)) + 0.36 * (i - 0.5)
+            axes.barh(places, upper - lower, 0.32, lower, color=CURVES[i][0], label=actuation)
         axes.set_yticks(np.arange(len(names)), [LABELS[name].split(",")[0] for name in names])
         axes.invert_yaxis()
     left.set_xlabel("ms")

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_params_from_file
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -14,33 +15,10 @@ from protocol.scenario.setup import Setup
 
 # Width of every figure: a column of a paper (8.5 cm), inches.
 COLUMN_IN = 3.35
+# Settings of matplotlib; the type depends on its version.
+RC: Any = rc_params_from_file(Path(__file__).with_name("figures.mplstyle"), use_default_template=False)
 # Sizes of text in print, points: titles and labels, numbers at axes and legends.
-TEXT, SMALL = 7.0, 6.0
-DPI = 240
-
-_TICKS = {
-    "labelsize": SMALL, "major.pad": 1.5, "major.size": 2.0, "major.width": 0.6, "minor.size": 1.2, "minor.width": 0.4
-}  # fmt: skip
-RC: Any = {  # the type depends on the version of matplotlib
-    "font.size": TEXT,
-    "axes.labelsize": TEXT,
-    "axes.titlesize": TEXT,
-    "axes.labelpad": 1.5,
-    "axes.linewidth": 0.6,
-    **{f"{axis}tick.{name}": value for axis in "xy" for name, value in _TICKS.items()},
-    "legend.fontsize": SMALL,
-    "legend.frameon": False,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#d9d9d9",
-    "grid.linewidth": 0.5,
-    "lines.linewidth": 1.2,
-    "figure.dpi": DPI,
-    "savefig.dpi": DPI,
-    "svg.hashsalt": "transport",  # otherwise names inside an SVG are random
-}
+TEXT, SMALL = RC["font.size"], RC["legend.fontsize"]
 
 # Colours of components (x, y, z; roll, pitch, yaw), different from those of UAVs, and in grey from each other.
 COMPONENTS = ("#000000", "#E69F00", "#7B52AB")
@@ -62,12 +40,12 @@ MARKER = 3.2  # size, points
 DIVERGED: Any = {"markerfacecolor": "#ffffff", "linestyle": "none"}
 
 _THINNEST = 1.0
+# Fields of files that name program and date.
+_UNNAMED = {".png": ("Software",), ".svg": ("Date", "Creator"), ".pdf": ("CreationDate", "Creator", "Producer")}
 # Margin around a cropped drawing, inches.
 _MARGIN_IN = 0.03
-# Width of a letter, in font sizes.
-_LETTER = 0.62
-# Fewest letters of a name.
-_SHORTEST = 4
+# Names of phases: distance from the panel, points; width of a letter, in font sizes; fewest letters.
+_ABOVE_PT, _LETTER, _SHORTEST = 11.0, 0.62, 4
 
 
 def line_width(i: int, count: int, widest: float) -> float:
@@ -75,19 +53,9 @@ def line_width(i: int, count: int, widest: float) -> float:
     return _THINNEST if count == 1 else widest - (widest - _THINNEST) * i / (count - 1)
 
 
-def shade_phases(
-    setup: Setup, panels: list[Axes], until_s: float, *, named: bool = True, above_pt: float = 11.0
-) -> None:
-    """Shade every other phase of the maneuver in stacked panels and name those with room above the first.
-
-    Args:
-        setup: The run.
-        panels: Axes over time in s, from top to bottom.
-        until_s: End of the time axis, s.
-        named: Whether to name them.
-        above_pt: Distance of the names from the panel, points.
-    """
-    up = ScaledTranslation(0.0, above_pt / 72.0, panels[0].figure.dpi_scale_trans)
+def shade_phases(setup: Setup, panels: list[Axes], until_s: float, *, named: bool = True) -> None:
+    """Shade every other phase of the maneuver in stacked panels over time and name those with room above the first."""
+    up = ScaledTranslation(0.0, _ABOVE_PT / 72.0, panels[0].figure.dpi_scale_trans)
     points_per_s = 72.0 * panels[0].get_window_extent().width / panels[0].figure.dpi / until_s
     for number, (phase, begin, end) in enumerate(setup.maneuver.stages()):
         end = min(end, until_s)
@@ -98,18 +66,10 @@ def shade_phases(
                 axes.axvspan(begin, end, color=_BAND, linewidth=0, zorder=0)
         # Neighbouring names must not touch: a long one is cut, one without room left out.
         room = int(points_per_s * (end - begin) / (_LETTER * SMALL))
-        name = phase if len(phase) <= room else f"{phase[: room - 1].rstrip()}…"
         if named and room >= min(_SHORTEST, len(phase)):
-            panels[0].text(
-                (begin + end) / 2.0,
-                1.0,
-                name,
-                transform=panels[0].get_xaxis_transform() + up,
-                ha="center",
-                va="bottom",
-                color="#555555",
-                fontsize=SMALL,
-            )
+            name = phase if len(phase) <= room else f"{phase[: room - 1].rstrip()}…"
+            style: Any = {"ha": "center", "va": "bottom", "color": "#555555", "fontsize": SMALL}
+            panels[0].text((begin + end) / 2.0, 1.0, name, transform=panels[0].get_xaxis_transform() + up, **style)
     for axes in panels:
         axes.set_xlim(0.0, until_s)
 
@@ -140,13 +100,9 @@ def save(figure: Figure, path: Path, *, cropped: bool = False, pdf: bool = False
 
     The files are without program and date: equal figures give equal files.
     """
-    unnamed: dict[str, dict[str, None]] = {
-        ".png": {"Software": None},
-        ".svg": {"Date": None, "Creator": None},
-        ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-    }
     box = drawing_box(figure) if cropped else None
-    files = [path.with_suffix(ending) for ending in unnamed if pdf or ending != ".pdf"]
+    files = [path.with_suffix(ending) for ending in _UNNAMED if pdf or ending != ".pdf"]
     for file in files:
-        figure.savefig(file, metadata=unnamed[file.suffix], bbox_inches=box, dpi=DPI)
+        metadata = dict.fromkeys(_UNNAMED[file.suffix])
+        figure.savefig(file, metadata=metadata, bbox_inches=box, dpi=RC["savefig.dpi"])
     return files

@@ -5,23 +5,23 @@ one drawing later, never tears them apart; lines that change lie in frames that 
 frames are relative to the inertial one, z down; lengths in m.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import ConvexHull
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from model.arrays import Array
 from model.parameters import System, payload_corners, payload_half_size
 from protocol.scenario.setup import Setup
-from transport.scene.history import LinkState
 from transport.scene.scene import Scene, SceneBuilder
 
 Colour = tuple[int, int, int]
+Pose = tuple[Array, Array]  # position, (3,), and rotation to the inertial frame, (3, 3)
 
 # For colour-blind readers (after Okabe and Ito 2008), with different lightness for print in grey. Beyond five UAVs the
 # colours repeat with another line style.
@@ -30,48 +30,16 @@ _LINE_STYLES = ("-", "--", ":", "-.")
 
 # Ages of plans and their colours (docs/viewer.md), after that of a fresh one, which is at most `_FRESH_S` old; dark if
 # older than the oldest, or without any plan.
-_FRESH_S, _AGES_S = 0.1, (0.2, 0.5)
+_FRESH_S, _AGES_S, _OLDEST_S = 0.1, (0.2, 0.5), 1.0
 _AGE_COLOURS = ((154, 154, 154), (230, 159, 0), (178, 24, 43))
-_OLDEST_S = 1.0
 DARK: Colour = (17, 17, 17)
 
-
-def uav_style(i: int) -> dict[str, Any]:
-    """Return line colour and style of UAV i (0-based)."""
-    return {
-        "color": UAV_COLOURS[i % len(UAV_COLOURS)],
-        "linestyle": _LINE_STYLES[i // len(UAV_COLOURS) % len(_LINE_STYLES)],
-    }
-
-
-def uav_colour(i: int) -> Colour:
-    """Return the colour of UAV i (0-based), 0..255."""
-    code = uav_style(i)["color"].lstrip("#")
-    return int(code[:2], 16), int(code[2:4], 16), int(code[4:], 16)
-
-
-def age_colour(age_s: float | None, period_s: float) -> Colour:
-    """Return the colour of a link by the age of the newest plan, s; None for no plan.
-
-    A plan that is one sampling period old is fresh: on a perfect network there is no newer one.
-    """
-    if age_s is None or age_s > _OLDEST_S:
-        return DARK
-    channels = zip(*_AGE_COLOURS, strict=True)
-    r, g, b = (round(float(np.interp(age_s, (min(period_s, _FRESH_S), *_AGES_S), channel))) for channel in channels)
-    return r, g, b
-
-
-# Layers that can be shown and hidden, and whether they are shown at first; parts of no layer are always shown.
-LAYERS: Mapping[str, bool] = {
-    "predictions": True,
-    "actual paths": True,
-    "reference": True,
-    "links": True,
-    "thrust": True,
-    "names": True,
-}
+# Layers that can be shown and hidden; parts of no layer are always shown.
+LAYERS = ("predictions", "actual paths", "reference", "links", "thrust", "names")
 INERTIAL, PAYLOAD, TEAM, LOAD, GOAL = "inertial", "payload", "team", "load", "goal"
+# Foxglove and ROS 2 draw z up: the inertial frame, z down, is this frame turned about x.
+ROOT = "map"
+UPSIDE_DOWN: Pose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 
 _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150), (0, 0, 0)
 _CONTACT, _GROUND, _OBSTACLE = (178, 24, 43), (225, 222, 214), (196, 120, 60)
@@ -95,45 +63,41 @@ _POINTS, _POINTS_REFERENCE, _TOLERANCE = 240, 120, 5e-4
 _POINTS_TARGET, _DRAWN_TARGETS = 30, 20
 # Dashes of half a link; the gap in each is the share of lost plans. A trace is left at 100 % loss.
 _DASHES, _TRACE = 8, 0.15
+_SQUARE = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
 
-Pose = tuple[Array, Array]  # position, (3,), and rotation to the inertial frame, (3, 3)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Lines:
+class Lines(NamedTuple):
     """Segments, (k, 2, 3), in a frame, with their colours, (k, 3), 0..255, and width on the screen, pixels."""
 
     name: str
     frame: str
     layer: str
+    width: float
     segments: Array
     colours: Array
-    width: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Mesh:
+class Mesh(NamedTuple):
     """Vertices, (V, 3), in a frame, and triangles, (F, 3), that face outwards."""
 
     name: str
     frame: str
+    layer: str
     vertices: Array
     faces: npt.NDArray[np.int32]
     colour: Colour
-    layer: str = ""
-    opacity: float = 1.0
+    opacity: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Label:
+class Label(NamedTuple):
     """Text at a position, (3,), in a frame; it faces the reader."""
 
     name: str
     frame: str
+    layer: str
     text: str
     position: Array
     colour: Colour
-    layer: str = "names"
 
 
 Part = Lines | Mesh | Label
@@ -157,35 +121,32 @@ class Drawing:
         self._N = self._setup.system.N
         payload_I, uavs_I = self._reference()
         self.start_I, self.team_I = payload_I[0], uavs_I[0].mean(axis=0)
-        above = uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * ARROW_M])
-        everything = np.vstack([payload_I, above])
+        everything = np.vstack([payload_I, uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * ARROW_M])])
         self.low, self.high = everything.min(axis=0), everything.max(axis=0)
         self.size = float(np.linalg.norm(self.high - self.low))
         self._ground_m = self._setup.scenario.plant.ground_m
         self.floor = float(self.high[2]) + _BELOW_M if self._ground_m is None else self._ground_m
-        self.span = min([uav_span(builder.start_I), *(2.0 * obstacle.margin_m for obstacle in self._setup.obstacles)])
+        gap_m = pdist(builder.start_I).min(initial=np.inf)
+        margins_m = [2.0 * obstacle.margin_m for obstacle in self._setup.obstacles]
+        self.span = min([_SPAN_M, _SPAN_OF_GAP * float(gap_m), *margins_m])
         self._targets = len(self._setup.maneuver.targets)  # that are drawn
         self.fixed: tuple[Part, ...] = tuple(self._fixed())
 
     def _reference(self) -> tuple[Array, Array]:
         """Return the reference paths of payload, (k, 3), and UAVs, (k, N, 3), inertial frame, m."""
         setup = self._builder.setup
-        times_s = np.linspace(0.0, setup.ticks * setup.settings.sampling_period_s, _POINTS_REFERENCE)
-        legs = [np.linspace(target.since_s, target.ends_s, _POINTS_TARGET) for target in setup.maneuver.targets]
-        times_s = np.unique(np.concatenate([times_s, *legs[-_DRAWN_TARGETS:]])) if legs else times_s
-        uavs_I = setup.reference.outputs(times_s)[:, : 3 * self._N].reshape(-1, self._N, 3)
-        return setup.maneuver.path(times_s)[0], uavs_I
+        times_s = [np.linspace(0.0, setup.ticks * setup.settings.sampling_period_s, _POINTS_REFERENCE)]
+        for target in setup.maneuver.targets[-_DRAWN_TARGETS:]:
+            times_s.append(np.linspace(target.since_s, target.ends_s, _POINTS_TARGET))
+        t = np.unique(np.concatenate(times_s))
+        return setup.maneuver.path(t)[0], setup.reference.outputs(t)[:, : 3 * self._N].reshape(-1, self._N, 3)
 
     def _reference_lines(self) -> Iterator[Lines]:
         payload_I, uavs_I = self._reference()
-        for name, path, width in (
-            ("payload", payload_I, 1.5),
-            *((f"uav{i + 1}", uavs_I[:, i], 1.0) for i in range(self._N)),
-        ):
-            dashes = segments(path)[::2]
-            colours = _colours([_REFERENCE] * len(dashes))
-            layer, name_ = "reference", f"reference of {name}"
-            yield Lines(name=name_, frame=INERTIAL, layer=layer, segments=dashes, colours=colours, width=width)
+        paths = {"payload": payload_I, **{f"uav{i + 1}": uavs_I[:, i] for i in range(self._N)}}
+        for name, path in paths.items():
+            dashes = [(_REFERENCE, _segments(path)[::2])]
+            yield _lines(f"reference of {name}", INERTIAL, "reference", 1.5 if name == PAYLOAD else 1.0, dashes)
 
     def poses(self, scene: Scene) -> dict[str, Pose]:
         """Return the pose of every frame in a scene; parts in other frames are not to be seen in it."""
@@ -201,9 +162,9 @@ class Drawing:
             if i + 1 not in scene.released:
                 poses[f"uav{i + 1}"] = scene.uavs_I[i], scene.R_uavs[i]
                 rod_I = scene.uavs_I[i] - scene.attachments_I[i]
-                poses[f"rod{i + 1}"] = scene.attachments_I[i], rotation_from_up(rod_I)
-        poses.update({f"contact{k + 1}": (corner_I, level) for k, corner_I in enumerate(scene.contacts_I)})
-        return poses
+                turn, _ = Rotation.align_vectors(rod_I[None], [[0.0, 0.0, -1.0]])
+                poses[f"rod{i + 1}"] = scene.attachments_I[i], turn.as_matrix()
+        return poses | {f"contact{k + 1}": (corner_I, level) for k, corner_I in enumerate(scene.contacts_I)}
 
     def moving(self, scene: Scene, *, flown: bool = True) -> Iterator[Lines]:
         """Yield the lines of a scene, the same names for each; with `flown` the actual paths too.
@@ -216,18 +177,16 @@ class Drawing:
             if self._ground_m is None:
                 self.floor = max(self.floor, float(self._reference()[0][:, 2].max()) + _BELOW_M)
             yield from self._reference_lines()
-        yield self._thrust(scene)
         team_I, owned = scene.uavs_I.mean(axis=0), self._setup.owned
-        positions = np.array([scene.uavs_I[list(uavs)].mean(axis=0) for uavs in owned]) - team_I
-        pieces, colours = link_segments(scene.links, positions, self._setup.settings.sampling_period_s)
-        yield Lines(name="links", frame=TEAM, layer="links", segments=pieces, colours=colours, width=5.0)
+        yield _lines("thrust", TEAM, "thrust", 3.0, self._arrows(scene))
+        yield _lines("links", TEAM, "links", 5.0, self._links(scene))
         uavs, payload = [], []
-        for prediction in scene.predictions:
-            own = owned[prediction.agent - 1]
-            uavs += [(uav_colour(uav), prediction.uavs_I[:, k] - team_I) for k, uav in enumerate(own)]
-            payload.append((uav_colour(own[0]), prediction.payload_I - scene.payload_I))
-        yield _paths("predicted UAVs", TEAM, "predictions", uavs, 4.0)
-        yield _paths("predicted payload", LOAD, "predictions", payload, 4.0)
+        for found in scene.predictions:
+            own = owned[found.agent - 1]
+            uavs += [(uav_colour(uav), _segments(found.uavs_I[:, k] - team_I)) for k, uav in enumerate(own)]
+            payload.append((uav_colour(own[0]), _segments(found.payload_I - scene.payload_I)))
+        yield _lines("predicted UAVs", TEAM, "predictions", 4.0, uavs)
+        yield _lines("predicted payload", LOAD, "predictions", 4.0, payload)
         if flown:
             yield self.flown(scene)
 
@@ -235,56 +194,85 @@ class Drawing:
         """Return the actual paths until a scene."""
         payload_I, uavs_I = self._builder.paths(scene.tick, _POINTS)
         paths = [(_FLOWN, payload_I), *((uav_colour(i), uavs_I[:, i]) for i in range(self._N))]
-        near = _TOLERANCE * self.size
-        paths = [(colour, simplified(path, near)) for colour, path in paths]
-        return _paths("actual paths", INERTIAL, "actual paths", paths, 2.0)
+        drawn = [(colour, _segments(_simplified(path, _TOLERANCE * self.size))) for colour, path in paths]
+        return _lines("actual paths", INERTIAL, "actual paths", 2.0, drawn)
 
-    def _thrust(self, scene: Scene) -> Lines:
-        """Return an arrow for each UAV, whose head has four strokes."""
-        arrows, colours = [], []
-        for i, (place_I, thrust_I, R) in enumerate(zip(scene.uavs_I, scene.thrusts_I, scene.R_uavs, strict=True)):
-            if i + 1 in scene.released:
-                continue
-            tip_I = place_I + thrust_I * (ARROW_M / self._builder.hover_N)
-            barbs = tip_I + _HEAD_M * np.array([[1, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 2]]) @ R.T
-            arrows += [(place_I, tip_I), *((tip_I, barb) for barb in barbs)]
-            colours += [uav_colour(i)] * 5
-        segments = np.array(arrows).reshape(-1, 2, 3) - scene.uavs_I.mean(axis=0)
-        return Lines(name="thrust", frame=TEAM, layer="thrust", segments=segments, colours=_colours(colours), width=3.0)
+    def _arrows(self, scene: Scene) -> Iterator[tuple[Colour, Array]]:
+        """Yield the thrust of each UAV as an arrow, whose head has four strokes, in the frame of the team."""
+        places = scene.uavs_I - scene.uavs_I.mean(axis=0)
+        for i, (place, thrust_I, R) in enumerate(zip(places, scene.thrusts_I, scene.R_uavs, strict=True)):
+            if i + 1 not in scene.released:
+                tip = place + thrust_I * (ARROW_M / self._builder.hover_N)
+                barbs = tip + _HEAD_M * np.array([[1, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 2]]) @ R.T
+                yield uav_colour(i), np.array([(place, tip), *((tip, barb) for barb in barbs)])
+
+    def _links(self, scene: Scene) -> Iterator[tuple[Colour, Array]]:
+        """Yield the links in the frame of the team: the half next to the receiver, with gaps by packet loss."""
+        positions = np.array([scene.uavs_I[list(uavs)].mean(axis=0) for uavs in self._setup.owned])
+        positions -= scene.uavs_I.mean(axis=0)
+        for link in scene.links:
+            near, far = positions[link.receiver - 1], positions[link.sender - 1]
+            drawn, dashes = max(1.0 - link.loss, _TRACE), _DASHES if link.loss else 1
+            ends = (np.arange(dashes)[:, None] + 0.5 + np.array([-0.5, 0.5]) * drawn) / dashes / 2.0
+            colour = age_colour(link.age_s, self._setup.settings.sampling_period_s)
+            yield colour, near + ends[..., None] * (far - near)
 
     def _fixed(self) -> Iterator[Part]:
-        system = self._setup.system
+        system, start_I = self._setup.system, self._builder.start_I
         yield from self._reference_lines()
         yield _solid("reference position", GOAL, _ball(_GOAL_M), _REFERENCE, layer="reference")
         yield _solid("body", PAYLOAD, payload_points(system, grounded=self._ground_m is not None), _PAYLOAD)
-        offsets = name_offsets(self._builder.start_I)
+        outwards = start_I - start_I.mean(axis=0)  # where names stand: outside the formation
+        outwards *= 0.3 / np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), 1e-6)
         for i, uav in enumerate(system.uavs):
             rod = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, -uav.rod_length]]])
-            yield Lines(name="rod", frame=f"rod{i + 1}", layer="", segments=rod, colours=_colours([_ROD]), width=3.0)
-            yield from self._uav(i)
-            yield Label(name="name", frame=f"uav{i + 1}", text=f"UAV{i + 1}", position=offsets[i], colour=uav_colour(i))
+            yield _lines("rod", f"rod{i + 1}", "", 3.0, [(_ROD, rod)])
+            yield from self._uav(f"uav{i + 1}", uav_colour(i))
+            place = outwards[i] - np.array([0.0, 0.0, 0.1])
+            yield Label("name", f"uav{i + 1}", "names", f"UAV{i + 1}", place, uav_colour(i))
         yield from obstacles(self._setup, self.low, np.array([*self.high[:2], self.floor]))
         if self._ground_m is not None:
             middle, width = np.round((self.low + self.high)[:2] / 2.0), np.ceil(0.7 * self.size)
             below = self._ground_m + np.array([1.0, 2.0]) * _GROUND_M  # below the grid of the viewer
-            ground = np.array([[*(middle + width * np.array(xy)), z] for xy in _SQUARE for z in below])
-            yield _solid("ground", INERTIAL, ground, _GROUND)
+            yield _solid("ground", INERTIAL, _prism(middle + width * _SQUARE, *below), _GROUND)
             for k in range(len(payload_corners(system))):
                 yield _solid("contact", f"contact{k + 1}", _ball(_CONTACT_M), _CONTACT)
 
-    def _uav(self, i: int) -> Iterator[Mesh]:
+    def _uav(self, frame: str, colour: Colour) -> Iterator[Mesh]:
         """Yield body, beams and rotors of a quadrotor; its front rotors are dark."""
-        frame, colour, s = f"uav{i + 1}", uav_colour(i), self.span
-        yield _solid("hub", frame, s * _disc(2.0 * _BODY, _BODY), colour)
-        for k, yaw in enumerate(np.radians([45.0, 135.0])):
-            along, aside = np.array([np.cos(yaw), np.sin(yaw), 0.0]), np.array([-np.sin(yaw), np.cos(yaw), 0.0])
-            beam = [_ARM * x * along + _BEAM * y * aside for x, y in _SQUARE]
-            both = np.vstack([beam, beam]) - np.outer([_BODY / 2.0] * 4 + [_BODY / 2.0 + _BEAM] * 4, [0.0, 0.0, 1.0])
-            yield _solid(f"beam{k}", frame, s * both, _ROD)
-        angles = np.radians([45.0, 135.0, 225.0, 315.0])
-        for k, (x, y) in enumerate(_ARM * np.column_stack([np.cos(angles), np.sin(angles)])):
-            rotor = s * (_disc(_ROTOR, 0.02) + np.array([x, y, -_BODY]))
+        angles, s = np.radians([45.0, 135.0, 225.0, 315.0]), self.span
+        arms = np.column_stack([np.cos(angles), np.sin(angles)])
+        yield _solid("hub", frame, s * _disc(2.0 * _BODY, -_BODY / 2.0, _BODY / 2.0), colour)
+        for k in range(2):
+            beam = (_SQUARE * (_ARM, _BEAM)) @ arms[k : k + 2]
+            yield _solid(f"beam{k}", frame, s * _prism(beam, -_BODY / 2.0, -_BODY / 2.0 - _BEAM), _ROD)
+        for k, (x, y) in enumerate(_ARM * arms):
+            rotor = s * (_disc(_ROTOR, -0.01, 0.01) + np.array([x, y, -_BODY]))
             yield _solid(f"rotor{k}", frame, rotor, _PAYLOAD if x > 0.0 else colour, opacity=0.6)
+
+
+def uav_style(i: int) -> dict[str, Any]:
+    """Return line colour and style of UAV i (0-based)."""
+    cycle, colour = divmod(i, len(UAV_COLOURS))
+    return {"color": UAV_COLOURS[colour], "linestyle": _LINE_STYLES[cycle % len(_LINE_STYLES)]}
+
+
+def uav_colour(i: int) -> Colour:
+    """Return the colour of UAV i (0-based), 0..255."""
+    r, g, b = bytes.fromhex(uav_style(i)["color"].lstrip("#"))
+    return r, g, b
+
+
+def age_colour(age_s: float | None, period_s: float) -> Colour:
+    """Return the colour of a link by the age of the newest plan, s; None for no plan.
+
+    A plan that is one sampling period old is fresh: on a perfect network there is no newer one.
+    """
+    if age_s is None or age_s > _OLDEST_S:
+        return DARK
+    ages_s = min(period_s, _FRESH_S), *_AGES_S
+    r, g, b = (round(float(np.interp(age_s, ages_s, channel))) for channel in zip(*_AGE_COLOURS, strict=True))
+    return r, g, b
 
 
 def obstacles(setup: Setup, low: Array, high: Array) -> Iterator[Mesh]:
@@ -302,53 +290,20 @@ def obstacles(setup: Setup, low: Array, high: Array) -> Iterator[Mesh]:
         yield _solid(f"obstacle{k + 1}", INERTIAL, placed, _OBSTACLE, opacity=0.4)
 
 
-_SQUARE = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
-
-
 def payload_points(system: System, *, grounded: bool = False) -> Array:
     """Return the corners of a plate with all attachments on its top, (V, 3), payload frame.
 
     Where there is a ground, the plate is as thick as the box that touches it.
     """
-    flat = np.vstack([[uav.rho[:2] for uav in system.uavs], _CORE_M * np.array(_SQUARE)])
+    flat = np.vstack([[uav.rho[:2] for uav in system.uavs], _CORE_M * _SQUARE])
     height = float(np.mean([uav.rho[2] for uav in system.uavs]))
-    bottom = float(payload_half_size(system)[2]) if grounded else height + _PLATE_M
-    return np.vstack([np.column_stack([flat, np.full(len(flat), z)]) for z in (height, bottom)])
+    return _prism(flat, height, float(payload_half_size(system)[2]) if grounded else height + _PLATE_M)
 
 
-def hull(points: Array) -> npt.NDArray[np.int32]:
-    """Return the triangles, (F, 3), of the convex hull of points, (V, 3), so that they face outwards."""
-    found = ConvexHull(points)
-    triangles: npt.NDArray[np.int32] = found.simplices.copy()
-    for triangle, normal in zip(triangles, found.equations[:, :3], strict=True):
-        a, b, c = points[triangle]
-        if np.cross(b - a, c - a) @ normal < 0.0:
-            triangle[1:] = triangle[2:0:-1].copy()
-    return triangles
-
-
-def uav_span(positions: Array) -> float:
-    """Return the span of drawn UAVs that hover at positions, (N, 3)."""
-    gaps = [float(np.linalg.norm(a - b)) for i, a in enumerate(positions) for b in positions[:i]]
-    return min([_SPAN_M, *(_SPAN_OF_GAP * gap for gap in gaps)])
-
-
-def name_offsets(positions: Array) -> Array:
-    """Return where the names of UAVs at positions, (N, 3), stand relative to them, (N, 3): outside the formation."""
-    outwards = positions - positions.mean(axis=0)
-    distances = np.linalg.norm(outwards, axis=1, keepdims=True)
-    offsets: Array = 0.3 * outwards / np.maximum(distances, 1e-6) + np.array([0.0, 0.0, -0.1])
-    return offsets
-
-
-def rotation_from_up(direction: Array) -> Array:
-    """Return the shortest rotation, (3, 3), from up (-z) to a direction, (3,)."""
-    x, y, z = direction / np.linalg.norm(direction)
-    if z > 1.0 - 1e-9:  # straight down
-        return np.diag([1.0, -1.0, -1.0])
-    turn = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])  # of axis (-z) x direction, angle's sine
-    R: Array = np.eye(3) + turn + turn @ turn / (1.0 - z)
-    return R
+def tree(poses: Mapping[str, Pose]) -> Iterator[tuple[str, str, Pose]]:
+    """Yield parent, child and pose of each frame of a scene, from the root on, whose z points up."""
+    yield ROOT, INERTIAL, UPSIDE_DOWN
+    yield from ((INERTIAL, name, pose) for name, pose in poses.items() if name != INERTIAL)
 
 
 def quaternion(R: Array) -> Array:
@@ -356,7 +311,7 @@ def quaternion(R: Array) -> Array:
     return np.asarray(np.roll(Rotation.from_matrix(R).as_quat(), 1))
 
 
-def simplified(path: Array, tolerance_m: float) -> Array:
+def _simplified(path: Array, tolerance_m: float) -> Array:
     """Return a path, (k, 3), with fewer points, about as near to the original as the tolerance.
 
     Every second point that is near enough to the line between its neighbours is removed, until none is.
@@ -372,49 +327,31 @@ def simplified(path: Array, tolerance_m: float) -> Array:
         path = np.delete(path, 1 + 2 * np.flatnonzero(near), axis=0)
 
 
-def segments(path: Array) -> Array:
+def _segments(path: Array) -> Array:
     """Return the segments of a path, (k, 2, 3), from its points, (k + 1, 3)."""
-    return np.stack([path[:-1], path[1:]], axis=1) if len(path) > 1 else np.zeros((0, 2, 3))
+    return np.stack([path[:-1], path[1:]], axis=1)
 
 
-def link_segments(links: Sequence[LinkState], positions: Array, period_s: float) -> tuple[Array, Array]:
-    """Return the links as dashed lines: the half next to the receiver, with gaps by packet loss.
-
-    Args:
-        links: Links of a scene.
-        positions: Positions of the agents, (agents, 3), m.
-        period_s: Sampling period, s.
-    Returns: Segments (k, 2, 3), m, and their colours (k, 3), 0..255.
-    """
-    pieces: list[Array] = []
-    colours: list[Colour] = []
-    for link in links:
-        near, far = positions[link.receiver - 1], positions[link.sender - 1]
-        drawn = max(1.0 - link.loss, _TRACE)
-        dashes = _DASHES if link.loss else 1
-        for k in range(dashes):
-            start, end = ((k + 0.5 + side * drawn / 2.0) / dashes / 2.0 for side in (-1.0, 1.0))
-            pieces.append(np.array([near + start * (far - near), near + end * (far - near)]))
-            colours.append(age_colour(link.age_s, period_s))
-    return np.array(pieces).reshape(-1, 2, 3), _colours(colours)
-
-
-def _paths(name: str, frame: str, layer: str, paths: Sequence[tuple[Colour, Array]], width: float) -> Lines:
-    """Return paths, (k, 3), each in its colour."""
-    pieces = [segments(path) for _, path in paths]
-    colours = [colour for (colour, _), piece in zip(paths, pieces, strict=True) for _ in piece]
-    together = np.concatenate([np.zeros((0, 2, 3)), *pieces])
-    return Lines(name=name, frame=frame, layer=layer, segments=together, colours=_colours(colours), width=width)
-
-
-def _colours(colours: Sequence[Colour]) -> Array:
-    return np.array(colours, dtype=float).reshape(-1, 3)
+def _lines(name: str, frame: str, layer: str, width: float, coloured: Iterable[tuple[Colour, Array]]) -> Lines:
+    """Return segments, (k, 2, 3) each, in their colours."""
+    parts = list(coloured)
+    segments = np.concatenate([np.zeros((0, 2, 3)), *(piece for _, piece in parts)])
+    colours = np.concatenate([np.zeros((0, 3)), *(np.tile(colour, (len(piece), 1)) for colour, piece in parts)])
+    return Lines(name, frame, layer, width, segments, colours)
 
 
 def _solid(name: str, frame: str, points: Array, colour: Colour, *, layer: str = "", opacity: float = 1.0) -> Mesh:
-    return Mesh(
-        name=name, frame=frame, vertices=points, faces=hull(points), colour=colour, layer=layer, opacity=opacity
-    )
+    """Return the convex hull of points, (V, 3), with triangles that face outwards."""
+    hull = ConvexHull(points)
+    a, b, c = points[hull.simplices].transpose(1, 0, 2)
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    faces = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
+    return Mesh(name, frame, layer, points, faces, colour, opacity)
+
+
+def _prism(flat: Array, *heights: float) -> Array:
+    """Return points, (k, 2), at each of some heights, (heights k, 3)."""
+    return np.vstack([np.column_stack([flat, np.full(len(flat), z)]) for z in heights])
 
 
 def _ball(radius: float) -> Array:
@@ -424,8 +361,7 @@ def _ball(radius: float) -> Array:
     return points
 
 
-def _disc(radius: float, height: float) -> Array:
-    """Return points of a flat cylinder about the origin, (2 k, 3)."""
+def _disc(radius: float, *heights: float) -> Array:
+    """Return points of a flat cylinder about the z axis between heights, (16 heights, 3)."""
     angles = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-    ring = radius * np.column_stack([np.cos(angles), np.sin(angles)])
-    return np.vstack([np.column_stack([ring, np.full(len(ring), z)]) for z in (-height / 2.0, height / 2.0)])
+    return _prism(radius * np.column_stack([np.cos(angles), np.sin(angles)]), *heights)

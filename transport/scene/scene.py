@@ -1,8 +1,10 @@
 """The scene of a run at a tick: poses, predicted paths, links and agents; arrays only, no drawing, no clock."""
 
-import math
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,173 +24,44 @@ from protocol.wire.messages import StepReport
 from transport.log.run_log import LogError, RunLog
 from transport.scene.history import LinkHistory, LinkState, RunHistory
 
-# Share of an earlier command at which its effect on the actual inputs has decayed.
-_FORGOTTEN = 1e-6
-
-
-class Predictor:
-    """Predictions of agents: the trajectory of the nonlinear model, as their controllers compute it.
-
-    With closed-loop prediction every agent applies the shared control law with its announced corrections, otherwise its
-    announced inputs.
-    """
-
-    def __init__(self, setup: Setup) -> None:
-        self._setup = setup
-        self._steps = setup.settings.horizon
-        self._regulation = _regulation(setup)
-        self._newest: tuple[Ahead, Regulation] | None = None
-
-    def states(self, history: RunHistory, agent: int, tick: int) -> Array | None:
-        """Return the states an agent predicted with its plan of a tick, k.
-
-        Returns: States at ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k, or an agent or UAV was
-            off the roster.
-        Source: docs/equations.md (32), (35).
-        """
-        own, plant_state = history.plan(agent, tick), history.plant_states.get(tick)
-        if own is None or plant_state is None or not history.is_whole(tick):
-            return None
-        setup, report, steps = history.setup_at(tick), history.report(agent, tick), self._steps
-        regulation = self._following(setup)
-        announced = AnnouncedInputs(
-            setup.owned, setup.hover.u, alignment=setup.scenario.controller.received_plans, own=agent
-        )
-        announced.add(own)
-        for peer, age in () if report is None else zip(report.peers, report.plan_ages, strict=True):
-            used = history.plan(peer, tick - age) if age >= 0 else None
-            if used is not None:
-                announced.add(used)
-        x, lagging = plant_state.x, setup.settings.motor_lag_s > 0.0
-        z0 = np.concatenate([x, self._actual(history, tick)]) if lagging else x
-        forces = np.zeros(3 + 3 * setup.system.N)
-        if report is not None:
-            forces[:3] = report.force
-        law = None
-        if regulation is not None:
-            c = announced.corrections(tick, steps, tick + 1)
-            law = regulation.law(z0, setup.X_ref[tick : tick + steps], c, forces, tick)
-        if law is None:
-            # Inputs before the start of the plan are already fixed.
-            first = min(max(own.start_tick - tick, 0), steps)
-            U = np.tile(plant_state.u, (steps, 1))
-            U[first:] = announced.sequence(own.start_tick, steps - first, tick + 1)
-            none = np.zeros((steps, len(z0)))
-            law = FeedbackLaw(K=np.zeros((U.shape[1], len(z0))), u_rest=U, error=none, feedforward=0.0 * U, c=0.0 * U)
-        return rollout(setup.model, setup.settings, z0, law, forces)[0][:, : len(x)]
-
-    def _following(self, setup: Setup) -> Regulation | None:
-        """Return the shared control law with the targets of a run."""
-        if self._regulation is None or setup.ahead is None:
-            return self._regulation
-        if self._newest is None or self._newest[0] is not setup.ahead:
-            found = copy(self._regulation)
-            found.head(setup.X_ref, setup.ahead)
-            self._newest = setup.ahead, found
-        return self._newest[1]
-
-    def _actual(self, history: RunHistory, tick: int) -> Array:
-        """Return the actual inputs at a tick as its agents estimate them: by the lag from the commands before, (m,)."""
-        settings, system = self._setup.settings, self._setup.system
-        lag_s, period_s = settings.motor_lag_s, settings.sampling_period_s
-        forgotten_s = lag_s * math.log(1.0 / _FORGOTTEN)
-        gains = None if system.rate_gains is None else tuple(system.rate_gains.tolist())
-        # What is left of deviations from commands after a period.
-        left = motors.shares(lag_s, period_s, gains, system.N)[2]
-        a: Array = self._setup.hover.u
-        for k in range(max(0, tick - math.ceil(forgotten_s / period_s)), tick):
-            before = history.plant_states.get(k)
-            if before is not None:
-                a = before.u + left[0] * (a - before.u) + left[1] * (motors.commanded_states(before.x) - before.u)
-        return a
-
-
-def _regulation(setup: Setup) -> Regulation | None:
-    """Return the shared control law of the team; None with open-loop prediction or a controller of the user."""
-    if setup.settings.prediction != "closed_loop" or setup.scenario.agents.controller != "mpc":
-        return None
-    try:
-        return Regulation(setup.model, setup.hover, setup.settings, setup.X_ref, setup.track)
-    except FeedbackError:
-        return None
-
-
+# Ticks after which a command no longer acts on the actual inputs.
+_FORGOTTEN = 100
 # A corner this near to the ground is drawn as touching it, m.
 _TOUCHING_M = 2e-3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PredictedPaths:
-    """Paths that one agent predicts over its horizon of N_p steps.
+class PredictedPaths(NamedTuple):
+    """Paths that one agent predicts over its horizon of N_p steps, inertial frame, m."""
 
-    Attributes:
-        agent: 1-based.
-        uavs_I: Its own UAVs, (N_p + 1, owned, 3), inertial frame, m.
-        payload_I: The payload, (N_p + 1, 3), inertial frame, m.
-    """
-
-    agent: int
-    uavs_I: Array
-    payload_I: Array
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AgentState:
-    """One agent, 1-based, at a tick: whether it is on the roster, and the report of its step, if it made one."""
-
-    agent: int
-    takes_part: bool
-    report: StepReport | None
+    agent: int  # 1-based
+    uavs_I: Array  # its own UAVs, (N_p + 1, owned, 3)
+    payload_I: Array  # (N_p + 1, 3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Everything to show at one tick; N UAVs, inertial frame with z down, SI.
-
-    Attributes:
-        tick: k.
-        time_s: t_k.
-        phase: Phase of the maneuver.
-        payload_I: Position of the payload, (3,).
-        payload_reference_I: Its reference, (3,).
-        R_payload: Attitude, payload to inertial frame, (3, 3).
-        uavs_I: Positions of the UAVs, (N, 3).
-        R_uavs: Attitudes, body to inertial frame, (N, 3, 3).
-        attachments_I: Attachments of the rods to the payload, (N, 3).
-        thrusts_I: Thrust forces, (N, 3), N.
-        contacts_I: Corners of the payload's box that touch the ground, (k, 3).
-        predictions: Predicted paths of the agents that made a plan at this tick.
-        links: Links between agents.
-        agents: All agents.
-        cost: Stage cost.
-        attitude_deg: Roll, pitch, yaw of the payload, (3,), deg.
-        fail_safe: UAVs, 1-based, whose plans have run out.
-        released: UAVs, 1-based, that have left their rods.
-    """
+    """Everything to show at one tick; N UAVs, inertial frame with z down, SI; agents and UAVs are 1-based."""
 
     tick: int
     time_s: float
     phase: str
-    payload_I: Array
-    payload_reference_I: Array
-    R_payload: Array
-    uavs_I: Array
-    R_uavs: Array
-    attachments_I: Array
-    thrusts_I: Array
-    contacts_I: Array
-    predictions: tuple[PredictedPaths, ...]
-    links: tuple[LinkState, ...]
-    agents: tuple[AgentState, ...]
-    cost: float
-    attitude_deg: Array
-    fail_safe: tuple[int, ...]
-    released: tuple[int, ...]
-
-    @property
-    def error_m(self) -> float:
-        """Distance of the payload from its reference, m."""
-        return float(np.linalg.norm(self.payload_I - self.payload_reference_I))
+    payload_I: Array  # position, (3,)
+    payload_reference_I: Array  # (3,)
+    R_payload: Array  # payload to inertial frame, (3, 3)
+    uavs_I: Array  # positions, (N, 3)
+    R_uavs: Array  # body to inertial frames, (N, 3, 3)
+    attachments_I: Array  # of the rods to the payload, (N, 3)
+    thrusts_I: Array  # forces, (N, 3), N
+    contacts_I: Array  # corners of the payload's box that touch the ground, (k, 3)
+    predictions: tuple[PredictedPaths, ...]  # of the agents that made a plan at this tick
+    links: tuple[LinkState, ...]  # between agents
+    members: frozenset[int]  # agents on the roster
+    reports: tuple[StepReport | None, ...]  # of all agents
+    error_m: float  # distance of the payload from its reference
+    cost: float  # stage cost
+    attitude_deg: Array  # roll, pitch, yaw of the payload, (3,)
+    fail_safe: tuple[int, ...]  # UAVs whose plans have run out
+    released: tuple[int, ...]  # UAVs that have left their rods
 
 
 class SceneBuilder:
@@ -200,13 +73,11 @@ class SceneBuilder:
     """
 
     def __init__(self, setup: Setup, history: RunHistory) -> None:
-        self.history = history
-        self.link_history = LinkHistory(setup)
+        self.history, self.link_history = history, LinkHistory(history)
         self.start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N].reshape(-1, 3)
         self.hover_N = float(np.mean(setup.hover.u[::INPUTS]))
         self._cost = StageCost(setup)
-        self._predictor: Predictor | None = None
-        self._applied_changes = 0
+        self._newest: tuple[Ahead, Regulation] | None = None
         self._positions: dict[int, Array] = {}
 
     @property
@@ -228,39 +99,33 @@ class SceneBuilder:
 
     def at(self, tick: int) -> Scene:
         """Return the scene at a tick, or at the nearest recorded one; at least one must be recorded."""
-        setup, tick = self.setup, self.history.nearest(tick)
-        for change in self.history.changes[self._applied_changes :]:
-            self.link_history.change(change)
-        self._applied_changes = len(self.history.changes)
-        plant_state = self.history.plant_states[tick]
+        setup, history, tick = self.setup, self.history, self.history.nearest(tick)
+        plant_state, roster = history.plant_states[tick], history.roster(tick)
         time_s = tick * setup.settings.sampling_period_s
-        view, N = StateView(plant_state.x), setup.system.N
+        view, positions_I = StateView(plant_state.x), self._position(tick)
         R_payload, R_uavs = rotation(view.Theta0), np.array([rotation(Theta) for Theta in view.Theta])
-        thrusts = plant_state.u.reshape(N, INPUTS)[:, 0]
-        reports = [self.history.report(agent, tick) for agent in setup.agents]
-        members = self.history.members(tick)
+        error_m, cost = self.error_and_cost(tick)
         return Scene(
             tick=tick,
             time_s=time_s,
-            phase=self.setup.maneuver.phase_at(time_s).name,
-            payload_I=view.r0_I.copy(),
+            phase=setup.maneuver.phase_at(time_s).name,
+            payload_I=positions_I[0],
             payload_reference_I=setup.maneuver.path(np.array([time_s]))[0][0],
             R_payload=R_payload,
-            uavs_I=setup.model.outputs(plant_state.x)[: 3 * N].reshape(N, 3),
+            uavs_I=positions_I[1:],
             R_uavs=R_uavs,
             attachments_I=np.array([view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]),
-            thrusts_I=-thrusts[:, None] * R_uavs[:, :, 2],
+            thrusts_I=-plant_state.u[::INPUTS, None] * R_uavs[:, :, 2],
             contacts_I=self._contacts(view.r0_I, R_payload),
             predictions=self._predictions(tick),
-            links=self.link_history.states(tick, [report for report in reports if report is not None]),
-            agents=tuple(
-                AgentState(agent=agent, takes_part=agent in members, report=report)
-                for agent, report in zip(setup.agents, reports, strict=True)
-            ),
-            cost=self.error_and_cost(tick)[1],
+            links=self.link_history.states(tick),
+            members=frozenset(setup.agents if roster is None else roster.agents),
+            reports=tuple(history.reports.get((agent, tick)) for agent in setup.agents),
+            error_m=error_m,
+            cost=cost,
             attitude_deg=np.degrees(view.Theta0),
             fail_safe=tuple(i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE),
-            released=self.history.released(tick),
+            released=() if roster is None else tuple(roster.released),
         )
 
     def error_and_cost(self, tick: int) -> tuple[float, float]:
@@ -285,10 +150,8 @@ class SceneBuilder:
 
         Returns: Payload (k, 3) and UAVs (k, N, 3), inertial frame, m.
         """
-        ticks = sorted(k for k in self.history.plant_states if k <= tick)
-        chosen = ticks[:: max(1, len(ticks) // points)]
-        chosen += [tick] if chosen[-1:] != [tick] else []
-        positions = np.array([self._position(k) for k in chosen])
+        ticks = sorted(k for k in self.history.plant_states if k < tick)
+        positions = np.array([self._position(k) for k in [*ticks[:: max(1, len(ticks) // points)], tick]])
         return positions[:, 0], positions[:, 1:]
 
     def _position(self, tick: int) -> Array:
@@ -300,13 +163,82 @@ class SceneBuilder:
         return self._positions[tick]
 
     def _predictions(self, tick: int) -> tuple[PredictedPaths, ...]:
-        if self._predictor is None:
-            self._predictor = Predictor(self.history.begun)
         predictions = []
         for agent, owned in zip(self.setup.agents, self.setup.owned, strict=True):
-            states = self._predictor.states(self.history, agent, tick)
+            states = self._predicted_states(agent, tick)
             if states is not None and np.isfinite(states).all():
                 y = np.array([self.setup.model.outputs(x) for x in states])[:, : 3 * self.setup.system.N]
                 uavs_I = y.reshape(len(y), -1, 3)[:, list(owned)]
-                predictions.append(PredictedPaths(agent=agent, uavs_I=uavs_I, payload_I=StateView(states).r0_I))
+                predictions.append(PredictedPaths(agent, uavs_I, StateView(states).r0_I))
         return tuple(predictions)
+
+    def _predicted_states(self, agent: int, tick: int) -> Array | None:
+        """Return the states an agent predicted with its plan of a tick, k: the trajectory of the nonlinear model.
+
+        With closed-loop prediction every agent applies the shared control law with its announced corrections, otherwise
+        its announced inputs.
+
+        Returns: States at ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k, or an agent or UAV was
+            off the roster.
+        Source: docs/equations.md (32), (35).
+        """
+        history, setup = self.history, self.history.setup_at(tick)
+        own, plant_state, roster = history.plans.get((agent, tick)), history.plant_states[tick], history.roster(tick)
+        if own is None or (roster is not None and (set(roster.agents) != set(setup.agents) or roster.off)):
+            return None
+        report, steps = history.reports.get((agent, tick)), setup.settings.horizon
+        alignment = setup.scenario.controller.received_plans
+        announced = AnnouncedInputs(setup.owned, setup.hover.u, alignment=alignment, own=agent)
+        announced.add(own)
+        x, z0, forces = plant_state.x, plant_state.x, np.zeros(3 + 3 * setup.system.N)
+        if setup.settings.motor_lag_s > 0.0:
+            z0 = np.concatenate([x, self._actual_inputs(tick)])
+        if report is not None:
+            forces[:3] = report.force
+            for peer, age in zip(report.peers, report.plan_ages, strict=True):
+                if age >= 0 and (used := history.plans.get((peer, tick - age))) is not None:
+                    announced.add(used)
+        law, regulation = None, self._following(setup)
+        if regulation is not None:
+            c = announced.corrections(tick, steps, tick + 1)
+            law = regulation.law(z0, setup.X_ref[tick : tick + steps], c, forces, tick)
+        if law is None:
+            # Inputs before the start of the plan are already fixed.
+            first = min(max(own.start_tick - tick, 0), steps)
+            U = np.tile(plant_state.u, (steps, 1))
+            U[first:] = announced.sequence(own.start_tick, steps - first, tick + 1)
+            none = np.zeros((steps, len(z0)))
+            law = FeedbackLaw(K=np.zeros((U.shape[1], len(z0))), u_rest=U, error=none, feedforward=0.0 * U, c=0.0 * U)
+        return rollout(setup.model, setup.settings, z0, law, forces)[0][:, : len(x)]
+
+    @cached_property
+    def _regulation(self) -> Regulation | None:
+        """The shared control law of the team; None with open-loop prediction or a controller of the user."""
+        setup = self.history.begun
+        if setup.settings.prediction != "closed_loop" or setup.scenario.agents.controller != "mpc":
+            return None
+        with suppress(FeedbackError):
+            return Regulation(setup.model, setup.hover, setup.settings, setup.X_ref, setup.track)
+        return None
+
+    def _following(self, setup: Setup) -> Regulation | None:
+        """Return the shared control law with the targets of a run."""
+        if self._regulation is None or setup.ahead is None:
+            return self._regulation
+        if self._newest is None or self._newest[0] is not setup.ahead:
+            found = copy(self._regulation)
+            found.head(setup.X_ref, setup.ahead)
+            self._newest = setup.ahead, found
+        return self._newest[1]
+
+    def _actual_inputs(self, tick: int) -> Array:
+        """Return the actual inputs at a tick as its agents estimate them: by the lag from the commands before, (m,)."""
+        settings, system = self.setup.settings, self.setup.system
+        gains = None if system.rate_gains is None else tuple(system.rate_gains.tolist())
+        # What is left of deviations from commands after a period.
+        left = motors.shares(settings.motor_lag_s, settings.sampling_period_s, gains, system.N)[2]
+        a: Array = self.setup.hover.u
+        for k in range(max(0, tick - _FORGOTTEN), tick):
+            if (before := self.history.plant_states.get(k)) is not None:
+                a = before.u + left[0] * (a - before.u) + left[1] * (motors.commanded_states(before.x) - before.u)
+        return a

@@ -8,7 +8,7 @@ import numpy as np
 
 from model.arrays import Array
 from transport.scene.drawing import DARK, Colour, age_colour, uav_colour
-from transport.scene.scene import AgentState, Scene
+from transport.scene.scene import Scene
 
 _TABLE = "font-size:12px;width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums"
 _CELL = "padding:1px 4px;white-space:nowrap"
@@ -26,21 +26,18 @@ _STALE = (
     f'<div style="{_ALARM};font-size:12px;margin:2px 12px;max-height:0;overflow:hidden;animation:late 0s 5s forwards">'
     "<b>no new frame for 5 s: run, viewer or browser is busy</b></div>"
 )
-
-
 # An image of one pixel.
 _PIXEL = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"
 
 
-def receipt(path: str) -> str:
-    """Return an invisible image that the page asks the server for once it shows a frame."""
-    return f'<img src="{path}" alt="" style="display:none">'
+def image(source: str = _PIXEL, onload: str = "") -> str:
+    """Return an invisible image, which a page asks the server for, and a script that runs once it is loaded."""
+    return f'<img src="{source}" alt="" style="display:none" onload="{escape(onload)}">'
 
 
 def tab_title(name: str) -> str:
-    """Return an invisible image that names the tab of the browser once it is loaded; viser has no call for that."""
-    title = json.dumps(f"transport: {name}")
-    return f'<img src="{_PIXEL}" alt="" style="display:none" onload="{escape(f"document.title = {title}")}">'
+    """Return an image that names the tab of the browser; viser has no call for that."""
+    return image(onload=f"document.title = {json.dumps(f'transport: {name}')}")
 
 
 def notice(text: str, *, warning: bool) -> str:
@@ -57,27 +54,20 @@ def notice(text: str, *, warning: bool) -> str:
 def flight(scene: Scene, duration_s: float, behind_s: float, *, watched: bool) -> str:
     """Return a table of time, phase, cost, attitude and position error of the payload.
 
-    Args:
-        scene: Shown scene.
-        duration_s: Duration of the run, s.
-        behind_s: Time by which the scene is behind an active run, s; 0 for a recorded one.
-        watched: Whether the page is to say so if no further table comes.
+    It says how far the scene is behind an active run, and, if watched, later on that no further table has come.
     """
     roll, pitch, yaw = scene.attitude_deg
-    rows = [
-        ("time", f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}"),
-        ("stage cost", f"{scene.cost:.5f}"),
-        ("payload", f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg"),
-        ("payload error", f"{scene.error_m:.3f} m"),
-    ]
+    rows = {"time": f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}"}
     if behind_s > _BEHIND_S:
         ahead = f"{behind_s:.1f} s behind the run, which is at {scene.time_s + behind_s:.2f} s"
-        rows.insert(1, ("", f'<b style="{_ALARM}">{ahead}</b>'))
+        rows[""] = f'<b style="{_ALARM}">{ahead}</b>'
+    rows["stage cost"] = f"{scene.cost:.5f}"
+    rows["payload"] = f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg"
+    rows["payload error"] = f"{scene.error_m:.3f} m"
     if scene.fail_safe:
-        rows.append(("fail-safe", ", ".join(f"UAV{uav}" for uav in scene.fail_safe)))
-    cells = "".join(f'<tr><td style="{_CELL};color:#666">{a}</td><td style="{_CELL}">{b}</td></tr>' for a, b in rows)
-    table = f'<table style="{_TABLE};margin:4px 8px;width:auto">{cells}</table>'
-    return f"{table}{_STALE if watched else ''}"
+        rows["fail-safe"] = ", ".join(f"UAV{uav}" for uav in scene.fail_safe)
+    cells = "".join(_row(_cell(name, "color:#666"), _cell(text)) for name, text in rows.items())
+    return f'<table style="{_TABLE};margin:4px 8px;width:auto">{cells}</table>{_STALE if watched else ""}'
 
 
 def target(place_I: Array, arrives_s: float, scene: Scene) -> str:
@@ -86,21 +76,33 @@ def target(place_I: Array, arrives_s: float, scene: Scene) -> str:
     place, left_s = "target ({:g}, {:g}, {:g}) m".format(*place_I.tolist()), arrives_s - scene.time_s
     when = f"arrives at t = {arrives_s:.1f} s, in {left_s:.1f} s" if left_s > 0.0 else f"since t = {arrives_s:.1f} s"
     what = f"<b>at {place}</b>" if left_s <= 0.0 and away_m < _AT_M else f"to {place}"
-    text = f"{what}: {when}; {away_m:.2f} m away"
-    return f'<div style="font-size:12px;margin:2px 12px">{text}</div>'
+    return _small(f"{what}: {when}; {away_m:.2f} m away")
 
 
 def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str:
     """Return a table with a row per agent: step time, ages of the measurement and of each plan it used."""
-    peers = [agent.agent for agent in scene.agents] if len(scene.agents) > 1 else []
-    titles = ["agent", "step", "measured", *[f"from {peer}" for peer in peers]]
-    head = "".join(
-        f'<th style="{_CELL};color:#666;font-weight:normal;text-align:right">{title}</th>' for title in titles
-    )
-    rows = "".join(_agent(agent, owned[agent.agent - 1], peers, period_s) for agent in scene.agents)
+    numbers = range(1, len(owned) + 1)
+    peers = numbers if len(owned) > 1 else ()
+    titles = ["agent", "step", "measured", *(f"from {peer}" for peer in peers)]
+    rows = _row(*(_cell(title, "color:#666;text-align:right") for title in titles))
+    for agent, uavs, report in zip(numbers, owned, scene.reports, strict=True):
+        name = f"{_coloured('&#9632;', uav_colour(uavs[0]))} {agent}"
+        if (numbered := ",".join(str(uav + 1) for uav in uavs)) != str(agent):
+            name += f" (UAV {numbered})"
+        if report is None or agent not in scene.members:
+            why = "no step" if agent in scene.members else "off the roster"
+            rows += _row(_cell(name), _cell(why, _ALARM, span=9))
+            continue
+        step = f"{float(report.times_ms[-1]):.1f}"
+        if report.status != "solved":
+            step = f'<span style="{_ALARM}">{escape(report.status)}</span>'
+        ages = dict(zip(report.peers, report.plan_ages, strict=True))
+        used = ("" if peer == agent else _age(ages.get(peer, -1), period_s, usual=1) for peer in peers)
+        cells = (step, _age(report.measurement_age, period_s, usual=0), *used)
+        rows += _row(_cell(name), *(_cell(cell, "text-align:right") for cell in cells))
     units = "step time in ms; age of the measurement and of each plan used, in s"
     return (
-        f'<div style="overflow-x:auto;margin:4px 8px"><table style="{_TABLE}"><tr>{head}</tr>{rows}</table>'
+        f'<div style="overflow-x:auto;margin:4px 8px"><table style="{_TABLE}">{rows}</table>'
         f'<div style="font-size:11px;color:#666;padding:2px 4px">{units}</div></div>'
     )
 
@@ -108,39 +110,19 @@ def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str
 def events(entries: Sequence[tuple[int, str]], tick: int, period_s: float) -> str:
     """Return the last events until a tick."""
     past = [(when, text) for when, text in entries if when <= tick][-_SHOWN_EVENTS:]
-    lines = "".join(f"<div>{when * period_s:.2f} s: {escape(text)}</div>" for when, text in past)
-    return f'<div style="font-size:12px;margin:2px 12px">{lines or "none yet"}</div>'
+    return _small("".join(f"<div>{when * period_s:.2f} s: {escape(text)}</div>" for when, text in past) or "none yet")
 
 
 def legend() -> str:
     """Return the meaning of colours, lines and grid."""
-    ages = "".join(_swatch(age_colour(age, 0.0), text) for age, text in _AGES)
-    return (
-        '<div style="font-size:12px;margin:2px 12px">'
-        f"age of the plan in use:<br>{ages}{_swatch(DARK, 'over 1 s or none')}<br>"
+    colours = [*((age_colour(age, 0.0), text) for age, text in _AGES), (DARK, "over 1 s or none")]
+    ages = " ".join(f"{_coloured('&#9644;', colour)} {text}" for colour, text in colours)
+    return _small(
+        f"age of the plan in use:<br>{ages}<br>"
         "the half of a link next to a UAV shows the plans it receives; gaps: packet loss in the last second<br>"
         "coloured lines: paths that each agent predicts for its UAVs and the payload; arrows: thrust<br>"
-        "grid squares of 1 m; axes below the start: x red, y green, z (down) blue</div>"
+        "grid squares of 1 m; axes below the start: x red, y green, z (down) blue"
     )
-
-
-def _agent(agent: AgentState, owned: Sequence[int], peers: Sequence[int], period_s: float) -> str:
-    uavs = ",".join(str(uav + 1) for uav in owned)
-    name = f'<span style="color:{_hex(uav_colour(owned[0]))}">&#9632;</span> {agent.agent}'
-    if uavs != str(agent.agent):
-        name += f" (UAV {uavs})"
-    report = agent.report
-    if not agent.takes_part or report is None:
-        why = "no step" if agent.takes_part else "off the roster"
-        return f'<tr><td style="{_CELL}">{name}</td><td style="{_CELL};{_ALARM}" colspan="9">{why}</td></tr>'
-    ages = dict(zip(report.peers, report.plan_ages, strict=True))
-    step = f"{float(report.times_ms[-1]):.1f}"
-    if report.status != "solved":
-        step = f'<span style="{_ALARM}">{escape(report.status)}</span>'
-    cells = [step, _age(report.measurement_age, period_s, usual=0)]
-    cells += ["" if peer == agent.agent else _age(ages.get(peer, -1), period_s, usual=1) for peer in peers]
-    values = "".join(f'<td style="{_CELL};text-align:right">{cell}</td>' for cell in cells)
-    return f'<tr><td style="{_CELL}">{name}</td>{values}</tr>'
 
 
 def _age(ticks: int, period_s: float, usual: int) -> str:
@@ -148,14 +130,20 @@ def _age(ticks: int, period_s: float, usual: int) -> str:
     if ticks < 0:
         return "-"
     text = f"{ticks * period_s:.2f}"
-    if ticks <= usual:
-        return text
-    return f'<b style="color:{_hex(age_colour(ticks * period_s, period_s))}">{text}</b>'
+    return text if ticks <= usual else _coloured(f"<b>{text}</b>", age_colour(ticks * period_s, period_s))
 
 
-def _swatch(colour: Colour, text: str) -> str:
-    return f'<span style="color:{_hex(colour)}">&#9644;</span> {text} '
+def _row(*cells: str) -> str:
+    return f"<tr>{''.join(cells)}</tr>"
 
 
-def _hex(colour: Colour) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*colour)
+def _cell(text: str, style: str = "", span: int = 1) -> str:
+    return f'<td style="{_CELL};{style}" colspan="{span}">{text}</td>'
+
+
+def _small(text: str) -> str:
+    return f'<div style="font-size:12px;margin:2px 12px">{text}</div>'
+
+
+def _coloured(text: str, colour: Colour) -> str:
+    return f'<span style="color:rgb{colour}">{text}</span>'

@@ -1,10 +1,12 @@
 """The viewer as a separate process beside the run that `transport run --view` starts."""
 
 import os
+import select
 import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
@@ -47,11 +49,9 @@ class ViewerBeside:
     def wait_for_user(self) -> None:
         """Wait until the user ends the viewer."""
         if self._process.poll() is None:
-            try:
+            with suppress(KeyboardInterrupt):
                 sys.stderr.write("the viewer stays open; Ctrl-C ends it\n")
                 self._process.wait()
-            except KeyboardInterrupt:
-                return
 
     def __enter__(self) -> Self:
         return self
@@ -70,12 +70,5 @@ def parent_ended() -> Callable[[], bool]:
     """Return a function that tells whether the parent run has ended; always False without such a parent."""
     if not os.environ.get(PARENT_PIPE):
         return lambda: False
-    ended = threading.Event()
-
-    def watch() -> None:
-        while os.read(0, 1):
-            pass
-        ended.set()
-
-    threading.Thread(target=watch, name="parent", daemon=True).start()
-    return ended.is_set
+    # Its end of the pipe is closed with it; it never sends anything.
+    return lambda: bool(select.select([0], [], [], 0.0)[0]) and not os.read(0, 1)

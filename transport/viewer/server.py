@@ -5,18 +5,17 @@ rebinding). So the server answers only if `Host` names it and `Origin`, which br
 same; and a live run, which a page can change, is shown only below a secret path.
 """
 
-import asyncio
 import hmac
 import io
 import logging
 import re
 import secrets
 import socket
-import sys
-import threading
+import time
 import warnings
-from collections.abc import Callable, Coroutine, Iterator
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
+from dataclasses import dataclass
 from importlib.util import find_spec
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
@@ -34,11 +33,9 @@ _IN_USE = (98, 48)
 _LOOPBACK = frozenset(("localhost", "127.0.0.1", "::1"))
 # Addresses that stand for all addresses of this machine.
 _ANY = frozenset(("", "0.0.0.0", "::"))  # noqa: S104 - compared, not bound
-_INVALID_DATA = 1007  # close code of RFC 6455
 # websockets reports every refused and broken connection with a traceback.
 _SILENT = logging.getLogger("transport.viewer.websockets")
 _SILENT.disabled = True
-_INSTALLING = threading.Lock()
 _CLOSED = "Queued a .* on a closed connection"  # by viser
 _RECEIPT = re.compile(r"/shown/(\d{1,9})/(\d{1,9})")
 
@@ -75,28 +72,37 @@ def start_server(host: str, port: int, *, secret: bool) -> tuple["viser.ViserSer
     return server, guard, f"http://{name}:{server.get_port()}{guard.path}"
 
 
+@dataclass
+class Page:
+    """One page: the newest frames sent and shown, when it showed one, and the widget that asks it to tell."""
+
+    sent: int
+    shown: int
+    progress_s: float
+    receipt: Any
+
+
 class Guard:
     """Check of the requests to one server.
 
     Attributes:
         path: Path below which the server answers, `/` and the token; empty without a token.
         serves: Whether a server uses it.
-        shown: Newest frame that each page has shown, by the number of its connection.
+        pages: Pages by the number of their connection.
     """
 
     def __init__(self, host: str, token: str) -> None:
         self._host = host.lower()
         self.path = f"/{token}" if token else ""
         self.serves = False
-        self.shown: dict[int, int] = {}
-
-    def receipt(self, page: int, frame: int) -> str:
-        """Return the path that a page asks for once it shows a frame."""
-        return f"{self.path}/shown/{page}/{frame}"
+        self.pages: dict[int, Page] = {}
 
     def refusal(self, path: str, host: str, origin: str | None) -> str:
         """Return why a request is refused, by its path and headers; empty for one that is answered."""
-        if not self._is_own(_name(host)):
+        name = ""
+        with suppress(ValueError):  # malformed
+            name = urlsplit(f"//{host}").hostname or ""
+        if name not in _LOOPBACK and name != self._host and not (self._host in _ANY and _is_here(name)):
             return "the host of the request is not that of the viewer; open the printed link"
         if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
             return "the request comes from a page of another site"
@@ -105,12 +111,6 @@ class Guard:
             return "an active run is shown only below the link that the command has printed"
         return ""
 
-    def _is_own(self, name: str) -> bool:
-        """Return whether a host name is one of the viewer's; of a server on all addresses every address is."""
-        if name in _LOOPBACK or name == self._host:
-            return True
-        return self._host in _ANY and (_is_address(name) or name in (socket.gethostname(), socket.getfqdn()))
-
     @contextmanager
     def installed(self) -> Iterator[None]:
         """Check the requests to servers that viser starts meanwhile: it has no parameter for that."""
@@ -118,17 +118,15 @@ class Guard:
 
         serve: Any = library.serve
 
-        def guarded(handler: Any, *arguments: Any, process_request: Any, **options: Any) -> Any:
+        def guarded(*arguments: Any, process_request: Any, **options: Any) -> Any:
             self.serves = True
-            answer = self._checked(process_request)
-            return serve(_reporting(handler), *arguments, process_request=answer, logger=_SILENT, **options)
+            return serve(*arguments, process_request=self._checked(process_request), logger=_SILENT, **options)
 
-        with _INSTALLING:
-            library.serve = guarded  # type: ignore[assignment, misc]
-            try:
-                yield
-            finally:
-                library.serve = serve  # type: ignore[misc]
+        library.serve = guarded  # type: ignore[assignment, misc]
+        try:
+            yield
+        finally:
+            library.serve = serve  # type: ignore[misc]
 
     def _checked(self, answer: Callable[..., Any]) -> Callable[..., Any]:
         def checked(connection: "ServerConnection", request: "Request") -> "Response | None":
@@ -139,9 +137,9 @@ class Guard:
                 return connection.respond(403, f"{why}\n")
             request.path = request.path.removeprefix(self.path) or "/"
             if receipt := _RECEIPT.fullmatch(request.path):
-                page, frame = map(int, receipt.groups())
-                if page in self.shown:
-                    self.shown[page] = max(self.shown[page], frame)
+                number, frame = map(int, receipt.groups())
+                if (page := self.pages.get(number)) is not None:
+                    page.shown, page.progress_s = max(page.shown, frame), time.monotonic()
                 return connection.respond(204, "")
             response: Response | None = answer(connection, request)
             return response
@@ -149,39 +147,11 @@ class Guard:
         return checked
 
 
-def _reporting(handler: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., Coroutine[Any, Any, None]]:
-    """Return a handler of connections that reports a message viser cannot read in one line and closes its sender."""
-
-    async def handle(connection: "ServerConnection") -> None:
-        asyncio.get_running_loop().set_exception_handler(lambda _, context: report_malformed(context.get("exception")))
-        try:
-            await handler(connection)
-        except Exception as error:  # noqa: BLE001 - viser raises what its decoding raises: any kind
-            report_malformed(error)
-            await connection.close(_INVALID_DATA, "malformed message")
-
-    return handle
-
-
-def report_malformed(error: object) -> None:
-    """Report a message that no page of the viewer sends, in one line on standard error."""
-    sys.stderr.write(f"viewer: refused a malformed message of a browser ({type(error).__name__})\n")
-
-
-def _name(host: str) -> str:
-    """Return the name in a header `Host`, without port and brackets; empty if it is malformed."""
-    try:
-        return urlsplit(f"//{host}").hostname or ""
-    except ValueError:
-        return ""
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ip_address(name)
-    except ValueError:
-        return False
-    return True
+def _is_here(name: str) -> bool:
+    """Return whether a host name is an address, or a name of this machine."""
+    with suppress(ValueError):
+        return bool(ip_address(name))
+    return name in (socket.gethostname(), socket.getfqdn())
 
 
 def _check_address(host: str, port: int) -> None:

@@ -1,16 +1,12 @@
 """3D view in the browser: the nodes of a viser scene that show a drawing."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from model.arrays import Array
 from transport.scene.drawing import INERTIAL, LAYERS, PAYLOAD, Drawing, Label, Lines, Mesh, Part, quaternion
 from transport.scene.scene import Scene
-
-if TYPE_CHECKING:
-    import viser
 
 # Camera offsets in parts of the size of the maneuver, and of the team; vertical field of view, rad. Links and predicted
 # paths lie in the plane of the UAVs, so both look from well above; from +y, x is to the right as in the figures.
@@ -20,11 +16,17 @@ _MOVED_M, _TURNED = 0.01, 1e-3
 
 
 class View3D:
-    """3D view of one run."""
+    """3D view of one run.
 
-    def __init__(self, server: "viser.ViserServer", drawing: Drawing) -> None:
+    Attributes:
+        shown: The scene in the current frame.
+        outdated: Whether the current frame lacks something: a layer that was hidden, or a new page.
+    """
+
+    def __init__(self, server: Any, drawing: Drawing, *, follows: bool) -> None:
         self._server, self._drawing = server, drawing
-        self._shown = dict(LAYERS)
+        self.shown: Scene | None = None
+        self.outdated = True
         self._frames: dict[str, Any] = {}
         self._nodes: dict[str, Any] = {}
         self._layers: dict[str, list[Any]] = {name: [] for name in ("", *LAYERS)}
@@ -33,8 +35,7 @@ class View3D:
         for part in drawing.fixed:
             self._add(part)
         # Where the team was when the camera of each browser was moved last, and that camera relative to what it sees.
-        self._follows, self._seen_I, self._offset = False, dict[int, Array](), dict[int, Array]()
-        self._start_I = drawing.team_I
+        self._follows, self._seen_I, self._offset = follows, dict[int, Array](), dict[int, Array]()
 
     @property
     def payload_I(self) -> Array:
@@ -43,12 +44,13 @@ class View3D:
 
     def show_layer(self, name: str, shown: bool) -> None:
         """Show or hide one of `LAYERS`."""
-        self._shown[name] = shown
         for node in self._layers[name]:
             node.visible = shown
+        self.outdated = True
 
     def show(self, scene: Scene) -> None:
         """Move all nodes to a scene, and the cameras that follow the team."""
+        self.shown, self.outdated = scene, False
         poses = self._drawing.poses(scene)
         for name in {*self._frames, *poses}:
             frame, pose = self._frame(name), poses.get(name)
@@ -56,44 +58,44 @@ class View3D:
             if pose is not None:
                 frame.position, frame.wxyz = pose[0], quaternion(pose[1])
         for lines in self._drawing.moving(scene):
-            self._set(lines)
+            if lines.name not in self._nodes:
+                self._add(lines)
+            elif self._nodes[lines.name].visible:
+                _set_lines(self._nodes[lines.name], lines)
         for node in (self._grid, self._axes):
             if node.position[2] != self._drawing.floor:  # a target is below everything before
                 node.position = (*node.position[:2], self._drawing.floor)
         if self._follows:
-            self._follow(scene)
+            self._move_cameras(scene.uavs_I.mean(axis=0))
 
-    def look_at(self, scene: Scene | None) -> None:
-        """Turn the camera of every browser to the team in a scene, or, for None, to the maneuver."""
+    def look_at(self, *, team: bool) -> None:
+        """Turn the camera of every browser to the team, or else to the maneuver."""
         view = self._overview
-        if scene is not None:
-            centre_I = scene.uavs_I.mean(axis=0)
-            size = max(float(np.linalg.norm(np.ptp(scene.uavs_I, axis=0))), 1.0)
+        if team and self.shown is not None:
+            centre_I = self.shown.uavs_I.mean(axis=0)
+            size = max(float(np.linalg.norm(np.ptp(self.shown.uavs_I, axis=0))), 1.0)
             view = centre_I, centre_I + _VIEW_TEAM * size
         for number, client in self._server.get_clients().items():
             _turn(client, *view)
             self._seen_I[number], self._offset[number] = view[0], view[1] - view[0]
 
-    def follow(self, wanted: bool, scene: Scene | None = None) -> None:
-        """Move the cameras with the team from a scene on, from its start if none is shown yet, or leave them."""
+    def follow(self, wanted: bool) -> None:
+        """Move the cameras with the team from the shown scene on, or leave them."""
         self._follows = wanted
-        if scene is not None:
-            self._seen_I = dict.fromkeys(self._server.get_clients(), scene.uavs_I.mean(axis=0))
+        if self.shown is not None:
+            self._seen_I = dict.fromkeys(self._server.get_clients(), self.shown.uavs_I.mean(axis=0))
 
-    def _follow(self, scene: Scene) -> None:
+    def _move_cameras(self, centre_I: Array) -> None:
         """Move the cameras with the team, from where the users have turned them, and not while they turn them."""
-        centre_I = scene.uavs_I.mean(axis=0)
         for number, client in self._server.get_clients().items():
-            seen_I, camera = self._seen_I.get(number, self._start_I), client.camera
+            moved, camera = centre_I - self._seen_I.get(number, self._drawing.team_I), client.camera
             offset = camera.position - camera.look_at
             turned = np.linalg.norm(offset - self._offset.get(number, offset)) > _TURNED * np.linalg.norm(offset)
             self._offset[number] = offset
-            if not turned and np.linalg.norm(centre_I - seen_I) < _MOVED_M:
-                continue
-            if not turned:
-                moved = centre_I - seen_I
-                _turn(client, camera.look_at + moved, camera.position + moved)
-            self._seen_I[number] = centre_I
+            if turned or np.linalg.norm(moved) >= _MOVED_M:
+                self._seen_I[number] = centre_I
+                if not turned:
+                    _turn(client, camera.look_at + moved, camera.position + moved)
 
     def _frame(self, name: str) -> Any:
         """Return the node of a frame, hidden until it has a pose."""
@@ -104,26 +106,22 @@ class View3D:
     def _add(self, part: Part) -> None:
         self._frame(part.frame)
         scene, name = self._server.scene, f"/{part.frame}/{part.name}"
-        node: Any
         match part:
             case Lines():
                 # A colour per point from the start: viser draws lines white that get them after their first drawing.
-                node = self._nodes[part.name] = scene.add_line_segments(
-                    name,
-                    np.zeros((1, 2, 3)),
-                    np.zeros((1, 2, 3), dtype=np.uint8),
-                    thickness=part.width,
-                    thickness_units="screen",
+                none = np.zeros((1, 2, 3))
+                node = scene.add_line_segments(
+                    name, none, none.astype(np.uint8), thickness=part.width, thickness_units="screen"
                 )
+                self._nodes[part.name] = node
                 _set_lines(node, part)
             case Mesh():
-                opacity = None if part.opacity == 1.0 else part.opacity
                 node = scene.add_mesh_simple(
                     name,
                     part.vertices,
                     part.faces,
                     color=part.colour,
-                    opacity=opacity,
+                    opacity=None if part.opacity == 1.0 else part.opacity,
                     flat_shading=True,
                     side="double",
                 )
@@ -133,30 +131,15 @@ class View3D:
                 )
         self._layers[part.layer].append(node)
 
-    def _set(self, lines: Lines) -> None:
-        """Set the segments of lines, unless their layer is hidden."""
-        if lines.name not in self._nodes:
-            self._add(lines)
-        elif self._shown[lines.layer]:
-            _set_lines(self._nodes[lines.name], lines)
-
     def _add_surroundings(self) -> None:
         """Add grid, axes, lights and the first camera, around the whole maneuver."""
         drawing, scene = self._drawing, self._server.scene
         middle = (drawing.low + drawing.high) / 2.0
         width = 2.0 * np.ceil(0.7 * drawing.size)
-        self._grid = scene.add_grid(
-            "/grid",
-            width=width,
-            height=width,
-            position=(round(middle[0]), round(middle[1]), drawing.floor),
-            cell_size=0.5,
-            section_size=1.0,
-            cell_color=(235, 235, 235),
-            section_color=(210, 210, 210),
-            infinite_grid=False,
-            fade_distance=100.0,
-        )
+        place, greys = (round(middle[0]), round(middle[1]), drawing.floor), ((235, 235, 235), (210, 210, 210))
+        lines = {"cell_size": 0.5, "section_size": 1.0, "cell_color": greys[0], "section_color": greys[1]}
+        size = {"width": width, "height": width, "infinite_grid": False, "fade_distance": 100.0}
+        self._grid = scene.add_grid("/grid", position=place, **lines, **size)
         self._axes = scene.add_frame(
             "/axes", axes_length=0.5, axes_radius=0.015, position=(*drawing.start_I[:2], drawing.floor)
         )
@@ -177,11 +160,8 @@ def _turn(client: Any, look_at: Array, position: Array) -> None:
 
 
 def _set_lines(node: Any, lines: Lines) -> None:
-    some = len(lines.segments) > 0  # viser takes at least one segment
+    """Set points and colours, of which viser takes those of one segment at least, and linear ones, unlike meshes."""
+    some = len(lines.segments) > 0
+    colours = np.round(255.0 * ((lines.colours if some else np.zeros((1, 3))) / 255.0) ** 2.2).astype(np.uint8)
     node.points = (lines.segments if some else np.zeros((1, 2, 3))).astype(np.float32)
-    node.colors = np.repeat(_linear(lines.colours if some else np.zeros((1, 3)))[:, None], 2, axis=1)
-
-
-def _linear(colours: Array) -> npt.NDArray[np.uint8]:
-    """Convert sRGB colours, (..., 3), to linear ones, which lines take, unlike meshes."""
-    return np.round(255.0 * (colours / 255.0) ** 2.2).astype(np.uint8)
+    node.colors = np.repeat(colours[:, None], 2, axis=1)
