@@ -36,7 +36,6 @@ from transport.flight.recorder import Recorder
 from transport.flight.run_files import RunError, create, open_log, own_keys, refuse_existing
 from transport.flight.signals import collected_signals
 from transport.flight.trial import named, tried
-from transport.log.run_folder import forget_latest
 from transport.log.writer import LogWriter
 
 
@@ -272,7 +271,6 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
 def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
     """Remove the folder of a run without any message, so that the same command can be repeated."""
     if recorder.received == 0:
-        forget_latest(folder)
         shutil.rmtree(folder, ignore_errors=True)
 
 

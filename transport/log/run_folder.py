@@ -13,7 +13,7 @@ from pathlib import Path
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import RECORDER
-from protocol.wire.messages import Control, Measurement, Message, Plan, PlantState, Rejected, StepReport
+from protocol.wire.messages import Control, Measurement, Plan, PlantState, Rejected, StepReport
 from protocol.wire.names import COORDINATOR
 from transport.log.run_log import RunLog, read_log
 
@@ -101,19 +101,13 @@ def _gaps(log: RunLog) -> Iterator[tuple[int, int]]:
 def _unrecorded_end(log: RunLog) -> Iterator[tuple[int, int]]:
     """Yield first and last tick simulated after the last recorded plant state, if there are any."""
     recorded = max((plant_state.tick for plant_state in log.of(PlantState)), default=-1)
-    simulated = max((_simulated(entry.message) for entry in log.messages), default=-1)
+    simulated = -1
+    for kind in (Measurement, Plan, StepReport):  # the plant measures at a tick after simulating the one before
+        simulated = max([simulated, *(message.tick - 1 for message in log.of(kind))])
+    ends = (end for end in log.of(Control) if end.outcome == "completed" and end.sender == COORDINATOR)
+    simulated = max([simulated, *(end.tick for end in ends)])
     if simulated > recorded:
         yield recorded + 1, simulated
-
-
-def _simulated(message: Message) -> int:
-    """Return the last tick that the plant had simulated before a message, -1 for none."""
-    match message:
-        case Measurement() | Plan() | StepReport():
-            return message.tick - 1  # the plant measures at a tick after simulating the one before
-        case Control(outcome="completed") if message.sender == COORDINATOR:
-            return message.tick
-    return -1
 
 
 def point_latest(folder: Path) -> None:
@@ -133,11 +127,3 @@ def point_latest(folder: Path) -> None:
                 os.replace(new, link)
         finally:
             new.unlink(missing_ok=True)
-
-
-def forget_latest(folder: Path) -> None:
-    """Remove `latest` if it names a run folder that is removed."""
-    link = folder.parent / LATEST
-    with suppress(OSError):
-        if link.is_symlink() and link.readlink() == Path(folder.name):
-            link.unlink()
