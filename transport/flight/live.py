@@ -8,7 +8,6 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +21,10 @@ from protocol.scenario.links import PERFECT
 from protocol.wire.keys import ROUTER
 from protocol.wire.messages import agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
-from transport.flight.fork_server import STOPPED, state_of
 
 _FILE = "live.json"
+# States of a process that does nothing until it is continued, in words.
+_STOPPED = {psutil.STATUS_STOPPED: "stopped by a signal", psutil.STATUS_TRACING_STOP: "stopped by a tracer"}
 # Faults of processes that `transport run` causes on request.
 FAULTS = ("kill", "stop", "continue", "restart")
 
@@ -94,27 +94,24 @@ def why_silent(folder: Path, run: LiveRun, name: str) -> str:
     """
     if not (folder / "logs" / f"{name}.log").exists():
         return ""
+    is_agent = name.startswith("agent")
+    words = f"transport agent --id {name.removeprefix('agent')} " if is_agent else f"transport {name} "
     try:
-        children = psutil.Process(run.pid).children()
+        children = {
+            child: child.as_dict(["cmdline"], ad_value=())["cmdline"] for child in psutil.Process(run.pid).children()
+        }
+        lines = {child: f"{' '.join(line)} " for child, line in children.items()}
+        process = next((child for child, line in lines.items() if words in line and f"--run {run.run} " in line), None)
+        status = "gone" if process is None else process.status()
     except psutil.Error:
         return ""
-    is_agent = name.startswith("agent")
-    words = {("--id", name.removeprefix("agent")) if is_agent else ("transport", name), ("--run", run.run)}
-    process = next((child for child in children if words <= _pairs(child) and child.is_running()), None)
     if process is None:
         remedy = f"; transport fault restart {name} starts it again" if is_agent else ", and the run ends"
         return f"{name} of run {run.run} has ended{remedy}"
-    if state_of(process) in STOPPED.values():
+    if status in _STOPPED:
         remedy = f"; transport fault continue {name} lets it go on" if is_agent else ""
-        return f"{name} of run {run.run} is {state_of(process)}{remedy}"
+        return f"{name} of run {run.run} is {_STOPPED[status]}{remedy}"
     return ""
-
-
-def _pairs(process: psutil.Process) -> set[tuple[str, str]]:
-    """Return the neighbouring words in the command line of a process; none if it has ended."""
-    with suppress(psutil.Error):
-        return set(pairwise(" ".join(process.cmdline()).split()))
-    return set()
 
 
 class RefusedError(ValueError):
@@ -130,13 +127,9 @@ def request(
 ) -> dict[str, Any]:
     """Send a request to a process of a run and return the answer.
 
-    Args:
-        run: Name of the run.
-        endpoints: Endpoints of its processes; that of the receiver is enough.
-        name: Receiver: "coordinator" for links and status, "recorder" for faults, any for health.
-        what: Request; see docs/protocol.md.
-        given: Its arguments.
-        keys: Folder of keys, if the run has any.
+    The receiver is "coordinator" for links, targets and status, "recorder" for faults, any for health
+    (docs/protocol.md); `keys` is the folder of keys, if the run has any.
+
     Raises: RefusedError, UnansweredError.
     """
     security = None if keys is None else Security(keys.resolve(), (name, ROUTER))
@@ -187,10 +180,13 @@ class Commands:
             except (RefusedError, UnansweredError) as error:
                 self._on_result(str(error), True)
                 continue
-            done = f"{content['do']} {content['target']}" if kind == "fault" else "links change"
-            text = f"{done}: at tick {answer['tick']}"
-            if kind == "target":
-                place, left_s = content["points_m"][-1], answer["ends_s"] - answer["t_s"]
-                name = "target ({:g}, {:g}, {:g}) m".format(*place)
+            text = f"links change: at tick {answer['tick']}"
+            if kind == "fault":
+                text = f"{content['do']} {content['target']}: at tick {answer['tick']}"
+            elif kind == "target":
+                name, left_s = (
+                    "target ({:g}, {:g}, {:g}) m".format(*content["points_m"][-1]),
+                    answer["ends_s"] - answer["t_s"],
+                )
                 text = f"{name}: arrives at t = {answer['ends_s']:.1f} s, in {left_s:.1f} s"
             self._on_result(text, False)

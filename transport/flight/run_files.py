@@ -18,9 +18,6 @@ from transport.log.run_folder import point_latest
 from transport.log.run_log import LogError
 from transport.log.writer import LogWriter
 
-_LOG = "run.mcap"
-_OPEN = "--set network.secret=false runs without, open to every local process"
-
 
 class RunError(TransportError, RuntimeError):
     """A run that could not be started or recorded: one line for the user, and the exit code of the command."""
@@ -67,31 +64,29 @@ def create(folder: Path, setup: Setup) -> str:
 
 
 @contextmanager
-def own_keys(scenario: Scenario, folder: Path, say: Callable[[str], None]) -> Iterator[Path | None]:
+def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
     """Make the secret of a run in its folder; None where other keys protect the run, or it is to be open.
 
-    On a file system without permissions it is made in the temporary folder of the system, and `say` is called.
+    On a file system without permissions it is made in the temporary folder of the system.
 
     Raises: RunError: it cannot be written where only this user can read it.
     """
-    network = scenario.network
+    network, problem = scenario.network, ""
     if network.keys is not None or network.router is not None or not network.secret:
         yield None
         return
-    with ExitStack() as stack:
-        try:
-            keys = stack.enter_context(new_secret(folder.resolve() / "keys"))
-        except OSError as error:
-            raise RunError(f"--out: cannot write to {folder} ({error.strerror})", EXIT_USAGE) from error
-        except SecurityError:
+    with tempfile.TemporaryDirectory(prefix=f"{folder.name}-") as second, ExitStack() as stack:
+        for place in (folder, Path(second)):
             try:
-                second = stack.enter_context(tempfile.TemporaryDirectory(prefix=f"{folder.name}-"))
-                keys = stack.enter_context(new_secret(Path(second).resolve() / "keys"))
-            except (OSError, SecurityError) as error:
-                expected = "expected a file system with permissions, in --out or in TMPDIR, for the secret of the run"
-                raise RunError(f"network.secret: {expected}, got none ({error}); {_OPEN}", EXIT_SCENARIO) from error
-            say(f"{folder} is on a file system without permissions: the secret of the run is in {keys}")
-        yield keys
+                keys = stack.enter_context(new_secret(place.resolve() / "keys"))
+            except SecurityError as error:
+                problem = str(error)
+            else:
+                yield keys
+                return
+    expected = "expected a file system with permissions, in --out or in TMPDIR, for the secret of the run"
+    remedy = "--set network.secret=false runs without, open to every local process"
+    raise RunError(f"network.secret: {expected}, got none ({problem}); {remedy}", EXIT_SCENARIO)
 
 
 def open_log(folder: Path, setup: Setup, header: Mapping[str, str], say: Callable[[str], None]) -> LogWriter:
@@ -100,6 +95,6 @@ def open_log(folder: Path, setup: Setup, header: Mapping[str, str], say: Callabl
     Raises: RunError: it cannot be written.
     """
     try:
-        return LogWriter(folder / _LOG, header, period_ns=setup.period_ns, say=say)
+        return LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns, say=say)
     except LogError as error:
         raise RunError(str(error), EXIT_USAGE) from error

@@ -21,7 +21,7 @@ from transport.flight import memory
 from transport.flight.header import run_header
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.run_files import RunError
-from transport.flight.trial import checked
+from transport.flight.header import checked
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario, path_phase
 from transport.interface.settings import ArgumentError, Settings, ShortSettings, file_name, public

@@ -19,8 +19,6 @@ from transport.log.run_log import RunLog, read_log
 
 # Folder whose runs have a link to the most recent one, and the name of the link.
 _RUNS, LATEST = "runs", "latest"
-# Reason of a run whose end was not recorded.
-END_NOT_RECORDED = "the outcome of the run did not reach the recorder"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,10 +69,7 @@ def missing(log: RunLog) -> str:
             merged[-1] = merged[-1][0], max(last, merged[-1][1])
         else:
             merged.append((first, last))
-    parts = [f"some messages of ticks {ranges(merged)}"] if merged else []
-    if any(control.reason == END_NOT_RECORDED for control in log.of(Control)):
-        parts.append(f"the rest of the run after tick {max(entry.message.tick for entry in log.messages)}")
-    return f"{' and '.join(parts)} did not reach the recorder" if parts else ""
+    return f"some messages of ticks {ranges(merged)} did not reach the recorder" if merged else ""
 
 
 def ranges(spans: Iterable[tuple[int, int]]) -> str:
