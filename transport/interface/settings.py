@@ -89,14 +89,6 @@ def key_of(name: str) -> str:
     raise ArgumentError(f"{name}: expected a dotted key such as 'links.delay_s' or a short name; {hint}")
 
 
-def setting(key: str, value: Any) -> str:
-    """Return a setting "dotted.key=value" with a TOML value, as the command line takes it.
-
-    Raises: ArgumentError: an unknown short name, or a value that TOML cannot hold.
-    """
-    return PythonSetting(f"{key_of(key)}={_toml(value, key)}")
-
-
 def settings_of(settings: Settings | None, short: Mapping[str, Any]) -> list[str]:
     """Return settings by dotted key, then keyword arguments, in the form of the command line.
 
