@@ -89,8 +89,8 @@ def test_one_bit_is_found() -> None:
     _, comparison = compared(log, 2)
     first = comparison.first
     assert first is not None
-    assert (first.tick, first.field, first.unit) == (7, "plan.inputs", "N")
-    assert "UAV2 thrust, step 3" in first.where
+    assert (first.tick, first.field) == (7, "plan.inputs")
+    assert "UAV2 thrust_N, step 3" in first.where
     assert (float(first.expected), float(first.got)) == (inputs[3, 0], victim.inputs[3, 0])
     assert first.size == inputs[3, 0] - victim.inputs[3, 0] > 0.0
     assert comparison.plans - comparison.identical == 1

@@ -33,7 +33,7 @@ from protocol.wire.messages import (
 )
 from protocol.wire.rejections import Rejections
 from transport.log.run_log import RunLog
-from transport.log.tables import INPUT_NAMES, UAV_STATE_NAMES, split_unit
+from transport.log.tables import INPUT_NAMES
 
 # Arrival time of plans in real time, ns: so early that no delay applies to a plan that is known to have been there.
 _LONG_AGO_NS = -(2**80)
@@ -264,8 +264,7 @@ class Difference:
     where: str  # description of the entry; empty for a scalar field
     got: str  # replayed value
     expected: str  # recorded value
-    size: float | None  # absolute difference in the field's unit; None if the field is no number
-    unit: str  # SI, empty for none
+    size: float | None  # absolute difference, SI; None if the field is no number
 
     @property
     def field(self) -> str:
@@ -336,10 +335,10 @@ def differences(answer: Answer, recorded: Answer, commands: tuple[str, ...] = IN
         got, expected = getattr(answer, name), getattr(recorded, name)
         if _same(got, expected):
             continue
-        where, unit, size = "", "", None
+        where, size = "", None
         if isinstance(got, np.ndarray) and got.shape == expected.shape:
             at = _worst(got, expected)
-            where, unit = _entry(answer, name, at, commands)
+            where = _entry(answer, name, at, commands)
             got, expected = float(got[at]), float(expected[at])
         elif isinstance(got, np.ndarray):
             got, expected = f"{got.shape[0]} rows", f"{expected.shape[0]} rows"
@@ -347,7 +346,7 @@ def differences(answer: Answer, recorded: Answer, commands: tuple[str, ...] = IN
             size = float(abs(got - expected))
         elif isinstance(got, tuple) and len(got) == len(expected):
             size = float(np.abs(np.subtract(got, expected)).max())
-        yield Difference(answer.tick, answer.kind, negotiation, name, where, str(got), str(expected), size, unit)
+        yield Difference(answer.tick, answer.kind, negotiation, name, where, str(got), str(expected), size)
 
 
 def _same(got: Any, expected: Any) -> bool:
@@ -365,16 +364,12 @@ def _worst(got: Array, expected: Array) -> tuple[int, ...]:
     return tuple(int(i) for i in np.unravel_index(int(apart.argmax()), got.shape))
 
 
-def _entry(message: Answer, name: str, at: tuple[int, ...], commands: tuple[str, ...]) -> tuple[str, str]:
-    """Return a description of an array entry and its unit."""
+def _entry(message: Answer, name: str, at: tuple[int, ...], commands: tuple[str, ...]) -> str:
+    """Return a description of an array entry."""
+    index = f"[{', '.join(map(str, at))}]"
     if isinstance(message, Plan) and name in ("inputs", "corrections"):
-        quantity, unit = split_unit(commands[at[1] % INPUTS])
-        uav = message.uavs[at[1] // INPUTS]
-        return f"[{at[0]}, {at[1]}], UAV{uav} {quantity}, step {at[0]} of the horizon", unit
-    if isinstance(message, Plan):
-        quantity, unit = split_unit(UAV_STATE_NAMES[at[1]])
-        return f"[{at[0]}, {at[1]}], UAV{message.uavs[at[0]]} {quantity}", unit
-    return f"[{', '.join(map(str, at))}]", "N" if isinstance(message, StepReport) and name == "force" else ""
+        return f"{index}, UAV{message.uavs[at[1] // INPUTS]} {commands[at[1] % INPUTS]}, step {at[0]} of the horizon"
+    return f"{index}, UAV{message.uavs[at[0]]}" if isinstance(message, Plan) else index
 
 
 def _inputs_apart(plan: Plan, recorded: Plan) -> tuple[float, float, float, float]:

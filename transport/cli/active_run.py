@@ -49,20 +49,15 @@ class ActiveRun:
 
     def ask(self, name: str, what: str, arguments: dict[str, Any]) -> dict[str, Any]:
         """Return the answer of a process to a request (docs/protocol.md), or end the command."""
-        keys = self.keys
-        if self.connect:
-            if not (self.run and Keys.allows(self.run)):
-                fail(f"--run: expected the name of a run with --connect, got {self.run!r}", EXIT_USAGE)
-            run, endpoints = self.run, self.connect
-        else:
+        with exit_on(UnansweredError, code=EXIT_UNREACHABLE), exit_on(RefusedError, code=EXIT_USAGE):
+            if self.connect:
+                if not (self.run and Keys.allows(self.run)):
+                    fail(f"--run: expected the name of a run with --connect, got {self.run!r}", EXIT_USAGE)
+                return request(self.run, self.connect, name, what, arguments, self.keys)
             folder, there = find_active(self.run, "name its folder with --run, or its endpoints with --connect")
             if name not in there.endpoints:
                 fail(f"--process: expected one of {', '.join(there.endpoints)}, got {name!r}", EXIT_USAGE)
             why = live.why_silent(folder, there, name)
             if why:
                 fail(why, EXIT_UNREACHABLE)
-            # Connect only to the process that is asked: a stopped one delays the connection.
-            run, endpoints = there.run, [there.endpoints[name]]
-            keys = keys or (Path(there.keys) if there.keys else None)
-        with exit_on(UnansweredError, code=EXIT_UNREACHABLE), exit_on(RefusedError, code=EXIT_USAGE):
-            return request(run, endpoints, name, what, arguments, keys=keys)
+            return there.ask(name, what, arguments, self.keys)

@@ -237,7 +237,7 @@ def _table(tallies: dict[str, Tally]) -> Table:
         table.add_column(column, justify="left" if column in ("field", "which") else "right")
     for name, tally in tallies.items():
         largest = tally.largest
-        size = "-" if largest.size is None else f"{largest.size:.3g} {largest.unit}".strip()
+        size = "-" if largest.size is None else f"{largest.size:.3g}"
         where = largest.where or f"{_short(largest.got)}, recorded {_short(largest.expected)}"
         counts = (str(tally.ticks), str(tally.first.tick), size, str(largest.tick))
         table.add_row(name, *counts, Text(where, overflow="ellipsis"))
@@ -252,7 +252,7 @@ def _short(text: str) -> str:
 
 
 def _sentence(first: Difference) -> str:
-    size = "" if first.size is None else f", {first.size:.3g} {first.unit}".rstrip() + " apart"
+    size = "" if first.size is None else f", {first.size:.3g} apart"
     exchange = f" (with {first.negotiation} exchanges to come)" if first.negotiation else ""
     where = first.where if first.where.startswith("[") else ""
     return f"first: {first.field}{where}: got {first.got}, expected {first.expected}{size}{exchange}"

@@ -39,6 +39,12 @@ class LiveRun:
     keys: str = ""  # folder of their keys; empty without keys
     is_client: bool = False  # whether the endpoints belong to a router
 
+    def ask(self, name: str, what: str, given: Mapping[str, Any], keys: Path | None = None) -> dict[str, Any]:
+        """Return the answer of one of its processes to a request, as `request`."""
+        keys = keys or (Path(self.keys) if self.keys else None)
+        # Connect only to the process that is asked: a stopped one delays the connection.
+        return request(self.run, [self.endpoints[name]], name, what, given, keys)
+
 
 class LiveError(ValueError):
     """A file that should describe an active run and does not; one line with file, expected and got."""
@@ -143,10 +149,7 @@ def request(
 
 
 class Commands:
-    """Queue of requests to one live run, sent one after the other by a thread.
-
-    It calls `on_result` with a sentence about each result and whether the request was refused.
-    """
+    """Requests to one live run, sent by a thread; `on_result` gets a sentence about each, and if it was refused."""
 
     def __init__(self, run: LiveRun, on_result: Callable[[str, bool], None]) -> None:
         self._run, self._on_result = run, on_result
@@ -172,11 +175,10 @@ class Commands:
         self._requests.put((RECORDER, "fault", {"do": action, "target": target}))
 
     def _send_requests(self) -> None:
-        keys = Path(self._run.keys) if self._run.keys else None
         while True:
             name, kind, content = self._requests.get()
             try:
-                answer = request(self._run.run, [self._run.endpoints[name]], name, kind, content, keys)
+                answer = self._run.ask(name, kind, content)
             except (RefusedError, UnansweredError) as error:
                 self._on_result(str(error), True)
                 continue

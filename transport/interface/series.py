@@ -20,17 +20,12 @@ _UAV, _AGENT = "uav", "agent"
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One quantity of a run over time.
+    """One quantity of a run over time."""
 
-    Attributes:
-        unit: Unit, empty for none.
-        axes: Meaning of the axes behind the first, which is time: "uav", "agent" (both counted from 1), or components.
-        meaning: One sentence.
-    """
-
-    unit: str
+    unit: str  # empty for none
+    # Meaning of the axes behind the first, which is time: "uav", "agent" (both counted from 1), or components.
     axes: tuple[str | tuple[str, ...], ...]
-    meaning: str
+    meaning: str  # one sentence
 
 
 # All series, in the order in which they are listed. Positions: inertial frame, z down.
@@ -103,14 +98,6 @@ class RunSeries(Mapping[str, Array]):
     def __repr__(self) -> str:
         rows = [f"{name:22}{self[name].shape!s:14}{quantity.meaning}" for name, quantity in QUANTITIES.items()]
         return "\n".join([f"{len(self['time_s'])} ticks; name, shape, meaning:", *rows])
-
-    def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td><code>{name}</code></td><td>{self[name].shape}</td><td>{quantity.unit}</td>"
-            f"<td>{quantity.meaning}</td></tr>"
-            for name, quantity in QUANTITIES.items()
-        )
-        return f"<table><tr><th>name</th><th>shape</th><th>unit</th><th>meaning</th></tr>{rows}</table>"
 
     @public
     def unit(self, name: str) -> str:
