@@ -245,10 +245,7 @@ class Recorder:
                 self.started_s = time.monotonic()
 
     def _check_moment(self, message: Message) -> None:
-        """Refuse an end of the run at an impossible tick, and an invalid change of links or target.
-
-        Raises: MessageError: with the reason.
-        """
+        """Raise MessageError for an end of the run at an impossible tick, and an invalid change of links or target."""
         if isinstance(message, Control) and self.tick >= 0:
             check_tick(message, self.tick - _AHEAD, self.tick + _AHEAD)
         if isinstance(message, LinkChange):

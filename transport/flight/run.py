@@ -37,8 +37,9 @@ from transport.flight.harness import Child, Harness, check_ports, free_ports, ke
 from transport.flight.header import checked, run_header
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
-from transport.flight.run_files import RunError, create, open_log, own_keys, refuse_existing
+from transport.flight.run_files import RunError, create, own_keys, refuse_existing
 from transport.flight.signals import collected_signals
+from transport.log.run_log import LogError
 from transport.log.writer import LogWriter
 
 # Exit codes of a process after the end of its run.
@@ -174,7 +175,7 @@ def simulate(
             recording = replace(recording, security=Security(own, ()))
         keys = "" if recording.security is None else str(recording.security.folder)
         harness.start(observers=[RECORDER])
-        writer = open_log(folder, setup, header, progress.say)
+        writer = LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns, say=progress.say)
         recorder = Recorder(setup, run, writer, recording, scenario.clock.join_timeout_s)
         try:
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
@@ -211,9 +212,11 @@ def _refuse_main(setup: Setup) -> None:
 
 @contextmanager
 def _refusals() -> Iterator[None]:
-    """Turn errors of the network into those of the run."""
+    """Turn errors of network and log into those of the run."""
     try:
         yield
+    except LogError as error:
+        raise RunError(str(error), EXIT_USAGE) from error
     except SecurityError as error:
         raise RunError(str(error), EXIT_SCENARIO) from error
     except BusError as error:
@@ -241,7 +244,7 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
     with RunProgress(setup, console) as progress, _refusals():
         classes = {"engine": setup.scenario.plant.engine, "controller": setup.scenario.agents.controller}
         header = run_header(setup, place.run, len(names), text, classes)
-        writer = open_log(folder, setup, header, progress.say)
+        writer = LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns, say=progress.say)
         try:
             recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
         except BusError:

@@ -1,7 +1,7 @@
 """Folders of runs: their names, what is in them before the run begins, and the error of a run that cannot begin."""
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,8 +15,6 @@ from protocol.scenario.setup import Setup
 from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.log.run_folder import point_latest
-from transport.log.run_log import LogError
-from transport.log.writer import LogWriter
 
 
 class RunError(TransportError, RuntimeError):
@@ -47,10 +45,7 @@ def refuse_existing(folder: Path) -> None:
 
 
 def create(folder: Path, setup: Setup) -> str:
-    """Create the run folder with the resolved scenario; return its text.
-
-    Raises: RunError: it exists, or cannot be written.
-    """
+    """Create the run folder with the resolved scenario; return its text, or raise RunError."""
     refuse_existing(folder)
     text = tomli_w.dumps(setup.scenario.tree())
     try:
@@ -87,14 +82,3 @@ def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
     expected = "expected a file system with permissions, in --out or in TMPDIR, for the secret of the run"
     remedy = "--set network.secret=false runs without, open to every local process"
     raise RunError(f"network.secret: {expected}, got none ({problem}); {remedy}", EXIT_SCENARIO)
-
-
-def open_log(folder: Path, setup: Setup, header: Mapping[str, str], say: Callable[[str], None]) -> LogWriter:
-    """Open the log of a run folder; `say` is called when the run has to go on without it.
-
-    Raises: RunError: it cannot be written.
-    """
-    try:
-        return LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns, say=say)
-    except LogError as error:
-        raise RunError(str(error), EXIT_USAGE) from error
