@@ -43,14 +43,11 @@ class Run:
     >>> run.completed, run.summary["ticks"], run.series["payload_position_m"].shape
     (True, 10, (10, 3))
 
-    Attributes:
-        scenario: The scenario as it was simulated; changes of it do not affect the run.
-        log: All messages.
-        folder: The run folder, or None for a run that has none.
+    `scenario` is the one that was simulated, `log` has all messages, `folder` is None for a run without run folder.
     """
 
     def __init__(self, scenario: Scenario, setup: Setup, log: RunLog, folder: Path | None = None) -> None:
-        self.scenario, self.log, self.folder = scenario.copy(), log, folder
+        self.scenario, self.log, self.folder = scenario.copy(), log, folder  # changes of either do not affect the other
         self._setup = setup
         self._counted = counted(setup, log)
 
@@ -97,12 +94,10 @@ class Run:
         Raises: ArgumentError: no such table, or pandas is missing.
         """
         pandas = require_pandas()
-        match table:
-            case "series":
-                columns = self.series.columns()
-                return pandas.DataFrame(columns).set_index("time_s")
-            case "steps":
-                return pandas.DataFrame(list(steps_rows(self._setup, self._counted)))
+        if table == "series":
+            return pandas.DataFrame(self.series.columns()).set_index("time_s")
+        if table == "steps":
+            return pandas.DataFrame(list(steps_rows(self._setup, self._counted)))
         raise ArgumentError(f"table: expected 'series' or 'steps', got {table!r}")
 
     @public

@@ -93,11 +93,8 @@ class Scenario(Section):
     >>> scenario.resized(6)
     Scenario('resilient-6': 6 UAVs, 6 agents, 25 s)
 
-    Args:
-        source: Scenario file, name of one that comes with the package, or another scenario.
-        settings: Changes by dotted key.
-        allow_large: Whether runs may exceed the limits on ticks, memory and log of `transport validate`.
-        short: Changes by short name (`transport.interface.settings.KEY_OF`).
+    The source is a scenario file, the name of one that comes with the package, or another scenario; changes are those
+    of `fly`. With `allow_large` runs may exceed the limits on ticks, memory and log of `transport validate`.
 
     Raises: ScenarioError: naming file or setting, field, expected, got. ArgumentError: an argument of the wrong kind.
     """
@@ -208,12 +205,8 @@ class Scenario(Section):
     ) -> "Scenario":
         """Return a scenario with a team of another size or vehicle, as `transport scenario new` makes it.
 
-        Args:
-            uavs: Number of UAVs.
-            group: UAVs per agent; by default as in this scenario.
-            name: Its name; by default from this scenario's, the vehicle's and the number of UAVs.
-            vehicle: Vehicle file, or crazyflie, x500, racing; by default the paper's.
-            load_kg: Mass of the payload, kg; by default half the mass of the UAVs.
+        Vehicle and load are those of `team`. An agent owns `group` UAVs, by default as many as in this scenario, whose
+        name, with the vehicle's and the number of UAVs, is the default of `name`.
         """
         if not isinstance(uavs, int) or not FEWEST <= uavs <= MOST:
             raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs!r}")
@@ -310,13 +303,8 @@ def team(
     >>> transport.team(4, vehicle="x500", load_kg=3)
     Scenario('resilient-x500-4': 4 UAVs, 4 agents, 25 s)
 
-    Args:
-        uavs: Number of UAVs.
-        vehicle: Vehicle file, or crazyflie, x500, racing; by default the paper's.
-        load_kg: Mass of the payload, kg; by default half the mass of the UAVs.
-        base: Scenario with all other keys: maneuver, controller, network.
-        settings: Changes by dotted key.
-        short: Changes by short name.
+    The vehicle is a file, or crazyflie, x500, racing, by default the paper's; the payload has by default half the mass
+    of the UAVs. The base has all other keys: maneuver, controller, network; changes are those of `fly`.
 
     Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
     """

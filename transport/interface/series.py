@@ -81,10 +81,7 @@ class RunSeries(Mapping[str, Array]):
             values.setflags(write=False)
 
     def __getitem__(self, name: str) -> Array:
-        """Return a series, (ticks, ...), read-only.
-
-        Raises: KeyError: no such series.
-        """
+        """Return a series, (ticks, ...), read-only; raise KeyError if there is none of this name."""
         if name not in QUANTITIES:
             raise KeyError(f"{name}: expected one of {', '.join(QUANTITIES)}")
         return self._arrays[name]

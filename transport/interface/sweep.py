@@ -103,14 +103,11 @@ def sweep(
 
 
 class Sweep:
-    """The results of a sweep: a point for each combination of settings, and its runs.
-
-    Attributes:
-        points: Statistics of each point: means over completed runs with 95 % confidence intervals.
-    """
+    """The results of a sweep: a point for each combination of settings, and its runs."""
 
     def __init__(self, swept: experiment_sweep.Swept) -> None:
         self._swept = swept
+        # Statistics of each point: means over completed runs with 95 % confidence intervals.
         self.points: list[PointStatistics] = swept.measured
 
     def __len__(self) -> int:

@@ -3,7 +3,6 @@
 Missing messages are found by gaps in the sequence numbers of each sender.
 """
 
-import os
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -25,9 +24,9 @@ _RUNS, LATEST = "runs", "latest"
 class RecordedRun:
     """A recorded run."""
 
-    folder: Path  # the run folder
-    setup: Setup  # the run
-    log: RunLog  # its messages; `cut` names what the file lacks and what did not reach the recorder
+    folder: Path
+    setup: Setup
+    log: RunLog  # `cut` names what the file lacks and what did not reach the recorder
 
     @property
     def scenario_file(self) -> Path:
@@ -96,29 +95,19 @@ def _gaps(log: RunLog) -> Iterator[tuple[int, int]]:
 def _unrecorded_end(log: RunLog) -> Iterator[tuple[int, int]]:
     """Yield first and last tick simulated after the last recorded plant state, if there are any."""
     recorded = max((plant_state.tick for plant_state in log.of(PlantState)), default=-1)
-    simulated = -1
-    for kind in (Measurement, Plan, StepReport):  # the plant measures at a tick after simulating the one before
-        simulated = max([simulated, *(message.tick - 1 for message in log.of(kind))])
-    ends = (end for end in log.of(Control) if end.outcome == "completed" and end.sender == COORDINATOR)
-    simulated = max([simulated, *(end.tick for end in ends)])
+    # The plant measures at a tick after simulating the one before.
+    others = [message.tick - 1 for kind in (Measurement, Plan, StepReport) for message in log.of(kind)]
+    ends = [end.tick for end in log.of(Control) if end.outcome == "completed" and end.sender == COORDINATOR]
+    simulated = max([*others, *ends], default=-1)
     if simulated > recorded:
         yield recorded + 1, simulated
 
 
 def point_latest(folder: Path) -> None:
-    """Point `latest` beside a run folder at it, if both are in a folder named `runs`.
-
-    The link is replaced atomically. Nothing happens where the system has no symbolic links, or something else has that
-    name.
-    """
+    """Point `latest` beside a run folder at it, if both are in a folder named `runs` and nothing else has that name."""
     link = folder.parent / LATEST
-    if folder.resolve().parent.name != _RUNS or folder.name == LATEST:
-        return
-    new = link.with_name(f".{LATEST}.{os.getpid()}")
-    with suppress(OSError, NotImplementedError):
-        new.symlink_to(folder.name, target_is_directory=True)
-        try:
-            if link.is_symlink() or not link.exists():
-                os.replace(new, link)
-        finally:
-            new.unlink(missing_ok=True)
+    if folder.resolve().parent.name == _RUNS and folder.name != LATEST:
+        with suppress(OSError):
+            if link.is_symlink():
+                link.unlink()
+            link.symlink_to(folder.name, target_is_directory=True)
