@@ -23,8 +23,6 @@ from protocol.wire.messages import agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 
 _FILE = "live.json"
-# States of a process that does nothing until it is continued, in words.
-_STOPPED = {psutil.STATUS_STOPPED: "stopped by a signal", psutil.STATUS_TRACING_STOP: "stopped by a tracer"}
 # Faults of processes that `transport run` causes on request.
 FAULTS = ("kill", "stop", "continue", "restart")
 
@@ -46,10 +44,6 @@ class LiveRun:
         return request(self.run, [self.endpoints[name]], name, what, given, keys)
 
 
-class LiveError(ValueError):
-    """A file that should describe an active run and does not; one line with file, expected and got."""
-
-
 def write(folder: Path, run: LiveRun) -> None:
     """Mark a run as active; a folder that cannot be written is left unmarked."""
     new = folder / f".{_FILE}"
@@ -65,59 +59,22 @@ def remove(folder: Path) -> None:
 
 
 def read(folder: Path) -> LiveRun | None:
-    """Return the active run of a folder, or None; the file of a killed run is ignored.
-
-    Raises: LiveError: the file has other content.
-    """
-    path = folder / _FILE
+    """Return the active run of a folder, or None; the file of a killed run, or with other content, is ignored."""
     try:
-        run = msgspec.json.decode(path.read_bytes(), type=LiveRun)
-    except OSError:
+        run = msgspec.json.decode((folder / _FILE).read_bytes(), type=LiveRun)
+    except (OSError, msgspec.MsgspecError):
         return None
-    except msgspec.MsgspecError as error:
-        raise LiveError(f"{path}: expected the description of an active run ({error})") from None
     return run if psutil.pid_exists(run.pid) else None
 
 
 def newest_folder(parent: Path) -> Path | None:
-    """Return the folder of the most recent active run below a folder.
-
-    Raises: LiveError: the file of a more recent run has other content.
-    """
+    """Return the folder of the most recent active run below a folder."""
     found = []
     for path in parent.glob(f"*/{_FILE}"):
-        if path.parent.is_symlink():
-            continue  # `latest` is one of the others
-        with suppress(OSError):  # removed since
-            found.append((path.stat().st_mtime, path.parent))
+        if not path.parent.is_symlink():  # `latest` is one of the others
+            with suppress(OSError):  # removed since
+                found.append((path.stat().st_mtime, path.parent))
     return next((folder for _, folder in sorted(found, reverse=True) if read(folder) is not None), None)
-
-
-def why_silent(folder: Path, run: LiveRun, name: str) -> str:
-    """Return why a process of the active run of a folder cannot answer, and the remedy: it has ended, or is stopped.
-
-    Empty if it runs, was not started by the run, or the system does not tell.
-    """
-    if not (folder / "logs" / f"{name}.log").exists():
-        return ""
-    is_agent = name.startswith("agent")
-    words = f"transport agent --id {name.removeprefix('agent')} " if is_agent else f"transport {name} "
-    try:
-        children = {
-            child: child.as_dict(["cmdline"], ad_value=())["cmdline"] for child in psutil.Process(run.pid).children()
-        }
-        lines = {child: f"{' '.join(line)} " for child, line in children.items()}
-        process = next((child for child, line in lines.items() if words in line and f"--run {run.run} " in line), None)
-        status = "gone" if process is None else process.status()
-    except psutil.Error:
-        return ""
-    if process is None:
-        remedy = f"; transport fault restart {name} starts it again" if is_agent else ", and the run ends"
-        return f"{name} of run {run.run} has ended{remedy}"
-    if status in _STOPPED:
-        remedy = f"; transport fault continue {name} lets it go on" if is_agent else ""
-        return f"{name} of run {run.run} is {_STOPPED[status]}{remedy}"
-    return ""
 
 
 class RefusedError(ValueError):

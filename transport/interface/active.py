@@ -70,15 +70,9 @@ class ActiveRun:
 
 @public
 def active(folder: "str | PathLike[str] | None" = None) -> ActiveRun:
-    """Return the active run of a folder, by default the most recent one in `runs`.
-
-    Raises: ArgumentError: there is none.
-    """
-    try:
-        found = live.newest_folder(Path("runs")) if folder is None else Path(folder)
-        there = None if found is None else live.read(found)
-    except live.LiveError as error:
-        raise ArgumentError(str(error)) from error
+    """Return the active run of a folder, by default the most recent one in `runs`; raise ArgumentError without one."""
+    found = live.newest_folder(Path("runs")) if folder is None else Path(folder)
+    there = None if found is None else live.read(found)
     if found is None or there is None:
         raise ArgumentError(f"no active run in {'runs' if folder is None else folder}")
     return ActiveRun(found, there)

@@ -6,8 +6,6 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from rich.console import Console
-
 from protocol.scenario.files import write_delays
 from protocol.scenario.setup import Setup
 from transport.analysis.metrics import summarise
@@ -15,7 +13,7 @@ from transport.analysis.series import counted
 from transport.analysis.steps import steps_rows
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries
-from transport.interface.settings import ArgumentError, file_name, public, require_pandas
+from transport.interface.settings import ArgumentError, file_name, printed, public, require_pandas
 from transport.log.run_log import RunLog
 from transport.log.writer import LogWriter
 from transport.report.report import summary_table, write_report
@@ -80,10 +78,7 @@ class Run:
 
     def __str__(self) -> str:
         """Return the table that `transport run` prints."""
-        console = Console(width=_WIDTH, force_jupyter=False, force_terminal=False, no_color=True)
-        with console.capture() as capture:
-            console.print(summary_table(self.summary))
-        return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
+        return printed(summary_table(self.summary), _WIDTH)
 
     @public
     def to_pandas(self, table: TableName = "series") -> "pd.DataFrame":

@@ -11,6 +11,7 @@ from typing import Any, Literal, TypedDict, TypeVar, cast
 
 import numpy as np
 import tomli_w
+from rich.console import Console, RenderableType
 
 from protocol.scenario.errors import PythonSetting
 from protocol.scenario.files import path_problem
@@ -119,6 +120,14 @@ def file_name(path: "str | PathLike[str]", argument: str) -> str:
     if problem := path_problem(str(path)):
         raise ArgumentError(f"{argument}: expected the name of a file, got {str(path)!r:.60} ({problem})")
     return str(path)
+
+
+def printed(table: RenderableType, width: int) -> str:
+    """Return a table as text of a width, characters."""
+    console = Console(width=width, force_jupyter=False, force_terminal=False, no_color=True)
+    with console.capture() as capture:
+        console.print(table)
+    return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
 
 
 def require_pandas() -> Any:

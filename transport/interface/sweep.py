@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from rich.console import Console
 
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
@@ -22,7 +21,7 @@ from transport.flight.progress import compile_model
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.fly import console
 from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, file_name, key_of, public, require_pandas
+from transport.interface.settings import ArgumentError, file_name, key_of, printed, public, require_pandas
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -118,10 +117,7 @@ class Sweep:
 
     def __str__(self) -> str:
         """Return the table that the commands `transport experiment` print."""
-        wide = Console(width=WIDTH, force_jupyter=False, force_terminal=False, no_color=True)
-        with wide.capture() as capture:
-            wide.print(table_of(means_in_words(self.points), self.points))
-        return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
+        return printed(table_of(means_in_words(self.points), self.points), WIDTH)
 
     @public
     def rows(self, table: Literal["points", "runs"] = "points") -> list[dict[str, Any]]:
