@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 import transport
 from agent.own import Run, checked_controller
@@ -17,7 +16,6 @@ from protocol.wire.messages import Measurement, Message, Note, Plan, StepReport
 from tests.support.nodes import AgentNode
 from tests.support.runs import SHORT, end, measurement, plant_states, recorded, reproducible, roster, setup
 from transport.flight.memory import simulate
-from transport.flight.run import simulate as run_processes
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 
@@ -131,13 +129,6 @@ def test_a_class_in_python() -> None:
     run = transport.fly("resilient", controller=Hover, phases=phases, owned=[[1, 2], [3, 4]], progress=False)
     assert run.summary["controller"]["name"] == f"{__name__}:Hover 3"
     assert run.completed
-
-
-def test_a_class_of_the_program_itself(tmp_path: Path) -> None:
-    """The processes of a run cannot import it."""
-    run = setup(SHORT, "agents.controller=__main__:Hover")
-    with pytest.raises(ScenarioError, match="expected a class in a module, which the processes of a run can import"):
-        run_processes(run, tmp_path / "run", Console(stderr=True))
 
 
 def test_it_knows_what_its_links_have_delivered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,6 @@ from protocol.network.endpoints import Endpoints, endpoints_of_all, process_name
 from protocol.network.process import Place
 from protocol.network.security import Security, SecurityError
 from protocol.network.session import BusError, check_usable
-from protocol.scenario.errors import ScenarioError
 from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
@@ -156,7 +155,6 @@ def simulate(
     refuse_existing(folder)
     scenario = setup.scenario
     names = process_names(scenario)
-    _refuse_main(setup)
     with ExitStack() as stack:
         stack.enter_context(_refusals())
         check_usable(_OPEN_FILES + _OPEN_FILES_EACH * len(names))
@@ -199,15 +197,6 @@ def simulate(
             for notice in harness.notices:
                 progress.say(notice)
         return _finished(folder, writer, recorder)
-
-
-def _refuse_main(setup: Setup) -> None:
-    """Raise ScenarioError if engine or controller is a class of the program itself."""
-    names = {"plant.engine": setup.scenario.plant.engine, "agents.controller": setup.scenario.agents.controller}
-    for field, name in names.items():
-        if name.startswith("__main__:"):
-            expected = "expected a class in a module, which the processes of a run can import"
-            raise ScenarioError(setup.scenario.name, field, f"{expected}, got one of the program itself")
 
 
 @contextmanager
