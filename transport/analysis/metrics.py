@@ -43,6 +43,9 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
     control = next(log.of(Control), None)
     reports = list(log.of(StepReport))
     processes = log.header.get("processes", "")
+    times_ms = np.array([report.times_ms for report in reports]).reshape(-1, len(STAGES))
+    medians_ms = {stage: _percentiles(times_ms[:, i])["p50"] for i, stage in enumerate(STAGES[:-1])}
+    ages = [age for report in reports for age in report.plan_ages if age >= 0]
     return {
         "run_id": log.header.get("run_id", ""),
         "scenario": setup.scenario.name,
@@ -65,10 +68,10 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         **_flight(setup, series),
         "cables": _cables(setup, log),
         "estimate": consistency(series, log),
-        "agent_step_ms": _step_times(reports),
+        "agent_step_ms": {**_percentiles(times_ms[:, -1]), "by_stage": medians_ms},
         "rest_of_tick_ms": _percentiles(rest_of_tick_ms(setup, log).values()),
         "deadline": _deadline(setup, log),
-        "plan_age_ticks": _plan_ages(reports),
+        "plan_age_ticks": {"mean": sum(ages) / len(ages) if ages else None, "max": max(ages, default=None)},
         "messages": _messages(setup, log, reports),
         "rejections": _rejections(log),
         "solver": {
@@ -238,17 +241,6 @@ def _tracking(errors_I: Array) -> dict[str, float | None]:
         "rms_m": _number(np.sqrt(np.mean(errors_m**2))) if len(errors_m) else None,
         "max_m": _largest(errors_m),
     }
-
-
-def _step_times(reports: Iterable[StepReport]) -> dict[str, Any]:
-    times_ms = np.array([report.times_ms for report in reports]).reshape(-1, len(STAGES))
-    medians = {stage: _percentiles(times_ms[:, i])["p50"] for i, stage in enumerate(STAGES[:-1])}
-    return {**_percentiles(times_ms[:, -1]), "by_stage": medians}
-
-
-def _plan_ages(reports: Iterable[StepReport]) -> dict[str, float | int | None]:
-    ages = [age for report in reports for age in report.plan_ages if age >= 0]
-    return {"mean": sum(ages) / len(ages) if ages else None, "max": max(ages, default=None)}
 
 
 def _deadline(setup: Setup, log: RunLog) -> dict[str, Any]:

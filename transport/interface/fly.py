@@ -25,7 +25,7 @@ from transport.interface.run import Run
 from transport.interface.scenario import Scenario, path_phase
 from transport.interface.settings import ArgumentError, Settings, ShortSettings, file_name, public
 from transport.log.run_folder import open_run
-from transport.log.run_log import LogError, Recorded, RunLog
+from transport.log.run_log import Recorded, RunLog
 from transport.report.report import write_report
 
 # Shortest time between two updates, wall time, s.
@@ -162,13 +162,11 @@ def load(folder: "str | PathLike[str]") -> Run:
     >>> transport.load("runs/none")
     Traceback (most recent call last):
         ...
-    transport.log.run_log.LogError: runs/none: expected a run folder, got no run.mcap in it
+    transport.log.run_log.LogError: runs/none/run.mcap: cannot read the log (No such file or directory)
 
     Raises: LogError: no run folder, or a log that cannot be read. ScenarioError: its scenario cannot be read.
     """
     path = Path(file_name(folder, "folder"))
-    if not (path / "run.mcap").exists():
-        raise LogError(f"{path}: expected a run folder, got no run.mcap in it")
     recorded = open_run(path)
     return Run(Scenario(recorded.scenario_file, allow_large=True), recorded.setup, recorded.log, path)
 
