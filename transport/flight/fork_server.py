@@ -53,9 +53,8 @@ class ForkServer:
     def __init__(self) -> None:
         self._turn = threading.Lock()  # the answers of the server do not name their requests
         self._socket: socket.socket | None = None
-        if sys.platform != "linux":
+        if sys.platform != "linux" or not _adopt_orphans(True):
             return
-        _adopt_orphans(True)
         self._socket, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(_ANSWER_S)
         with other:
@@ -98,6 +97,6 @@ class ForkServer:
             _adopt_orphans(False)
 
 
-def _adopt_orphans(adopt: bool) -> None:
-    """Make this process, or not, the new parent of orphaned descendants, such as forked processes."""
-    ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0)
+def _adopt_orphans(adopt: bool) -> bool:
+    """Make this process, or not, the new parent of orphaned descendants, such as forked processes; return success."""
+    return bool(ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0) == 0)

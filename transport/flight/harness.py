@@ -99,10 +99,7 @@ def start_child(
 
 @dataclass(slots=True)
 class Harness:
-    """Processes of one run on this machine; leaving the context ends them.
-
-    Every child watches a pipe from this process and ends if this process is killed.
-    """
+    """Processes of one run on this machine, each of which watches a pipe from this one and ends with it."""
 
     run: str  # name of the run
     scenario: Path  # resolved scenario file
@@ -110,13 +107,6 @@ class Harness:
     logs: Path  # folder for their output
     keys: Path | None = None  # folder of keys in place of the scenario's
     children: list[Child] = field(default_factory=list)  # processes in the order of their starts
-    notices: list[str] = field(default_factory=list)  # sentences about processes that did not end by themselves
-
-    def __enter__(self) -> "Harness":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.end()
 
     def start(self, observers: Sequence[str] = ()) -> None:
         """Start all processes of the mesh.
@@ -147,19 +137,21 @@ class Harness:
         for child in self.children:
             child.wait(max(0.0, until_s - time.monotonic()))
 
-    def end(self) -> None:
-        """End all running children: SIGTERM, and SIGKILL after a grace period; note those that had to be killed."""
+    def end(self) -> list[str]:
+        """End all running children: SIGTERM, and SIGKILL after a grace period; return a sentence about each killed."""
+        killed = []
         for child in self.children:
             child.signal(signal.SIGTERM)
             child.signal(signal.SIGCONT)  # a stopped process ignores SIGTERM
         self.wait(_GRACE_S)
         for child in self.children:
             if child.code is None:
-                self.notices.append(f"{child.name} did not end: {child.process.status()}; it was killed")
+                killed.append(f"{child.name} did not end: {child.process.status()}; it was killed")
                 child.signal(signal.SIGKILL)
         self.wait(_GRACE_S)
         for child in self.children:
             child.close()
+        return killed
 
     def _start(self, name: str, observers: Sequence[str] = (), incarnation: int = 0) -> None:
         log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")

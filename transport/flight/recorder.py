@@ -69,18 +69,7 @@ _OVERTAKEN_S = 0.5
 
 
 class Recorder:
-    """Recorder of one run, with its open log; its attributes show the progress.
-
-    Attributes:
-        started_s: Steady-clock time of the first plant state, or None.
-        control: How the run ended, once it has.
-        error: Why recording ended early, or None.
-        received: Number of messages in the log.
-        tick: The newest open tick, -1 before the first.
-        setup: The run, with its targets so far.
-        requests: Requests to the parent of the run's processes.
-        gate: Checks of the messages that the recorder reads; readers of the log reject others.
-    """
+    """Recorder of one run, with its open log; its attributes show the progress."""
 
     def __init__(
         self,
@@ -91,18 +80,18 @@ class Recorder:
         join_timeout_s: float,
         incarnation: int = 0,
     ) -> None:
-        self.started_s: float | None = None
-        self.control: Control | None = None
+        self.started_s: float | None = None  # steady-clock time of the first plant state
+        self.control: Control | None = None  # how the run ended, once it has
+        self.error: str | None = None  # why recording ended early
+        self.received = 0  # messages in the log
+        self.tick = -1  # the newest open one
+        self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()  # to the parent of the run's processes
+        self.setup = setup  # with its targets so far
         self._notices: deque[str] = deque()  # the thread that shows them takes from the left
-        self.error: str | None = None
-        self.received = 0
-        self.tick = -1
-        self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self.setup, self._samples_s, self._ticks = setup, setup.samples_s, setup.ticks
-        self._writer = writer
-        self._writing = threading.Lock()  # notes come from another thread
+        self._samples_s, self._ticks, self._shape = setup.samples_s, setup.ticks, setup.shape
+        self._writer, self._writing = writer, threading.Lock()  # notes come from another thread
         self._keys = Keys(run)
-        self._shape = setup.shape
+        # Checks the messages that the recorder reads; readers of the log reject others.
         self.gate = Gate(RECORDER, self._keys, self._shape, self._check_moment, _UNREAD)
         self._newest = deque[bytes](maxlen=_KEPT)
         self._join_timeout_s = join_timeout_s

@@ -145,10 +145,9 @@ def simulate(
 ) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end.
 
-    `started` is called once the processes are started; before the first tick they wait for
-    `ready` to return. Processes that are `external` are not: they join from elsewhere.
+    `started` is called once the processes are started; before the first tick they wait for `ready` to return. Processes
+    that are `external` join from elsewhere. At the end every process has ended and the log is complete.
 
-    Returns: The end of the run; every process has ended and the log is complete.
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
         ScenarioError: engine or controller cannot be used.
     """
@@ -168,7 +167,8 @@ def simulate(
         started_here = {name: place for name, place in places.items() if name not in external}
         progress = stack.enter_context(RunProgress(setup, console))
         own = stack.enter_context(own_keys(scenario, folder))
-        harness = stack.enter_context(Harness(run, folder / "scenario.toml", started_here, folder / "logs", own))
+        harness = Harness(run, folder / "scenario.toml", started_here, folder / "logs", own)
+        stack.callback(harness.end)
         if own is not None:
             recording = replace(recording, security=Security(own, ()))
         keys = "" if recording.security is None else str(recording.security.folder)
@@ -193,8 +193,7 @@ def simulate(
             live.remove(folder)
             if recorder.error is None and not harness.ended():
                 _discard_if_empty(folder, recorder)
-            harness.end()
-            for notice in harness.notices:
+            for notice in harness.end():
                 progress.say(notice)
         return _finished(folder, writer, recorder)
 

@@ -22,21 +22,15 @@ _RECORD = struct.Struct("<BQ")  # opcode, length of the body
 
 
 class Parser:
-    """Parser of one file, which may grow between two calls of `entries`.
-
-    Attributes:
-        metadata: Metadata records by name.
-        ended: Whether the data section has come to its proper end.
-        damaged: Number of records that cannot be decoded, and of messages of a channel that is not known.
-    """
+    """Parser of one file, which may grow between two calls of `entries`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._offset = len(MCAP0_MAGIC)  # of the next record
         self._channels: dict[int, Channel] = {}
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.ended = False
-        self.damaged = 0
+        self.metadata: dict[str, dict[str, str]] = {}  # by name
+        self.ended = False  # whether the data section has come to its proper end
+        self.damaged = 0  # records that cannot be decoded, and messages of a channel that is not known
 
     def entries(self) -> Iterator[tuple[Channel, Message]]:
         """Yield the messages of the chunks that are whole and were not read yet, in the order of the file.

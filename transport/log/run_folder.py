@@ -35,10 +35,7 @@ class RecordedRun:
 
 
 def open_run(folder: Path, *, horizons: bool = True, setup: Setup | None = None) -> RecordedRun:
-    """Read run.mcap of a run folder, with `horizons` as in `read_log`, and the run from scenario.toml unless given.
-
-    Raises: LogError: the log cannot be read; ScenarioError: the scenario cannot be read.
-    """
+    """Read run.mcap of a run folder, as `read_log`, and the run from scenario.toml, or raise ScenarioError."""
     path = folder / "run.mcap"
     if setup is None and path.exists():  # otherwise the folder is none of a run, which says more
         setup = setup_of(folder)

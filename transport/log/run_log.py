@@ -96,12 +96,8 @@ class LogTail:
 
     The log holds what came, also what was forged, repeated or garbled. Every message passes the gate of the run,
     without checks of the moment. Refused ones are counted and reported in the name of the recorder. Without the setup
-    of the run, sizes, agents and plausibility are not checked.
-
-    Args:
-        path: The file, which need not exist yet.
-        kinds: Kinds of messages to return.
-        setup: The run, if it is known already; otherwise it is taken from the header of the log.
+    of the run, which is taken from the header unless given, sizes, agents and plausibility are not checked. The file
+    need not exist yet; `read` returns the given kinds of messages.
     """
 
     def __init__(
@@ -186,13 +182,9 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
     """Read all that can be read of a log, each message checked as by a receiver of the run (`LogTail`).
 
     A file cut or damaged anywhere behind its first bytes gives the messages of every intact chunk and a sentence in
-    `cut`. Messages equal the sent ones bit for bit.
+    `cut`. Messages equal the sent ones bit for bit. Without `horizons` plans have their first step only and no
+    corrections, which saves most of the memory.
 
-    Args:
-        path: The file.
-        horizons: Keep whole plans. Otherwise plans have their first step only and no corrections, which saves most of
-            the memory.
-        setup: The run, if it is known already; otherwise it is taken from the header of the log.
     Raises: LogError: no such file, not an MCAP file, or not the log of a run.
     """
     tail = LogTail(path, setup=setup)

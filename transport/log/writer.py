@@ -33,19 +33,15 @@ class LogWriter:
     """Writes the log of one run. The file can be read at any moment; a kill loses at most the unfinished chunk.
 
     After a failed write the file is closed as it is, as no reader would find a record behind one that was written in
-    part. With `say` the failure is told, and further messages are dropped; without it, it raises LogError.
-
-    Attributes:
-        lost: Why messages are dropped; empty as long as all are written.
-        is_up_to_date: Whether all messages are in the file.
-
-    Raises: LogError: the file cannot be created.
+    part. With `say` the failure is told, and further messages are dropped; without it, it raises LogError, as does a
+    file that cannot be created.
     """
 
     def __init__(
         self, path: Path, header: Mapping[str, str], *, period_ns: int, say: Callable[[str], None] | None = None
     ) -> None:
-        self.lost, self.is_up_to_date = "", True
+        self.lost = ""  # why messages are dropped
+        self.is_up_to_date = True  # whether all messages are in the file
         self._path, self._period_ns, self._say = path, period_ns, say
         self._channels: dict[str, int] = {}
         self._begun_ns = self._bytes = 0  # of the unfinished chunk
