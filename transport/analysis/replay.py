@@ -273,15 +273,6 @@ class Difference:
 
 
 @dataclass(slots=True)
-class Tally:
-    """The first and the largest difference of one field over a run, and the number of ticks with one."""
-
-    first: Difference
-    largest: Difference
-    ticks: int = 0
-
-
-@dataclass(slots=True)
 class Comparison:
     """Comparison of a replay with its run."""
 
@@ -289,7 +280,7 @@ class Comparison:
     plans: int = 0  # number of plans compared
     identical: int = 0  # number of plans that are equal bit for bit
     unrecorded: list[int] = field(default_factory=list)  # ticks with an answer of the node but not in the log
-    tallies: dict[str, Tally] = field(default_factory=dict)  # by field, in the order they first differ
+    by_field: dict[str, list[Difference]] = field(default_factory=dict)  # in the order they first differ
     # For each tick compared: tick, largest difference of thrust (N) and of moments or rates (SI) of the plan's first
     # step, then of all its steps, and whether any field of the plan differs.
     rows: list[tuple[int, float, float, float, float, bool]] = field(default_factory=list)
@@ -298,7 +289,7 @@ class Comparison:
     @property
     def first(self) -> Difference | None:
         """The first difference in a plan; None if all plans are equal."""
-        plans = [tally.first for tally in self.tallies.values() if tally.first.kind == Plan.kind]
+        plans = [found[0] for found in self.by_field.values() if found[0].kind == Plan.kind]
         return min(plans, key=lambda d: (d.tick, -d.negotiation), default=None)
 
     def first_beyond(self, size: float) -> int | None:
@@ -311,7 +302,6 @@ class Comparison:
             self.unrecorded.append(step.tick)
             return
         self.ticks.append(step.tick)
-        seen: set[str] = set()
         for answer, recorded in zip(step.answers, step.recorded, strict=True):
             if recorded is None:
                 continue
@@ -320,10 +310,7 @@ class Comparison:
                 self.plans += 1
                 self.identical += not found
             for difference in found:
-                tally = self.tallies.setdefault(difference.field, Tally(difference, difference))
-                tally.largest = max(tally.largest, difference, key=lambda d: d.size or 0.0)
-                tally.ticks += difference.field not in seen
-                seen.add(difference.field)
+                self.by_field.setdefault(difference.field, []).append(difference)
             if isinstance(answer, Plan) and isinstance(recorded, Plan) and answer.negotiation == 0:
                 self.rows.append((step.tick, *_inputs_apart(answer, recorded), bool(found)))
 
