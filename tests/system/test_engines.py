@@ -40,13 +40,12 @@ class Slow(Rods):
 
 # What the code of an engine may do to its process.
 ROUGH = """
-import os, sys, time
+import os
 from plant.engines import Rods
 
 class Prints(Rods):
     def __init__(self, *arguments):
         print("from Python")
-        os.write(1, b"from C\\n")
         super().__init__(*arguments)
 
 class ForksAtOnce(Rods):
@@ -60,11 +59,6 @@ class Forks(Rods):
 class Base(Rods):
     def __init__(self, *arguments):
         raise BaseException("no more")
-
-class Endless(Rods):
-    def __init__(self, *arguments):
-        while True:
-            time.sleep(0.01)
 
 class Exits(Rods):
     def advance(self, u, forces, duration_s):
@@ -144,15 +138,12 @@ def test_an_engine_that_fails(engine: str, code: int, text: str, tmp_path: Path)
     [
         ("rough:Prints", 0, ""),
         pytest.param(
-            *("rough:ForksAtOnce", EXIT_SCENARIO, f"the constructor {NO_FORK} (rough.py:13)"), marks=pytest.mark.slow
+            *("rough:ForksAtOnce", EXIT_SCENARIO, f"the constructor {NO_FORK} (rough.py:12)"), marks=pytest.mark.slow
         ),
-        ("rough:Forks", EXIT_DIVERGED, f"engine rough:Forks: advance {NO_FORK} (rough.py:17) at t = 0.00 s"),
+        ("rough:Forks", EXIT_DIVERGED, f"engine rough:Forks: advance {NO_FORK} (rough.py:16) at t = 0.00 s"),
         pytest.param(
-            *("rough:Base", EXIT_SCENARIO, "the constructor raised BaseException: no more (rough.py:21)"),
+            *("rough:Base", EXIT_SCENARIO, "the constructor raised BaseException: no more (rough.py:20)"),
             marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            *("rough:Endless", EXIT_SCENARIO, "not ready within 4 s (clock.join_timeout_s)"), marks=pytest.mark.slow
         ),
         ("rough:Exits", EXIT_UNREACHABLE, "plant ended with exit code 0 before the run began: "),
     ],

@@ -73,18 +73,17 @@ def _without_permissions(monkeypatch: pytest.MonkeyPatch, *places: Path) -> None
 
 
 def test_a_file_system_without_permissions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The secret is made in the temporary folder of the system, which is said in one line; it is removed in the end."""
-    run, second, said = tmp_path / "run", tmp_path / "second", list[str]()
+    """The secret is made in the temporary folder of the system; it is removed in the end."""
+    run, second = tmp_path / "run", tmp_path / "second"
     run.mkdir()
     second.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(second))
     _without_permissions(monkeypatch, run)
     scenario = read_scenario(find_scenario("resilient"))
-    with own_keys(scenario, run, said.append) as keys:
+    with own_keys(scenario, run) as keys:
         assert keys is not None
         assert keys.is_relative_to(second)
         Security(keys, ()).check("agent1", mode="peer")
-    assert said == [f"{run} is on a file system without permissions: the secret of the run is in {keys}"]
     assert [*run.iterdir(), *second.iterdir()] == []
 
 

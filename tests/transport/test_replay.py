@@ -60,7 +60,7 @@ def test_a_lockstep_run_is_reproduced(settings: tuple[str, ...]) -> None:
     log = flight(*settings)
     for agent in runs.setup().agents:
         again, comparison = compared(log, agent, *settings)
-        assert comparison.tallies == {}
+        assert comparison.by_field == {}
         assert comparison.plans == comparison.identical == len(plans(log, agent))
         assert again.notes == []
 
@@ -74,7 +74,7 @@ def test_a_real_time_run_is_reproduced() -> None:
     for agent in (1, 3):
         log = replace(log, messages=tuple(ordered))
         _, comparison = compared(log, agent, *settings, ignored=UNKNOWN_IN_REAL_TIME)
-        assert comparison.tallies == {}
+        assert comparison.by_field == {}
         assert comparison.identical == len(plans(log, agent)) > 0
 
 
@@ -89,8 +89,8 @@ def test_one_bit_is_found() -> None:
     _, comparison = compared(log, 2)
     first = comparison.first
     assert first is not None
-    assert (first.tick, first.field, first.unit) == (7, "plan.inputs", "N")
-    assert "UAV2 thrust, step 3" in first.where
+    assert (first.tick, first.field) == (7, "plan.inputs")
+    assert "UAV2 thrust_N, step 3" in first.where
     assert (float(first.expected), float(first.got)) == (inputs[3, 0], victim.inputs[3, 0])
     assert first.size == inputs[3, 0] - victim.inputs[3, 0] > 0.0
     assert comparison.plans - comparison.identical == 1
@@ -104,7 +104,7 @@ def test_a_missing_plan_ends_the_replay() -> None:
     kept = [message for message in messages if message is not lost]
     again, comparison = compared(logs.log_of(kept), 1)
     assert comparison.ticks == list(range(10))
-    assert comparison.tallies == {}
+    assert comparison.by_field == {}
     assert len(again.notes) == 1
     assert "ticks from 10 on cannot be replayed" in again.notes[0]
 

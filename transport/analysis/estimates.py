@@ -17,22 +17,14 @@ from transport.log.run_log import RunLog
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimates:
-    """Estimates of the payload's pose (x, y, z, roll, pitch, yaw), m and rad, by all agents at some recorded ticks.
+    """Estimates of the payload's pose (x, y, z, roll, pitch, yaw), m and rad, by all agents at some recorded ticks."""
 
-    Attributes:
-        agents: Agents, (k,), 1-based.
-        rows: Their ticks' rows in the series, (k,).
-        pose, true: Estimated and true pose, (k, 6).
-        P: Covariance of the error, (k, 6, 6).
-        surprise: Squared innovation of the newest measurements over its covariance, and their number, (k, 2).
-    """
-
-    agents: npt.NDArray[np.intp]
-    rows: npt.NDArray[np.intp]
-    pose: Array
-    true: Array
-    P: Array
-    surprise: Array
+    agents: npt.NDArray[np.intp]  # (k,), 1-based
+    rows: npt.NDArray[np.intp]  # their ticks' rows in the series, (k,)
+    pose: Array  # estimated, (k, 6)
+    true: Array  # (k, 6)
+    P: Array  # covariance of the error, (k, 6, 6)
+    surprise: Array  # squared innovation of the newest measurements over its covariance, and their number, (k, 2)
 
     @property
     def deviations(self) -> Array:

@@ -43,6 +43,9 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
     control = next(log.of(Control), None)
     reports = list(log.of(StepReport))
     processes = log.header.get("processes", "")
+    times_ms = np.array([report.times_ms for report in reports]).reshape(-1, len(STAGES))
+    medians_ms = {stage: _percentiles(times_ms[:, i])["p50"] for i, stage in enumerate(STAGES[:-1])}
+    ages = [age for report in reports for age in report.plan_ages if age >= 0]
     return {
         "run_id": log.header.get("run_id", ""),
         "scenario": setup.scenario.name,
@@ -50,15 +53,25 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         "reason": control.reason if control else "",
         "exit_code": control.exit_code if control else None,
         "processes": int(processes) if processes.isdecimal() else None,
-        "controller": {"name": log.header.get("controller", "mpc"), **_controller(setup)},
+        "controller": {
+            "name": log.header.get("controller", "mpc"),
+            "agents": len(setup.owned),
+            "owned": [[uav + 1 for uav in group] for group in setup.owned],
+            "prediction": setup.settings.prediction,
+            "relaxation": setup.settings.relaxation,
+            "negotiation_iterations": setup.scenario.controller.negotiation_iterations,
+            "sampling_period_s": setup.settings.sampling_period_s,
+            "horizon": setup.settings.horizon,
+            "solver": setup.settings.solver,
+        },
         **_durations(setup, log, series),
         **_flight(setup, series),
         "cables": _cables(setup, log),
         "estimate": consistency(series, log),
-        "agent_step_ms": _step_times(reports),
+        "agent_step_ms": {**_percentiles(times_ms[:, -1]), "by_stage": medians_ms},
         "rest_of_tick_ms": _percentiles(rest_of_tick_ms(setup, log).values()),
         "deadline": _deadline(setup, log),
-        "plan_age_ticks": _plan_ages(reports),
+        "plan_age_ticks": {"mean": sum(ages) / len(ages) if ages else None, "max": max(ages, default=None)},
         "messages": _messages(setup, log, reports),
         "rejections": _rejections(log),
         "solver": {
@@ -106,68 +119,49 @@ def events(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str,
     began_ns = min(log.received_ns(Tick).values(), default=None)
 
     def add(message: Message, received_ns: int | None, kind: str, what: str, processes: Iterable[str]) -> None:
-        found.append(
-            {
-                "tick": message.tick,
-                "time_s": round(message.tick * setup.settings.sampling_period_s, _DIGITS),
-                "wall_s": None if began_ns is None or received_ns is None else (received_ns - began_ns) / 1e9,
-                "kind": kind,
-                "processes": list(processes),
-                "what": what,
-            }
-        )
+        time_s = round(message.tick * setup.settings.sampling_period_s, _DIGITS)
+        wall_s = None if began_ns is None or received_ns is None else (received_ns - began_ns) / 1e9
+        event = {"tick": message.tick, "time_s": time_s, "wall_s": wall_s, "kind": kind}
+        found.append({**event, "processes": list(processes), "what": what})
 
     degraded = degradations(setup.faults)
     before: Roster | None = None
     noted: set[str] = set()  # each problem of a controller counts once, of the first agent
     off: set[tuple[str, int]] = set()  # UAVs with their motors off, and released ones
-    for message, received_ns in ((entry.message, entry.received_ns) for entry in log.messages):
-        if isinstance(message, FaultNote):
-            what = f"{message.target} {message.what}{_ORIGIN[message.origin]}"
-            add(message, received_ns, "fault", what, [message.target])
-        elif isinstance(message, ActualInputs):
-            for uav, efficiency in ((uav, share) for tick, uav, share in degraded if tick == message.tick):
-                what = f"motors of {uav_name(uav)} degraded to {efficiency:g} of their inputs by script"
-                add(message, received_ns, "fault", what, [uav_name(uav)])
-        elif isinstance(message, Note) and message.problem and message.problem not in noted:
-            noted.add(message.problem)
-            add(message, received_ns, "notice", f"{message.sender}: {message.problem}", [message.sender])
-        elif isinstance(message, Roster):
-            now_off = {("off", uav) for uav in message.off} | {("released", uav) for uav in message.released}
-            if now_off != off:
-                uavs = sorted({uav for _, uav in now_off - off})
-                add(message, received_ns, "fault", f"{message.reason} by script", [f"uav{uav}" for uav in uavs])
-            elif before is not None:
-                old, new = set(before.agents), set(message.agents)
-                left, joined = ([agent_name(agent) for agent in sorted(agents)] for agents in (old - new, new - old))
-                kind = "detected" if left else "rejoined" if joined else "notice"
-                add(message, received_ns, kind, message.reason, left or joined)
-            before, off = message, now_off
+    for entry in log.messages:
+        message, received_ns = entry.message, entry.received_ns
+        match message:
+            case FaultNote(target=target, what=done, origin=origin):
+                add(message, received_ns, "fault", f"{target} {done}{_ORIGIN[origin]}", [target])
+            case ActualInputs():
+                for uav, efficiency in ((uav, share) for tick, uav, share in degraded if tick == message.tick):
+                    what = f"motors of {uav_name(uav)} degraded to {efficiency:g} of their inputs by script"
+                    add(message, received_ns, "fault", what, [uav_name(uav)])
+            case Note(sender=sender, problem=problem) if problem and problem not in noted:
+                noted.add(problem)
+                add(message, received_ns, "notice", f"{sender}: {problem}", [sender])
+            case Roster(reason=reason):
+                now_off = {("off", uav) for uav in message.off} | {("released", uav) for uav in message.released}
+                if now_off != off:
+                    uavs = sorted({uav for _, uav in now_off - off})
+                    add(message, received_ns, "fault", f"{reason} by script", [f"uav{uav}" for uav in uavs])
+                elif before is not None:
+                    left = sorted({*before.agents} - {*message.agents})
+                    joined = sorted({*message.agents} - {*before.agents})
+                    kind = "detected" if left else "rejoined" if joined else "notice"
+                    add(message, received_ns, kind, reason, map(agent_name, left or joined))
+                before, off = message, now_off
     found.sort(key=lambda event: int(event["tick"]))
     if control is not None and control.reason:
         add(control, log.received_ns(Control).get(control.tick), "end", control.reason, [])
     return found
 
 
-def _controller(setup: Setup) -> dict[str, Any]:
-    return {
-        "agents": len(setup.owned),
-        "owned": [[uav + 1 for uav in group] for group in setup.owned],
-        "prediction": setup.settings.prediction,
-        "relaxation": setup.settings.relaxation,
-        "negotiation_iterations": setup.scenario.controller.negotiation_iterations,
-        "sampling_period_s": setup.settings.sampling_period_s,
-        "horizon": setup.settings.horizon,
-        "solver": setup.settings.solver,
-    }
-
-
 def _durations(setup: Setup, log: RunLog, series: Series) -> dict[str, Any]:
     sim_time_s = len(series.ticks) * setup.settings.sampling_period_s
     begin_ns = min(log.received_ns(Tick).values(), default=None)
-    end_ns = min(log.received_ns(Control).values(), default=None)
-    if end_ns is None and log.messages:
-        end_ns = log.messages[-1].received_ns  # the end is not recorded
+    # Until the last message if the end is not recorded.
+    end_ns = min(log.received_ns(Control).values(), default=log.messages[-1].received_ns if log.messages else None)
     wall_time_s = None if begin_ns is None or end_ns is None else (end_ns - begin_ns) / 1e9
     started = log.header.get("command_started_ns", "")
     return {
@@ -183,6 +177,7 @@ def _flight(setup: Setup, series: Series) -> dict[str, Any]:
     # The first phase lets the formation settle about its hover, as in the paper's section V.
     settled = series.times_s >= setup.maneuver.stages()[0][2]
     swing = swing_of(setup, series)
+    clear_m = map(_number, series.clearance_m.min(axis=0, initial=np.inf))
     return {
         "cost": {
             "mean": _number(series.cost.mean()) if len(series.cost) else None,
@@ -197,17 +192,10 @@ def _flight(setup: Setup, series: Series) -> dict[str, Any]:
             "decays": swing.decays,
         },
         "separation_min_m": _number(series.separation_m.min(initial=np.inf)),
-        "clearance_min_m": _clearance(series) if setup.obstacles else None,
+        "clearance_min_m": dict(zip(("uav", "rod", "payload"), clear_m, strict=True)) if setup.obstacles else None,
         "constraint_violation_max": _largest(series.violation),
         "local_error_max": _largest(series.local_error),
     }
-
-
-def _clearance(series: Series) -> dict[str, float | None]:
-    """Return the smallest distances from obstacles, m, by kind of body."""
-    return dict(
-        zip(("uav", "rod", "payload"), map(_number, series.clearance_m.min(axis=0, initial=np.inf)), strict=True)
-    )
 
 
 def _cables(setup: Setup, log: RunLog) -> dict[str, Any] | None:
@@ -253,17 +241,6 @@ def _tracking(errors_I: Array) -> dict[str, float | None]:
         "rms_m": _number(np.sqrt(np.mean(errors_m**2))) if len(errors_m) else None,
         "max_m": _largest(errors_m),
     }
-
-
-def _step_times(reports: Iterable[StepReport]) -> dict[str, Any]:
-    times_ms = np.array([report.times_ms for report in reports]).reshape(-1, len(STAGES))
-    medians = {stage: _percentiles(times_ms[:, i])["p50"] for i, stage in enumerate(STAGES[:-1])}
-    return {**_percentiles(times_ms[:, -1]), "by_stage": medians}
-
-
-def _plan_ages(reports: Iterable[StepReport]) -> dict[str, float | int | None]:
-    ages = [age for report in reports for age in report.plan_ages if age >= 0]
-    return {"mean": sum(ages) / len(ages) if ages else None, "max": max(ages, default=None)}
 
 
 def _deadline(setup: Setup, log: RunLog) -> dict[str, Any]:

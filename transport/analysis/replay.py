@@ -9,7 +9,7 @@ one sender keep their order: together they tell exactly which plans the agent ha
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import threadpoolctl
@@ -33,7 +33,7 @@ from protocol.wire.messages import (
 )
 from protocol.wire.rejections import Rejections
 from transport.log.run_log import RunLog
-from transport.log.tables import INPUT_NAMES, UAV_STATE_NAMES, split_unit
+from transport.log.tables import INPUT_NAMES
 
 # Arrival time of plans in real time, ns: so early that no delay applies to a plan that is known to have been there.
 _LONG_AGO_NS = -(2**80)
@@ -44,8 +44,7 @@ _NOT_COMPARED = ("sender", "incarnation", "sequence", "tick", "agent", "negotiat
 Answer = Plan | StepReport
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class Step(NamedTuple):
     """One tick of the agent."""
 
     tick: int
@@ -53,8 +52,7 @@ class Step:
     recorded: tuple[Answer | None, ...]  # the recorded message for each of them; None if the log has none
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Process:
+class _Process(NamedTuple):
     """One process of the agent."""
 
     incarnation: int  # its first one; a process that is stopped and continued gets higher ones
@@ -63,44 +61,52 @@ class _Process:
     ticks: range  # from the tick of `admitted` to the last one before that of `replaced`, or to the end of the run
 
 
-@dataclass(slots=True)
 class Replay:
-    """Replay of one agent of a run."""
+    """Replay of one agent, 1-based, of a run, or of the same run with another controller.
 
-    setup: Setup  # the run, or the same run with another controller
-    log: RunLog
-    agent: int  # 1-based
-    # Called with the node and each measurement before the node receives it.
-    before_measurement: Callable[[AgentNode, Measurement], None] = lambda _node, _measurement: None
-    notes: list[str] = field(default_factory=list)  # sentences about what could not be replayed
-    refused: list[str] = field(default_factory=list)  # by the node: count, sender, reason and the first example
-    _rejections: Rejections = field(init=False)
+    `before_measurement` is called with the node and each measurement before the node receives it.
+
+    Attributes:
+        notes: Sentences about what could not be replayed.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        log: RunLog,
+        agent: int,
+        before_measurement: Callable[[AgentNode, Measurement], None] = lambda _node, _measurement: None,
+    ) -> None:
+        self.setup, self.log, self.agent, self.before_measurement = setup, log, agent, before_measurement
+        self.notes: list[str] = []
+        self._rejections = Rejections(agent_name(agent))
+
+    @property
+    def refused(self) -> list[str]:
+        """Messages refused by the node: count, sender, reason and the first example."""
+        return [f"{r.count} of {r.sender} ({r.reason.replace('_', ' ')}: {r.example})" for r in self._rejections]
 
     def steps(self) -> Iterator[Step]:
         """Yield the ticks of the agent, in order."""
         processes = _processes(self.setup, self.log, self.agent)
         if not processes:
             self.notes.append(f"{agent_name(self.agent)} is on no roster in the log")
-        recorded = {
-            _identity(message): message
-            for message in (entry.message for entry in self.log.messages)
-            if isinstance(message, Plan | StepReport) and message.agent == self.agent
-        }
+        sent: list[Answer] = [*self.log.of(Plan), *self.log.of(StepReport)]
+        recorded = {_identity(one): one for one in sent if one.agent == self.agent}
         name, was = self.setup.scenario.agents.controller, self.log.header.get("controller", "")
         if was.startswith(f"{name} ") and (now := checked_controller(self.setup)) != was:
             self.notes.append(f"the run was recorded with controller {was}, this is {now}")
+        feed = self._lockstep if self.setup.scenario.clock.mode == "lockstep" else self._realtime
         with threadpoolctl.threadpool_limits(1):  # as in every process of a run, for the same bits
             for process in processes:
-                node = AgentNode(self.setup, self.agent, process.incarnation)
-                self._rejections = Rejections(node.name)
-                feed = self._lockstep if self.setup.scenario.clock.mode == "lockstep" else self._realtime
-                for answers in _by_tick(feed(node, process)):
-                    there = tuple(recorded.get(_identity(message)) for message in answers)
-                    yield Step(tick=answers[0].tick, answers=answers, recorded=there)
-                self.refused += [
-                    f"{entry.count} of {entry.sender} ({entry.reason.replace('_', ' ')}: {entry.example})"
-                    for entry in self._rejections
-                ]
+                answers: list[Answer] = []
+                for message in feed(AgentNode(self.setup, self.agent, process.incarnation), process):
+                    if isinstance(message, Plan | StepReport):
+                        answers.append(message)
+                    if isinstance(message, StepReport):  # ends a tick
+                        there = tuple(recorded.get(_identity(answer)) for answer in answers)
+                        yield Step(answers[0].tick, tuple(answers), there)
+                        answers = []
 
     def _give(self, node: AgentNode, message: Message, now_ns: int) -> list[Message]:
         """Hand a message to a node as its gate would; return the answers."""
@@ -207,7 +213,7 @@ def _processes(setup: Setup, log: RunLog, agent: int) -> list[_Process]:
     found = []
     for (incarnation, roster), replaced in zip(starts, [*(roster for _, roster in starts[1:]), None], strict=True):
         ticks = range(roster.tick, setup.ticks if replaced is None else replaced.tick)
-        found.append(_Process(incarnation=incarnation, admitted=roster, replaced=replaced, ticks=ticks))
+        found.append(_Process(incarnation, roster, replaced, ticks))
     return found
 
 
@@ -241,24 +247,13 @@ def _in_order_of_need(received: Sequence[Message], measurements: Sequence[Measur
     return [message for tick, _, _, message in order if tick <= last + 1]
 
 
-def _by_tick(messages: Iterator[Message]) -> Iterator[tuple[Answer, ...]]:
-    """Group the plans and reports of a node by tick; each tick ends with its report."""
-    answers: list[Answer] = []
-    for message in messages:
-        if isinstance(message, Plan | StepReport):
-            answers.append(message)
-        if isinstance(message, StepReport):
-            yield tuple(answers)
-            answers = []
-
-
 def _identity(message: Answer) -> tuple[str, int, int, int]:
     """Return the fields that distinguish a message from the agent's others."""
     negotiation = message.negotiation if isinstance(message, Plan) else 0
     return message.kind, message.incarnation, message.tick, negotiation
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Difference:
     """A field in which a message differs from the recorded one, at the entry that differs most."""
 
@@ -269,22 +264,12 @@ class Difference:
     where: str  # description of the entry; empty for a scalar field
     got: str  # replayed value
     expected: str  # recorded value
-    size: float | None  # absolute difference in the field's unit; None if the field is no number
-    unit: str  # SI, empty for none
+    size: float | None  # absolute difference, SI; None if the field is no number
 
     @property
     def field(self) -> str:
         """The field with its kind of message, e.g. plan.inputs."""
         return f"{self.kind}.{self.name}"
-
-
-@dataclass(slots=True)
-class Tally:
-    """The first and the largest difference of one field over a run, and the number of ticks with one."""
-
-    first: Difference
-    largest: Difference
-    ticks: int = 0
 
 
 @dataclass(slots=True)
@@ -295,7 +280,7 @@ class Comparison:
     plans: int = 0  # number of plans compared
     identical: int = 0  # number of plans that are equal bit for bit
     unrecorded: list[int] = field(default_factory=list)  # ticks with an answer of the node but not in the log
-    tallies: dict[str, Tally] = field(default_factory=dict)  # by field, in the order they first differ
+    by_field: dict[str, list[Difference]] = field(default_factory=dict)  # in the order they first differ
     # For each tick compared: tick, largest difference of thrust (N) and of moments or rates (SI) of the plan's first
     # step, then of all its steps, and whether any field of the plan differs.
     rows: list[tuple[int, float, float, float, float, bool]] = field(default_factory=list)
@@ -304,7 +289,7 @@ class Comparison:
     @property
     def first(self) -> Difference | None:
         """The first difference in a plan; None if all plans are equal."""
-        plans = [tally.first for tally in self.tallies.values() if tally.first.kind == Plan.kind]
+        plans = [found[0] for found in self.by_field.values() if found[0].kind == Plan.kind]
         return min(plans, key=lambda d: (d.tick, -d.negotiation), default=None)
 
     def first_beyond(self, size: float) -> int | None:
@@ -317,7 +302,6 @@ class Comparison:
             self.unrecorded.append(step.tick)
             return
         self.ticks.append(step.tick)
-        seen: set[str] = set()
         for answer, recorded in zip(step.answers, step.recorded, strict=True):
             if recorded is None:
                 continue
@@ -326,43 +310,30 @@ class Comparison:
                 self.plans += 1
                 self.identical += not found
             for difference in found:
-                tally = self.tallies.setdefault(difference.field, Tally(difference, difference))
-                tally.largest = max(tally.largest, difference, key=lambda d: d.size or 0.0)
-                tally.ticks += difference.field not in seen
-                seen.add(difference.field)
+                self.by_field.setdefault(difference.field, []).append(difference)
             if isinstance(answer, Plan) and isinstance(recorded, Plan) and answer.negotiation == 0:
                 self.rows.append((step.tick, *_inputs_apart(answer, recorded), bool(found)))
 
 
 def differences(answer: Answer, recorded: Answer, commands: tuple[str, ...] = INPUT_NAMES) -> Iterator[Difference]:
     """Yield the fields in which two messages of one kind differ by at least a bit."""
+    negotiation = answer.negotiation if isinstance(answer, Plan) else 0
     for name in (name for name in answer.__struct_fields__ if name not in _NOT_COMPARED):
         got, expected = getattr(answer, name), getattr(recorded, name)
         if _same(got, expected):
             continue
-        where, unit, size, texts = "", "", None, (str(got), str(expected))
+        where, size = "", None
         if isinstance(got, np.ndarray) and got.shape == expected.shape:
             at = _worst(got, expected)
-            where, unit = _entry(answer, name, at, commands)
-            size = float(abs(got[at] - expected[at]))
-            texts = repr(float(got[at])), repr(float(expected[at]))
-        elif isinstance(got, int | float) and not isinstance(got, bool):
+            where = _entry(answer, name, at, commands)
+            got, expected = float(got[at]), float(expected[at])
+        elif isinstance(got, np.ndarray):
+            got, expected = f"{got.shape[0]} rows", f"{expected.shape[0]} rows"
+        if isinstance(got, int | float) and not isinstance(got, bool):
             size = float(abs(got - expected))
         elif isinstance(got, tuple) and len(got) == len(expected):
             size = float(np.abs(np.subtract(got, expected)).max())
-        elif isinstance(got, np.ndarray):
-            texts = f"{got.shape[0]} rows", f"{expected.shape[0]} rows"
-        yield Difference(
-            tick=answer.tick,
-            kind=answer.kind,
-            negotiation=answer.negotiation if isinstance(answer, Plan) else 0,
-            name=name,
-            where=where,
-            got=texts[0],
-            expected=texts[1],
-            size=size,
-            unit=unit,
-        )
+        yield Difference(answer.tick, answer.kind, negotiation, name, where, str(got), str(expected), size)
 
 
 def _same(got: Any, expected: Any) -> bool:
@@ -380,16 +351,12 @@ def _worst(got: Array, expected: Array) -> tuple[int, ...]:
     return tuple(int(i) for i in np.unravel_index(int(apart.argmax()), got.shape))
 
 
-def _entry(message: Answer, name: str, at: tuple[int, ...], commands: tuple[str, ...]) -> tuple[str, str]:
-    """Return a description of an array entry and its unit."""
+def _entry(message: Answer, name: str, at: tuple[int, ...], commands: tuple[str, ...]) -> str:
+    """Return a description of an array entry."""
+    index = f"[{', '.join(map(str, at))}]"
     if isinstance(message, Plan) and name in ("inputs", "corrections"):
-        quantity, unit = split_unit(commands[at[1] % INPUTS])
-        uav = message.uavs[at[1] // INPUTS]
-        return f"[{at[0]}, {at[1]}], UAV{uav} {quantity}, step {at[0]} of the horizon", unit
-    if isinstance(message, Plan):
-        quantity, unit = split_unit(UAV_STATE_NAMES[at[1]])
-        return f"[{at[0]}, {at[1]}], UAV{message.uavs[at[0]]} {quantity}", unit
-    return f"[{', '.join(map(str, at))}]", "N" if isinstance(message, StepReport) and name == "force" else ""
+        return f"{index}, UAV{message.uavs[at[1] // INPUTS]} {commands[at[1] % INPUTS]}, step {at[0]} of the horizon"
+    return f"{index}, UAV{message.uavs[at[0]]}" if isinstance(message, Plan) else index
 
 
 def _inputs_apart(plan: Plan, recorded: Plan) -> tuple[float, float, float, float]:

@@ -1,7 +1,6 @@
 """Time series of a run, the basis of every metric and figure, and the payload swing at its end."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,10 +8,10 @@ import numpy.typing as npt
 
 from model import state
 from model.arrays import Array
-from model.maneuver import Maneuver, Phase
+from model.maneuver import Maneuver
 from model.obstacles import clearances
 from model.rotations import rotation
-from protocol.scenario.faults import UavFault, uav_faults
+from protocol.scenario.faults import uav_faults
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
 from protocol.scenario.targets import with_targets
@@ -24,38 +23,23 @@ from transport.log.run_log import Recorded, RunLog
 class Series:
     """Plant states and references of N UAVs at T recorded ticks, ascending, perhaps with gaps.
 
-    Attributes:
-        ticks: (T,).
-        times_s: t_k, (T,), s.
-        x: States, (T, 12 + 12 N), SI.
-        u: Inputs applied from t_k on, (T, 4 N), N and N m.
-        uavs_I: UAV positions, (T, N, 3), inertial frame (z down), m.
-        payload_reference_I: Reference position of the payload, (T, 3), inertial frame, m.
-        uav_references_I: Reference positions of the UAVs, (T, N, 3), inertial frame, m.
-        cost: Stage cost, docs/equations.md (21), (T,); of the remaining team after a UAV failure, see `StageCost`.
-        attitude_deg: Payload roll, pitch, yaw, (T, 3), deg.
-        on_rods: Whether a UAV has not been released, (T, N).
-        separation_m: Smallest distance between two UAVs on their rods, (T,), m; infinite for one UAV.
-        clearance_m: Smallest distances of UAVs on their rods, of rods and of the payload from any obstacle, (T, 3), m;
-            infinite without obstacles.
-        violation: Largest constraint violation relative to the constraint's range, (T,); see `_violation`.
-        local_error: Largest local error estimate of the plant's integration where it is finite, (<= T,), SI.
+    Positions are in the inertial frame (z down), m.
     """
 
-    ticks: npt.NDArray[np.int64]
-    times_s: Array
-    x: Array
-    u: Array
-    uavs_I: Array
-    payload_reference_I: Array
-    uav_references_I: Array
-    cost: Array
-    attitude_deg: Array
-    on_rods: npt.NDArray[np.bool_]
-    separation_m: Array
-    clearance_m: Array
-    violation: Array
-    local_error: Array
+    ticks: npt.NDArray[np.int64]  # (T,)
+    times_s: Array  # t_k, (T,)
+    x: Array  # states, (T, 12 + 12 N), SI
+    u: Array  # inputs applied from t_k on, (T, 4 N), N and N m
+    uavs_I: Array  # (T, N, 3)
+    payload_reference_I: Array  # (T, 3)
+    uav_references_I: Array  # (T, N, 3)
+    cost: Array  # stage cost, docs/equations.md (21), (T,); of the remaining team after a UAV failure, see `StageCost`
+    attitude_deg: Array  # payload roll, pitch, yaw, (T, 3)
+    on_rods: npt.NDArray[np.bool_]  # whether a UAV has not been released, (T, N)
+    separation_m: Array  # smallest distance between two UAVs on their rods, (T,); infinite for one UAV
+    clearance_m: Array  # smallest distances of UAVs on their rods, rods, payload from obstacles, (T, 3); or infinite
+    violation: Array  # largest constraint violation relative to the constraint's range, (T,); see `_violation`
+    local_error: Array  # largest local error estimate of the plant's integration where it is known, (<= T,), SI
 
     @property
     def payload_error_I(self) -> Array:
@@ -92,7 +76,10 @@ def series_of(setup: Setup, log: RunLog) -> Series:
     y = np.array([setup.model.outputs(row) for row in x]).reshape(y_ref.shape)
     uavs_I = y[:, : 3 * N].reshape(len(ticks), N, 3)
     failures, cost = uav_faults(setup.faults), StageCost(setup)
-    separation_m, clear_m = _separation(uavs_I, ticks, failures), _clearances(setup, ticks, x, failures)
+    on_rods = np.ones((len(ticks), N), dtype=bool)
+    for tick, what, uav in failures:
+        on_rods[ticks >= tick, uav] &= what != "release"
+    separation_m, clear_m = _separation(uavs_I, on_rods), _clearances(setup, x, on_rods)
     return Series(
         ticks=ticks,
         times_s=times_s,
@@ -103,7 +90,7 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         uav_references_I=y_ref[:, : 3 * N].reshape(len(ticks), N, 3),
         cost=np.array([cost.at(int(tick), *row) for tick, *row in zip(ticks, y, y_ref, u, strict=True)], dtype=float),
         attitude_deg=np.degrees(x[:, state.THETA0]),
-        on_rods=_on_rods(N, ticks, failures),
+        on_rods=on_rods,
         separation_m=separation_m,
         clearance_m=clear_m.min(axis=0, initial=np.inf),
         violation=_violation(setup, ticks, u, separation_m, clear_m[..., 0]),
@@ -111,33 +98,23 @@ def series_of(setup: Setup, log: RunLog) -> Series:
     )
 
 
-def _on_rods(N: int, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault]) -> npt.NDArray[np.bool_]:
-    """Return which UAVs have not been released at each tick, (T, N)."""
-    present = np.ones((len(ticks), N), dtype=bool)
-    for tick, what, uav in failures:
-        present[ticks >= tick, uav] &= what != "release"
-    return present
-
-
-def _separation(uavs_I: Array, ticks: npt.NDArray[np.int64], failures: Sequence[UavFault]) -> Array:
+def _separation(uavs_I: Array, on_rods: npt.NDArray[np.bool_]) -> Array:
     """Return the smallest distance between any two UAVs on their rods, (T,), m."""
     smallest = np.full(len(uavs_I), np.inf)
-    present = _on_rods(uavs_I.shape[1], ticks, failures)
-    for i in range(uavs_I.shape[1]):
-        for j in range(i + 1, uavs_I.shape[1]):
-            distance = np.linalg.norm(uavs_I[:, i] - uavs_I[:, j], axis=1)
-            smallest = np.where(present[:, i] & present[:, j], np.minimum(smallest, distance), smallest)
+    for i in range(uavs_I.shape[1] - 1):
+        distances_m = np.linalg.norm(uavs_I[:, i : i + 1] - uavs_I[:, i + 1 :], axis=2)
+        distances_m[~(on_rods[:, i : i + 1] & on_rods[:, i + 1 :])] = np.inf
+        smallest = np.minimum(smallest, distances_m.min(axis=1))
     return smallest
 
 
-def _clearances(setup: Setup, ticks: npt.NDArray[np.int64], x: Array, failures: Sequence[UavFault]) -> Array:
+def _clearances(setup: Setup, x: Array, on_rods: npt.NDArray[np.bool_]) -> Array:
     """Return the smallest distances of UAVs on their rods, rods and payload from each obstacle, (k, T, 3), m."""
-    N, found = setup.system.N, np.empty((len(setup.obstacles), len(ticks), 3))
-    gone = ~_on_rods(N, ticks, failures)
+    N, found = setup.system.N, np.empty((len(setup.obstacles), len(x), 3))
     for row, obstacle in zip(found, setup.obstacles, strict=True):
         clear_m = clearances(setup.system, obstacle, x)
         for column in range(2):
-            row[:, column] = np.where(gone, np.inf, clear_m[:, N * column : N * (column + 1)]).min(axis=1)
+            row[:, column] = np.where(on_rods, clear_m[:, N * column : N * (column + 1)], np.inf).min(axis=1)
         row[:, 2] = clear_m[:, -1]
     return found
 
@@ -154,14 +131,13 @@ def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_
     lower, upper, step = settings.lower(N), settings.upper(N), settings.step(N)
     worst = (np.maximum(lower - u, u - upper) / (upper - lower)).max(axis=1, initial=0.0)
     before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
-    consecutive = np.diff(ticks, prepend=-1) == 1
     change = (np.abs(u - before) - step) / (2.0 * step)
     for tick, _, uav in uav_faults(setup.faults):
         change[ticks == tick, state.input_slice(uav)] = 0.0  # stopping motors violates no limit
-    change = change.max(axis=1, initial=0.0)
-    worst = np.maximum(worst, np.where(consecutive, change, 0.0))
-    if setup.settings.separation is not None:
-        minimum_m = setup.settings.separation.minimum_m
+    consecutive = np.diff(ticks, prepend=-1) == 1
+    worst = np.maximum(worst, np.where(consecutive, change.max(axis=1, initial=0.0), 0.0))
+    if settings.separation is not None:
+        minimum_m = settings.separation.minimum_m
         worst = np.maximum(worst, (minimum_m - separation_m) / minimum_m)
     for obstacle, distance_m in zip(setup.obstacles, clear_m, strict=True):
         worst = np.maximum(worst, (obstacle.margin_m - distance_m) / obstacle.margin_m)
@@ -235,15 +211,10 @@ def _hold_begin_s(maneuver: Maneuver) -> float:
         return maneuver.targets[-1].ends_s
     begin_s = maneuver.duration_s
     for phase in reversed(maneuver.phases):
-        if not _is_hold(phase):
+        if phase.displacement_I.any() or (phase.way is not None and phase.way[:, 1:].any()):
             break
         begin_s -= phase.duration_s
     return begin_s
-
-
-def _is_hold(phase: Phase) -> bool:
-    """Return whether the reference does not move during a phase."""
-    return not phase.displacement_I.any() and (phase.way is None or not phase.way[:, 1:].any())
 
 
 def counted(setup: Setup, log: RunLog) -> RunLog:

@@ -14,7 +14,8 @@ from transport.log.run_log import RunLog
 # Columns with this ending are wall-clock times; all others are equal bit for bit in equal runs.
 WALL_CLOCK = "_ms"
 
-_REPORT = ("status", "solver", "fallback", "iterations", "residual")
+_SOLVE = ("status", "solver", "fallback", "iterations", "residual")
+_MESSAGES = ("delivered", "late", "lost")
 _FLIGHT = ("cost", "attitude_deg", "payload_error_m", "uav_error_m", "separation_min_m", "constraint_violation")
 _FORCE = ("force_x_N", "force_y_N", "force_z_N")
 _MOMENTS = ("thrust{}_N", "moment{}_x_Nm", "moment{}_y_Nm", "moment{}_z_Nm")
@@ -25,8 +26,9 @@ def steps_columns(setup: Setup) -> list[str]:
     """Return the names of the columns, which depend on the number of UAVs and the kind of their inputs."""
     return [
         *("tick", "t_s", "agent"),
-        *_REPORT,
-        *("plan_age_max", "state_age_max", "delivered", "late", "lost"),
+        *_SOLVE,
+        *("plan_age_max", "state_age_max"),
+        *_MESSAGES,
         *_FORCE,
         *_FLIGHT,
         *(name.format(uav) for uav in range(1, setup.system.N + 1) for name in _inputs(setup)),
@@ -41,34 +43,30 @@ def steps_rows(setup: Setup, log: RunLog) -> Iterator[dict[str, Any]]:
     are equal for all agents of a tick; `uav_error_m` and the inputs refer to the UAVs of the agent, the error
     to those of them that are not released. Inputs of other UAVs, and values missing in the log, are None.
     """
-    series = series_of(setup, log)
+    series, columns = series_of(setup, log), steps_columns(setup)
     at = {int(tick): row for row, tick in enumerate(series.ticks)}
     payload_m = np.linalg.norm(series.payload_error_I, axis=1)
     uavs_m = np.linalg.norm(series.uav_errors_I, axis=2)
     attitude_deg = series.attitude_max_deg
     reports = {(report.tick, report.agent): report for report in log.of(StepReport)}
-    columns = steps_columns(setup)
     for (tick, agent), report in sorted(reports.items()):
         row: dict[str, Any] = dict.fromkeys(columns)
         row |= {"tick": tick, "t_s": tick * setup.settings.sampling_period_s, "agent": agent}
-        row |= {name: getattr(report, name) for name in _REPORT}
+        row |= {name: getattr(report, name) for name in (*_SOLVE, *_MESSAGES)}
         row["fallback"] = int(report.fallback)
         row |= {"plan_age_max": _oldest(report.plan_ages), "state_age_max": _oldest(report.state_ages)}
-        row |= {"delivered": report.delivered, "late": report.late, "lost": report.lost}
         row |= {name: float(value) for name, value in zip(_FORCE, report.force, strict=True)}
+        row |= {f"{stage}{WALL_CLOCK}": float(ms) for stage, ms in zip(STAGES, report.times_ms, strict=True)}
         k = at.get(tick)
-        owned = setup.owned[agent - 1] if agent <= len(setup.owned) else ()
         if k is not None:
-            row["cost"] = float(series.cost[k])
-            row["attitude_deg"] = float(attitude_deg[k])
-            row["payload_error_m"] = float(payload_m[k])
-            row["uav_error_m"] = max((float(uavs_m[k, i]) for i in owned if series.on_rods[k, i]), default=None)
-            row["separation_min_m"] = float(series.separation_m[k]) if setup.system.N > 1 else None
-            row["constraint_violation"] = float(series.violation[k])
+            owned = setup.owned[agent - 1] if agent <= len(setup.owned) else ()
+            uav_m = max((float(uavs_m[k, i]) for i in owned if series.on_rods[k, i]), default=None)
+            separation_m = float(series.separation_m[k]) if setup.system.N > 1 else None
+            numbers = float(series.cost[k]), float(attitude_deg[k]), float(payload_m[k])
+            row |= zip(_FLIGHT, (*numbers, uav_m, separation_m, float(series.violation[k])), strict=True)
             for i in owned:
                 inputs = series.u[k, state.input_slice(i)]
                 row |= {name.format(i + 1): float(value) for name, value in zip(_inputs(setup), inputs, strict=True)}
-        row |= {f"{stage}{WALL_CLOCK}": float(ms) for stage, ms in zip(STAGES, report.times_ms, strict=True)}
         yield row
 
 

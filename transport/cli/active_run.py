@@ -29,9 +29,8 @@ KeysOption = Annotated[
 
 def find_active(run: str | None, advice: str) -> tuple[Path, live.LiveRun]:
     """Return folder and addresses of an active run, the most recent one by default; or end the command with advice."""
-    with exit_on(live.LiveError, code=EXIT_USAGE):
-        folders = [live.newest_folder(RUNS)] if run is None else [Path(run), RUNS / run]
-        found = next(((at, there) for at in folders if at is not None and (there := live.read(at)) is not None), None)
+    folders = [live.newest_folder(RUNS)] if run is None else [Path(run), RUNS / run]
+    found = next(((at, there) for at in folders if at is not None and (there := live.read(at)) is not None), None)
     if found is None:
         recorded = newest_runs() if run is None else []
         ended = f" (the most recent one, {recorded[0]}, has ended)" if recorded else ""
@@ -49,20 +48,12 @@ class ActiveRun:
 
     def ask(self, name: str, what: str, arguments: dict[str, Any]) -> dict[str, Any]:
         """Return the answer of a process to a request (docs/protocol.md), or end the command."""
-        keys = self.keys
-        if self.connect:
-            if not (self.run and Keys.allows(self.run)):
-                fail(f"--run: expected the name of a run with --connect, got {self.run!r}", EXIT_USAGE)
-            run, endpoints = self.run, self.connect
-        else:
-            folder, there = find_active(self.run, "name its folder with --run, or its endpoints with --connect")
+        with exit_on(UnansweredError, code=EXIT_UNREACHABLE), exit_on(RefusedError, code=EXIT_USAGE):
+            if self.connect:
+                if not (self.run and Keys.allows(self.run)):
+                    fail(f"--run: expected the name of a run with --connect, got {self.run!r}", EXIT_USAGE)
+                return request(self.run, self.connect, name, what, arguments, self.keys)
+            _, there = find_active(self.run, "name its folder with --run, or its endpoints with --connect")
             if name not in there.endpoints:
                 fail(f"--process: expected one of {', '.join(there.endpoints)}, got {name!r}", EXIT_USAGE)
-            why = live.why_silent(folder, there, name)
-            if why:
-                fail(why, EXIT_UNREACHABLE)
-            # Connect only to the process that is asked: a stopped one delays the connection.
-            run, endpoints = there.run, [there.endpoints[name]]
-            keys = keys or (Path(there.keys) if there.keys else None)
-        with exit_on(UnansweredError, code=EXIT_UNREACHABLE), exit_on(RefusedError, code=EXIT_USAGE):
-            return request(run, endpoints, name, what, arguments, keys=keys)
+            return there.ask(name, what, arguments, self.keys)

@@ -1,5 +1,6 @@
 """The command `transport replay`: one agent of a recorded run again, as recorded or with other settings."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,7 +16,7 @@ from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_DIFFERENT, EXIT_SCENARIO, EXIT_USAGE
 from protocol.wire.messages import Measurement
-from transport.analysis.replay import Comparison, Difference, Replay, Tally
+from transport.analysis.replay import Comparison, Difference, Replay
 from transport.cli.options import FormatOption
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.recorded_run import RunArgument, run_folder
@@ -181,8 +182,8 @@ def _show(run: RecordedRun, agent: int, comparison: Comparison, notes: list[str]
         tick = comparison.first_beyond(_ROUNDING)
         when = "at no tick" if tick is None else f"from tick {tick} on (t = {tick * period_s:.2f} s)"
         typer.echo(f"  by more than {_ROUNDING:g} N or N m: {when}")
-    if comparison.tallies:
-        console.print(_table(comparison.tallies))
+    if comparison.by_field:
+        console.print(_table(comparison.by_field))
     for note in notes:
         typer.echo(f"note: {note}", err=True)
 
@@ -198,8 +199,8 @@ def _content(run: RecordedRun, agent: int, comparison: Comparison, notes: list[s
         "first": None if comparison.first is None else asdict(comparison.first),
         "first_tick_beyond_rounding": comparison.first_beyond(_ROUNDING),
         "fields": {
-            name: {"ticks": tally.ticks, "first_tick": tally.first.tick, "largest": asdict(tally.largest)}
-            for name, tally in comparison.tallies.items()
+            name: {"ticks": _ticks(found), "first_tick": found[0].tick, "largest": asdict(_largest(found))}
+            for name, found in comparison.by_field.items()
         },
         "not_compared": comparison.unrecorded,
         "notes": notes,
@@ -231,15 +232,23 @@ def _notes(run: RecordedRun, again: Replay, comparison: Comparison, *, is_change
     return found
 
 
-def _table(tallies: dict[str, Tally]) -> Table:
+def _ticks(found: Sequence[Difference]) -> int:
+    return len({difference.tick for difference in found})
+
+
+def _largest(found: Sequence[Difference]) -> Difference:
+    return max(found, key=lambda difference: difference.size or 0.0)
+
+
+def _table(by_field: Mapping[str, Sequence[Difference]]) -> Table:
     table = Table(box=None, pad_edge=True, title="", show_edge=False)
     for column in ("field", "ticks", "first", "largest", "at tick", "which"):
         table.add_column(column, justify="left" if column in ("field", "which") else "right")
-    for name, tally in tallies.items():
-        largest = tally.largest
-        size = "-" if largest.size is None else f"{largest.size:.3g} {largest.unit}".strip()
+    for name, found in by_field.items():
+        largest = _largest(found)
+        size = "-" if largest.size is None else f"{largest.size:.3g}"
         where = largest.where or f"{_short(largest.got)}, recorded {_short(largest.expected)}"
-        counts = (str(tally.ticks), str(tally.first.tick), size, str(largest.tick))
+        counts = (str(_ticks(found)), str(found[0].tick), size, str(largest.tick))
         table.add_row(name, *counts, Text(where, overflow="ellipsis"))
     return table
 
@@ -252,7 +261,7 @@ def _short(text: str) -> str:
 
 
 def _sentence(first: Difference) -> str:
-    size = "" if first.size is None else f", {first.size:.3g} {first.unit}".rstrip() + " apart"
+    size = "" if first.size is None else f", {first.size:.3g} apart"
     exchange = f" (with {first.negotiation} exchanges to come)" if first.negotiation else ""
     where = first.where if first.where.startswith("[") else ""
     return f"first: {first.field}{where}: got {first.got}, expected {first.expected}{size}{exchange}"

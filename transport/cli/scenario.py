@@ -19,7 +19,7 @@ from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption
 from transport.cli.output import Format, exit_on, fail, show_json
 from transport.cli.scenario_setup import read_setup, scenario_errors
-from transport.flight.trial import tried
+from transport.flight.header import checked
 
 # Number of UAVs beyond which a user should know that the model takes long to build.
 _LONG = 48
@@ -132,7 +132,7 @@ def validate(
     """
     setup = read_setup(scenario, settings, allow_large=large)
     with scenario_errors(settings):
-        classes = tried(setup)
+        classes = checked(setup)
     doubts = list(setup.doubts())
     if output is Format.json:
         show_json({"scenario": setup.scenario.tree(), "digest": setup.scenario.digest(), "warnings": doubts})

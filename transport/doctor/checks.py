@@ -1,39 +1,45 @@
-"""Checks of `transport doctor`: installation and host; docs/doctor.md and docs/realtime.md say why each matters."""
+"""Checks of `transport doctor`: installation, parts of a run, host; docs/doctor.md says why each matters."""
 
 import os
 import platform
 import resource
 import shutil
-import subprocess
-import sys
+import statistics
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
-from importlib import import_module, metadata
-from itertools import pairwise
+from contextlib import closing
+from importlib import metadata
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+import psutil
 import threadpoolctl
 from packaging.requirements import Requirement
-from packaging.version import Version
 
+from agent.node import AgentNode
 from model import compiler, native
-from model.compiler import cache_folder
-from protocol.network.endpoints import process_names
+from protocol.admission.gate import Gate
+from protocol.network.bus import Bus
+from protocol.network.endpoints import Endpoints, default_mesh, process_names
 from protocol.scenario.setup import Setup
+from protocol.wire.keys import WATCHER, Keys
+from protocol.wire.messages import Request
+from protocol.wire.names import RECORDER
+from transport.flight.harness import HarnessError, check_ports, free_ports
 
 _DISTRIBUTION = "payload-transport"
-_LEAST_PYTHON = (3, 11)
+# Folder of /proc and /sys.
+_ROOT = Path("/")
 # A run of 25 s writes 4 MB; an experiment has some hundred runs.
 _LEAST_DISK_MB = 500
-_COARSE_S = 1e-6
-_LATE_MS = 2.0
-_NAPS = 40
-_STEAL_S = 0.4  # duration of the measurement
-_STOLEN = 0.02
+_LATE_MS, _NAPS = 2.0, 40
+_STEAL_S, _STOLEN = 0.4, 0.02  # duration of the measurement, largest share
 _PRIORITY = 10  # as in docs/realtime.md
 _SLOW_SOURCES = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
+# Longest round trip of an undisturbed loopback interface, number of them, time for the first.
+_LONGEST_MS, _ROUND_TRIPS, _NETWORK_S = 20.0, 20, 10.0
+_STEPS = 10  # and two that warm up
 
 
 class Finding(NamedTuple):
@@ -54,159 +60,156 @@ _UNKNOWN = Finding("ok", "unknown")
 
 def checks(setup: Setup) -> Iterator[tuple[str, Finding]]:
     """Yield every check with its name as soon as it is done; all together take some seconds."""
-    yield "python", python()
-    yield from zip(("packages", "extras"), packages(), strict=False)
-    for name in ("ports", "network", "step"):
-        yield name, _guarded(name, setup)
-    yield "blas threads", blas()
-    yield "kernels", kernels()
-    yield "disk", disk(Path.cwd())
-    yield from host_checks(setup)
+    for name, check in CHECKS.items():
+        try:
+            finding = check(setup)
+        except Exception as error:  # noqa: BLE001  # named in the finding
+            found = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+            advice = "pip install --force-reinstall the package in the message; if there is none, report the error"
+            finding = Finding("fail", found, advice)
+        yield name, finding
 
 
-def _guarded(name: str, setup: Setup) -> Finding:
-    """Return the finding of a check of `run_checks`; any error, also of its imports, is a failed check."""
-    try:
-        check: Callable[[Setup], Finding] = getattr(import_module("transport.doctor.run_checks"), name)
-        return check(setup)
-    except Exception as error:  # noqa: BLE001 - named in the finding
-        found = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-        advice = "pip install --force-reinstall the package in the message; if there is none, report the error"
-        return Finding("fail", found, advice)
-
-
-def python() -> Finding:
-    """Check the interpreter."""
-    found = f"{platform.python_implementation()} {platform.python_version()}, {sys.maxsize.bit_length() + 1} bit"
-    if sys.version_info < _LEAST_PYTHON or sys.maxsize < 2**32:
-        return Finding("fail", found, "install a 64-bit Python 3.11 or newer")
-    return Finding("ok", found)
-
-
-def packages(distribution: str = _DISTRIBUTION) -> Iterator[Finding]:
-    """Check the required packages, then those of the extras."""
-    try:
-        required = [Requirement(line) for line in metadata.requires(distribution) or []]
-        name = f"{distribution} {metadata.version(distribution)}"
-    except metadata.PackageNotFoundError:
-        yield Finding("fail", f"{distribution} is not installed", "pip install . in its folder")
-        return
-    wrong: list[str] = []
-    right: list[str] = []
-    missing: dict[str, list[str]] = {}  # by extra
-    for requirement in required:
-        installed = _version(requirement.name)
-        fits = installed is not None and requirement.specifier.contains(Version(installed), prereleases=True)
-        if _belongs(requirement):
-            needed = f"{requirement.name} {installed or 'is missing'} (needs {requirement.specifier or 'any'})"
-            (right if fits else wrong).append(f"{requirement.name} {installed}" if fits else needed)
-        elif not fits and requirement.name != distribution:
-            for extra in metadata.metadata(distribution).get_all("Provides-Extra") or []:
-                if _belongs(requirement, extra):
-                    missing.setdefault(extra, []).append(requirement.name)
+def packages(_: Setup) -> Finding:
+    """Check Python and the required packages."""
+    wrong, right = [], [f"python {platform.python_version()}"]
+    for requirement in _required(""):
+        version = _version(requirement.name)
+        if version is not None and requirement.specifier.contains(version, prereleases=True):
+            right.append(f"{requirement.name} {version}")
+        else:
+            needed = f"needs {requirement.specifier or 'any'}"
+            wrong.append(f"{requirement.name} {version or 'is missing'} ({needed})")
+    name = f"{_DISTRIBUTION} {metadata.version(_DISTRIBUTION)}"
     if wrong:
-        advice = f"pip install --upgrade {distribution}, or build it again: make clean run"
-        yield Finding("fail", f"{name}: {', '.join(wrong)}", advice)
-    else:
-        yield Finding("ok", f"{name} with {', '.join(right)}")
-    absent = "; ".join(f"{extra} ({', '.join(names)})" for extra, names in missing.items())
-    yield Finding("ok", f"not installed, optional: {absent}" if absent else "all installed")
+        advice = f"pip install --upgrade {_DISTRIBUTION}, or build it again: make clean run"
+        return Finding("fail", f"{name}: {', '.join(wrong)}", advice)
+    return Finding("ok", f"{name} with {', '.join(right)}")
 
 
-def blas() -> Finding:
-    """Check that linear algebra can be limited to one thread: several would change bits and compete for cores."""
+def extras(_: Setup) -> Finding:
+    """List the packages of extras that are missing."""
+    missing = []
+    basic = {requirement.name for requirement in _required("")}
+    for extra in metadata.metadata(_DISTRIBUTION).get_all("Provides-Extra") or []:
+        names = {requirement.name for requirement in _required(extra)} - basic - {_DISTRIBUTION}
+        if absent := sorted(name for name in names if _version(name) is None):
+            missing.append(f"{extra} ({', '.join(absent)})")
+    return Finding("ok", f"not installed, optional: {'; '.join(missing)}" if missing else "all installed")
+
+
+def ports(setup: Setup) -> Finding:
+    """Check that the ports of processes started by hand, or of the scenario's base port, are free."""
+    scenario, host = setup.scenario, setup.scenario.network.host
+    if scenario.network.router is not None:
+        return Finding("ok", f"none needed: all processes are clients of {scenario.network.router}")
+    listened = [int(place.listen[0].rsplit(":", 1)[1]) for place in default_mesh(scenario).values()]
+    span = f"{listened[0]} to {listened[-1]} on {host}"
+    try:
+        with free_ports(host, 1):
+            pass
+    except HarnessError as error:
+        return Finding("fail", str(error), "set network.host to an address of this machine")
+    try:
+        check_ports(host, listened)
+    except HarnessError as error:
+        found = f"{span}: {str(error).partition('got ')[2]}"
+        advice = "end the process that uses it (ss -ltnp), or set another network.base_port"
+        if scenario.network.base_port is not None:
+            return Finding("fail", found, advice)
+        return Finding("warn", found, f"transport run takes any free ports; for processes started by hand {advice}")
+    return Finding("ok", f"{span} are free")
+
+
+def network(setup: Setup) -> Finding:
+    """Check that two Zenoh sessions on the network's host find each other, and measure the round trip."""
+    host, times_ms = setup.scenario.network.host, list[float]()
+    with free_ports(host, 1) as (port,):
+        endpoint, stop = f"tcp/{host}:{port}", threading.Event()
+        # Named as recorder and observer, so that Zenoh does not write to standard output.
+        with (
+            closing(_bus(setup, RECORDER, Endpoints(listen=[endpoint], connect=[]), serves=True)) as answering,
+            closing(_bus(setup, WATCHER, Endpoints(listen=[], connect=[endpoint]), serves=False)) as asking,
+        ):
+
+            def answer() -> None:
+                while not stop.is_set():
+                    event = answering.next(0.05)
+                    if isinstance(event, Request):
+                        event.reply({})
+
+            thread = threading.Thread(target=answer, name="doctor", daemon=True)
+            thread.start()
+            deadline = time.monotonic() + _NETWORK_S
+            while len(times_ms) < _ROUND_TRIPS and time.monotonic() < deadline:
+                asked = time.perf_counter()
+                if asking.ask(RECORDER, "ping", timeout_s=0.5) is not None:
+                    times_ms.append(1e3 * (time.perf_counter() - asked))
+            stop.set()
+            thread.join()
+    if len(times_ms) < _ROUND_TRIPS:
+        advice = f"check for a firewall or a network namespace without loopback (ping {host}; ip addr show lo)"
+        return Finding("fail", f"Zenoh sessions on {host} do not reach each other", advice)
+    median = statistics.median(times_ms)
+    found = f"Zenoh {metadata.version('eclipse-zenoh')}: a round trip takes {median:.2f} ms"
+    found += f" (longest of {_ROUND_TRIPS}: {max(times_ms):.1f} ms)"
+    return judged(found, median > _LONGEST_MS, "the host is busy: see load and cores below")
+
+
+def step(setup: Setup) -> Finding:
+    """Measure the step of the first agent against the sampling period."""
+    times_ms = []
     with threadpoolctl.threadpool_limits(1):
-        limited = threadpoolctl.threadpool_info()
-    free = threadpoolctl.threadpool_info()
-    libraries = ", ".join(f"{pool['internal_api']} {pool['version'] or ''}".strip() for pool in free) or "none found"
-    unlimited = [pool["internal_api"] for pool in limited if pool["num_threads"] != 1]
-    found = f"{', '.join(unlimited)} cannot be limited to" if unlimited else f"{libraries}:"
-    advice = "export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1"
-    return judged(f"{found} one thread in every process of a run", bool(unlimited), advice)
+        node = AgentNode(setup, 1)
+        for _ in range(2 + _STEPS):
+            begun = time.perf_counter()
+            node.warm_up()
+            times_ms.append(1e3 * (time.perf_counter() - begun))
+    median, period_ms = statistics.median(times_ms[2:]), 1e3 * setup.settings.sampling_period_s
+    found = f"a step of agent1 takes {median:.1f} ms, a sampling period is {period_ms:g} ms"
+    advice = "in real time plans will miss deadlines: a longer period, a shorter horizon, fewer UAVs per agent"
+    return judged(found, median > period_ms / 2.0, advice)
 
 
-def kernels() -> Finding:
+def kernels(_: Setup) -> Finding:
     """Check that the kernels of a step are compiled: otherwise a step takes nearly twice as long."""
-    found = compiler.find_compiler()
+    found, folder = compiler.find_compiler(), compiler.cache_folder()
     if native.AVAILABLE:
-        return Finding("ok", f"compiled for this processor, in {cache_folder()}")
+        return Finding("ok", f"compiled for this processor, in {folder}")
     if not compiler.enabled():
         reason, advice = "switched off", "unset PAYLOAD_TRANSPORT_NATIVE"
     elif found is None:
         reason, advice = "no C compiler", "install gcc or clang"
     else:
-        reason = f"{found} fails, or {cache_folder()} cannot be written"
+        reason = f"{found} fails, or {folder} cannot be written"
         advice = f"make {found} compile shared libraries, or set $CC or $PAYLOAD_TRANSPORT_CACHE"
     return Finding("warn", f"{reason}: a step takes nearly twice as long", advice)
 
 
-def disk(folder: Path) -> Finding:
+def disk(_: Setup) -> Finding:
     """Check the free space for run folders."""
-    free_mb = shutil.disk_usage(folder).free / 1e6
+    free_mb = shutil.disk_usage(Path.cwd()).free / 1e6
     advice = "free some space, or use another folder: --out"
-    return judged(f"{free_mb / 1e3:.1f} GB free at {folder}", free_mb < _LEAST_DISK_MB, advice)
+    return judged(f"{free_mb / 1e3:.1f} GB free at {Path.cwd()}", free_mb < _LEAST_DISK_MB, advice)
 
 
-def _belongs(requirement: Requirement, extra: str = "") -> bool:
-    """Return whether a requirement applies here, without or with an extra."""
-    return requirement.marker is None or requirement.marker.evaluate({"extra": extra})
-
-
-def _version(name: str) -> str | None:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
-
-
-def host_checks(setup: Setup, root: Path = Path("/")) -> Iterator[tuple[str, Finding]]:
-    """Yield every check of the host with its name; root is the folder of /proc and /sys."""
-    yield "clock", clock(root)
-    yield "wake-up", wake_up()
-    yield "time of day", time_of_day()
-    yield "cores", cores(setup)
-    for check in (load, steal, governor, quota, priority, memory):
-        yield check.__name__, check(root)
-
-
-def clock(root: Path) -> Finding:
-    """Check the steady clock of all deadlines: resolution, order, source."""
-    info = time.get_clock_info("monotonic")
-    readings = [time.monotonic_ns() for _ in range(20_000)]
-    steps = [b - a for a, b in pairwise(readings)]
-    smallest_ns = min((step for step in steps if step > 0), default=0)
-    source = _text(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
-    found = f"{info.implementation}, resolution {info.resolution * 1e9:g} ns, steps of {smallest_ns} ns"
-    found += f", source {source}" if source else ""
-    if min(steps) < 0 or not info.monotonic:
-        advice = "a defect of the host or its hypervisor: use another host"
-        return Finding("fail", f"{found}; it went backwards", advice)
-    is_coarse = info.resolution > _COARSE_S or smallest_ns > 1e9 * _COARSE_S or source in _SLOW_SOURCES
+def clock(_: Setup) -> Finding:
+    """Check the source of the steady clock of all deadlines."""
+    source = _text("sys/devices/system/clocksource/clocksource0/current_clocksource")
     advice = "too coarse for real time: check whether the kernel offers tsc or kvm-clock as a clock source"
-    return judged(found, is_coarse, advice)
+    return judged(f"source {source or 'unknown'}", source in _SLOW_SOURCES, advice)
 
 
-def wake_up() -> Finding:
+def wake_up(_: Setup) -> Finding:
     """Measure how late this process wakes up, as it does at every deadline."""
-    late_ms = []
-    for _ in range(_NAPS):
+    late_ms = list[float]()
+    while len(late_ms) < _NAPS:
         begun = time.monotonic()
         time.sleep(1e-3)
         late_ms.append(1e3 * (time.monotonic() - begun) - 1.0)
-    late_ms.sort()
-    found = f"after 1 ms of sleep late by {late_ms[_NAPS // 2]:.2f} ms (longest of {_NAPS}: {late_ms[-1]:.2f} ms)"
-    return judged(found, late_ms[-1] > _LATE_MS, "the host is busy or saves power: see load, governor and priority")
-
-
-def time_of_day() -> Finding:
-    """Check that the wall clock is synchronised; only logs of several hosts need it."""
-    answer = ""
-    if shutil.which("timedatectl"):
-        asked = ["timedatectl", "show", "--property=NTPSynchronized", "--value"]
-        with suppress(OSError, subprocess.TimeoutExpired):
-            answer = subprocess.run(asked, capture_output=True, text=True, timeout=3.0, check=False).stdout.strip()
-    found = {"yes": "synchronised", "no": "not synchronised"}.get(answer, "unknown; no run depends on it")
-    return judged(found, answer == "no", "only for logs of several hosts: timedatectl set-ntp true")
+    found = f"after 1 ms of sleep late by {statistics.median(late_ms):.2f} ms"
+    found += f" (longest of {_NAPS}: {max(late_ms):.2f} ms)"
+    return judged(found, max(late_ms) > _LATE_MS, "the host is busy or saves power: see load, governor and priority")
 
 
 def cores(setup: Setup) -> Finding:
@@ -218,43 +221,35 @@ def cores(setup: Setup) -> Finding:
     return judged(found, usable < wanted, advice)
 
 
-def load(root: Path) -> Finding:
+def load(_: Setup) -> Finding:
     """Check the load of the machine by other processes."""
-    fields = _text(root / "proc/loadavg").split()
-    if not fields:
-        return _UNKNOWN
-    busy, all_cores = float(fields[0]), os.cpu_count() or 1
+    busy, all_cores = os.getloadavg()[0], os.cpu_count() or 1
     advice = "end other processes (top), or give the run a priority: chrt -f 10 transport run"
     return judged(f"{busy:.2f} in the last minute, on {all_cores} cores", busy > all_cores, advice)
 
 
-def steal(root: Path) -> Finding:
+def steal(_: Setup) -> Finding:
     """Measure the share of its processors that a virtual machine does not get."""
-    before = _times(root)
-    time.sleep(_STEAL_S)
-    after = _times(root)
-    if before is None or after is None:
+    if not hasattr(psutil.cpu_times(), "steal"):
         return _UNKNOWN
-    total = after[0] - before[0]
-    now = (after[1] - before[1]) / total if total > 0 else 0.0
-    ever = after[1] / after[0] if after[0] else 0.0
+    share = psutil.cpu_times_percent(_STEAL_S).steal / 100.0
     advice = "used by other guests of the host: use a larger or dedicated machine or lockstep"
-    return judged(f"{now:.1%} now, {ever:.1%} since boot", max(now, ever) > _STOLEN, advice)
+    return judged(f"{share:.1%} now", share > _STOLEN, advice)
 
 
-def governor(root: Path) -> Finding:
+def governor(_: Setup) -> Finding:
     """Check whether the processor frequency depends on the load."""
-    files = (root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor")
-    found = sorted({_text(file) for file in files} - {""})
+    files = (_ROOT / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor")
+    found = sorted({file.read_text().strip() for file in files})
     if not found:
         return Finding("ok", "set by the host (a virtual machine, or no frequency scaling)")
     advice = "for real time: sudo cpupower frequency-set -g performance"
     return judged(", ".join(found), found != ["performance"], advice)
 
 
-def quota(root: Path) -> Finding:
+def quota(_: Setup) -> Finding:
     """Check whether a container limits processor time, and so stops a run for parts of a period."""
-    fields = _text(root / "sys/fs/cgroup/cpu.max").split()
+    fields = _text("sys/fs/cgroup/cpu.max").split()
     if len(fields) != 2 or fields[0] == "max":
         return Finding("ok", "no limit on processor time")
     quota_us, period_us = map(float, fields)
@@ -262,45 +257,68 @@ def quota(root: Path) -> Finding:
     return Finding("warn", f"{quota_us / period_us:g} cores per {period_us / 1e3:g} ms", advice)
 
 
-def priority(root: Path) -> Finding:
+def priority(_: Setup) -> Finding:
     """Check whether this user may give a run a real-time priority."""
     if not hasattr(resource, "RLIMIT_RTPRIO"):
         return _UNKNOWN
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     may = limit >= _PRIORITY or limit == resource.RLIM_INFINITY or os.geteuid() == 0
-    runtime = _text(root / "proc/sys/kernel/sched_rt_runtime_us")
     found = f"rtprio {'unlimited' if limit == resource.RLIM_INFINITY else limit}, user {os.geteuid()}"
-    found += f", sched_rt_runtime_us {runtime}" if runtime else ""
-    if not may:
-        advice = "for chrt -f 10 transport run: '@group - rtprio 20' in /etc/security/limits.conf, log in again"
-        return Finding("warn", found, advice)
-    if runtime == "-1":
-        return Finding("warn", found, "an endless loop could not be ended: sysctl kernel.sched_rt_runtime_us=950000")
-    return Finding("ok", f"{found}: chrt -f {_PRIORITY} transport run is possible")
+    runtime = _text("proc/sys/kernel/sched_rt_runtime_us")
+    if may and runtime == "-1":
+        advice = "an endless loop could not be ended: sysctl kernel.sched_rt_runtime_us=950000"
+        return Finding("warn", f"{found}, sched_rt_runtime_us {runtime}", advice)
+    advice = "for chrt -f 10 transport run: '@group - rtprio 20' in /etc/security/limits.conf, log in again"
+    return judged(found, not may, advice)
 
 
-def memory(root: Path) -> Finding:
+def memory(_: Setup) -> Finding:
     """Check for swap: no process of a run locks its memory."""
-    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    memlock = "unlimited" if limit == resource.RLIM_INFINITY else f"{limit / 1024:g} kB"
-    swaps = [line.split()[0] for line in _text(root / "proc/swaps").splitlines()[1:] if line.strip()]
-    swap = f"swap on {', '.join(swaps)}" if swaps else "no swap"
-    return judged(
-        f"{swap}; memlock {memlock}", bool(swaps), "for real time: swapoff -a, or MemorySwapMax=0 for the unit"
-    )
+    swap = psutil.swap_memory().total
+    advice = "for real time: swapoff -a, or MemorySwapMax=0 for the unit"
+    return judged(f"{swap / 1e9:.1f} GB of swap", swap > 0, advice)
 
 
-def _times(root: Path) -> tuple[int, int] | None:
-    """Return the clock ticks of all processors since boot, and the stolen ones of them."""
-    fields = _text(root / "proc/stat").split("\n", 1)[0].split()
-    if len(fields) < 9 or fields[0] != "cpu":
-        return None
-    ticks = [int(field) for field in fields[1:9]]
-    return sum(ticks), ticks[7]
+def _required(extra: str) -> list[Requirement]:
+    """Return the requirements that apply here, without or with an extra."""
+    required = [Requirement(line) for line in metadata.requires(_DISTRIBUTION) or []]
+    return [one for one in required if one.marker is None or one.marker.evaluate({"extra": extra})]
 
 
-def _text(path: Path) -> str:
+def _version(name: str) -> str | None:
     try:
-        return path.read_text(encoding="utf-8", errors="replace").strip()
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _bus(setup: Setup, name: str, endpoints: Endpoints, *, serves: bool) -> Bus:
+    gate = Gate(name, Keys("doctor"), setup.shape)
+    return Bus(name=name, incarnation=0, run="doctor", digest="doctor", endpoints=endpoints, gate=gate, serves=serves)
+
+
+def _text(path: str) -> str:
+    try:
+        return (_ROOT / path).read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return ""
+
+
+CHECKS: dict[str, Callable[[Setup], Finding]] = {
+    "packages": packages,
+    "extras": extras,
+    "ports": ports,
+    "network": network,
+    "step": step,
+    "kernels": kernels,
+    "disk": disk,
+    "clock": clock,
+    "wake-up": wake_up,
+    "cores": cores,
+    "load": load,
+    "steal": steal,
+    "governor": governor,
+    "quota": quota,
+    "priority": priority,
+    "memory": memory,
+}

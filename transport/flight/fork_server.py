@@ -8,6 +8,7 @@ without an answer of the server, processes are started by Popen.
 
 import atexit
 import ctypes
+import functools
 import json
 import os
 import socket
@@ -28,78 +29,52 @@ REQUEST_BYTES = 128 * 1024
 # Time for an answer, s: the imports take 1 s.
 _ANSWER_S = 20.0
 _PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
-# Variables that affect imports: if they have changed since the start of the server, it is not used.
-_AT_IMPORT = ("PAYLOAD_TRANSPORT_", "PYTHON", "HOME", "XDG_", "PATH", "LD_", "OPENBLAS_", "OMP_", "MKL_")
-# States of a process that does nothing until it is continued, in words.
-STOPPED = {psutil.STATUS_STOPPED: "stopped by a signal", psutil.STATUS_TRACING_STOP: "stopped by a tracer"}
-
-# Threads take turns: the answers of a server do not name their requests, and all threads share one server.
-_TURN = threading.RLock()
-_servers: list["ForkServer"] = []  # the server of this process, if there is one
 
 
+@functools.cache
 def fork_server() -> "ForkServer":
     """Return the server of this process; the first call starts it."""
-    with _TURN:
-        if not _servers:
-            _servers.append(ForkServer())
-            atexit.register(_servers[0].close)
-        return _servers[0]
+    server = ForkServer()
+    atexit.register(server.close)
+    return server
 
 
 def close_fork_server() -> None:
     """End the server of this process, if there is one; a later call of `fork_server` starts another."""
-    with _TURN:
-        while _servers:
-            server = _servers.pop()
-            atexit.unregister(server.close)
-            server.close()
-            _adopt_orphans(False)
-
-
-def state_of(process: psutil.Process) -> str:
-    """Return the state of the first thread of a process, in words."""
-    try:
-        status: str = process.status()
-    except psutil.Error:
-        return "gone"
-    return STOPPED.get(status, status)
+    if fork_server.cache_info().currsize:
+        atexit.unregister(fork_server().close)
+        fork_server().close()
+        fork_server.cache_clear()
 
 
 class ForkServer:
     """Client of the server process, which starts to import at once; forked processes outlive the server."""
 
     def __init__(self) -> None:
+        self._turn = threading.Lock()  # the answers of the server do not name their requests
         self._socket: socket.socket | None = None
-        self._process: subprocess.Popen[bytes] | None = None
         if sys.platform != "linux" or not _adopt_orphans(True):
             return
-        self._imported = _at_import()
-        own, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.settimeout(_ANSWER_S)
         with other:
-            try:
-                self._process = subprocess.Popen(
-                    [*python("transport"), FORK_SERVER, str(other.fileno())],
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL,
-                    pass_fds=[other.fileno()],
-                    env={**ENVIRONMENT, **os.environ, PARENT_PIPE: "1"},  # a stopped server notices its parent's end
-                    start_new_session=True,  # Ctrl-C is handled by this process
-                )
-            except OSError:
-                own.close()
-                return
-        own.settimeout(_ANSWER_S)
-        self._socket = own
+            self._process = subprocess.Popen(
+                [*python("transport"), FORK_SERVER, str(other.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=[other.fileno()],
+                env={**ENVIRONMENT, **os.environ, PARENT_PIPE: "1"},  # a stopped server notices its parent's end
+                start_new_session=True,  # Ctrl-C is handled by this process
+            )
 
     def start(
         self, arguments: Sequence[str], stdin: int, output: IO[bytes], extra: Mapping[str, str]
     ) -> psutil.Process:
         """Start `transport` as a child with two open files and additions to the environment of this process."""
         environment = {**ENVIRONMENT, **os.environ, **extra}
-        with _TURN:
-            if self._socket is not None and self._process is not None and _at_import() == self._imported:
+        with self._turn:
+            if self._socket is not None:
                 request = {"arguments": list(arguments), "environment": environment, "folder": str(Path.cwd())}
                 try:
                     socket.send_fds(self._socket, [json.dumps(request).encode()], [stdin, output.fileno()])
@@ -117,18 +92,11 @@ class ForkServer:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-        if self._process is not None:
             self._process.kill()
             self._process.wait()
-
-
-def _at_import() -> dict[str, str]:
-    return {name: value for name, value in os.environ.items() if name.startswith(_AT_IMPORT)}
+            _adopt_orphans(False)
 
 
 def _adopt_orphans(adopt: bool) -> bool:
     """Make this process, or not, the new parent of orphaned descendants, such as forked processes; return success."""
-    try:
-        return bool(ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0) == 0)
-    except (OSError, AttributeError):
-        return False
+    return bool(ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0) == 0)

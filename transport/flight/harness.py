@@ -17,16 +17,11 @@ import psutil
 from protocol.network.endpoints import Endpoints
 from protocol.network.parent import PARENT_PIPE, STANDBY
 from protocol.wire.errors import TransportError
-from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from protocol.wire.names import COORDINATOR
-from transport.flight.fork_server import fork_server, state_of
-
-# Exit codes of a process after the end of its run.
-ORDERLY_ENDS = {0, EXIT_UNREACHABLE, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
+from transport.flight.fork_server import fork_server
 
 # Time for processes to end before they are killed, and for killed ones, s.
 _GRACE_S = 5.0
-_POLL_S = 0.005
 
 
 class HarnessError(TransportError, RuntimeError):
@@ -35,36 +30,26 @@ class HarnessError(TransportError, RuntimeError):
 
 @dataclass(slots=True)
 class Child:
-    """One started process: its name, handle, input that ends it, file with its output, and number of this start."""
+    """One started process."""
 
     name: str
     process: psutil.Process
-    stdin: IO[bytes]
-    log: Path
-    incarnation: int = 0
-    _code: int | None = None
+    stdin: IO[bytes]  # its input, whose end ends it
+    log: Path  # file with its output
+    incarnation: int = 0  # number of this start
+    is_noted: bool = False  # whether its end is in the log already
 
     @property
     def code(self) -> int | None:
         """Exit code, negative for a signal; None while the process runs."""
-        if self._code is None and isinstance(self.process, psutil.Popen):
-            self._code = self.process.poll()
-        elif self._code is None:
-            pid, status = os.waitpid(self.process.pid, os.WNOHANG)
-            self._code = os.waitstatus_to_exitcode(status) if pid else None
-        return self._code
-
-    @property
-    def state(self) -> str:
-        """State in words, such as "stopped by a signal"."""
-        return state_of(self.process)
+        return self.wait(0.0)
 
     def wait(self, timeout_s: float) -> int | None:
         """Wait for the end; return the exit code, None if the process still runs."""
-        until_s = time.monotonic() + timeout_s
-        while self.code is None and time.monotonic() < until_s:
-            time.sleep(_POLL_S)
-        return self.code
+        code: int | None = None
+        with suppress(psutil.TimeoutExpired):
+            code = self.process.wait(timeout_s)
+        return code
 
     def signal(self, number: int) -> bool:
         """Send a signal; return whether the process is running."""
@@ -89,11 +74,7 @@ class Child:
 
     def last_line(self) -> str:
         """Return the last line of output that is not empty."""
-        try:
-            lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        except OSError:
-            return ""
-        return lines[-1] if lines else ""
+        return self.log.read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
 
 
 def start_child(
@@ -118,10 +99,7 @@ def start_child(
 
 @dataclass(slots=True)
 class Harness:
-    """Processes of one run on this machine; leaving the context ends them.
-
-    Every child watches a pipe from this process and ends if this process is killed.
-    """
+    """Processes of one run on this machine, each of which watches a pipe from this one and ends with it."""
 
     run: str  # name of the run
     scenario: Path  # resolved scenario file
@@ -129,14 +107,6 @@ class Harness:
     logs: Path  # folder for their output
     keys: Path | None = None  # folder of keys in place of the scenario's
     children: list[Child] = field(default_factory=list)  # processes in the order of their starts
-    notices: list[str] = field(default_factory=list)  # sentences about processes that did not end by themselves
-    _spares: dict[str, Child] = field(default_factory=dict)  # standby processes by name
-
-    def __enter__(self) -> "Harness":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.end()
 
     def start(self, observers: Sequence[str] = ()) -> None:
         """Start all processes of the mesh.
@@ -144,71 +114,50 @@ class Harness:
         Raises: HarnessError: the folder for their output cannot be written.
         """
         for name in self.mesh:
-            self.children.append(self._start(name, observers))
-
-    def alive(self) -> list[Child]:
-        """Return the children that are running."""
-        return [child for child in self.children if child.code is None]
+            self._start(name, observers)
 
     def ended(self) -> list[Child]:
         """Return the children that have ended."""
         return [child for child in self.children if child.code is not None]
 
-    def child(self, name: str) -> Child | None:
+    def child(self, name: str) -> Child:
         """Return the last started process of a name."""
-        return next((child for child in reversed(self.children) if child.name == name), None)
-
-    def has_ended(self, name: str) -> bool:
-        """Return whether a child has ended with an exit code for the end of a run."""
-        child = self.child(name)
-        return child is not None and child.code in ORDERLY_ENDS
-
-    def signal(self, name: str, number: int) -> bool:
-        """Send a signal to one child; return whether it is running."""
-        child = self.child(name)
-        return child is not None and child.signal(number)
-
-    def prepare(self, name: str) -> None:
-        """Start a standby successor of an agent, which waits for `restart`."""
-        old = self.child(name)
-        self._spares[name] = self._start(name, (), 0 if old is None else old.incarnation + 1, standby=True)
+        return next(child for child in reversed(self.children) if child.name == name)
 
     def restart(self, name: str) -> None:
         """Kill a process if it still runs, and start it again with the next incarnation."""
-        old, spare = self.child(name), self._spares.pop(name, None)
-        incarnation = 0 if old is None else old.incarnation + 1
-        for child in (old, spare if spare is not None and spare.incarnation != incarnation else None):
-            if child is not None and child.signal(signal.SIGKILL):
-                child.wait(_GRACE_S)
-        is_ready = spare is not None and spare.go()
-        self.children.append(spare if spare is not None and is_ready else self._start(name, (), incarnation))
+        old = self.child(name)
+        old.signal(signal.SIGKILL)
+        old.wait(_GRACE_S)
+        self._start(name, incarnation=old.incarnation + 1)
 
-    def wait(self, timeout_s: float) -> bool:
-        """Wait for all children to end; return whether they did."""
+    def wait(self, timeout_s: float) -> None:
+        """Wait for all children to end."""
         until_s = time.monotonic() + timeout_s
-        return all(child.wait(max(0.0, until_s - time.monotonic())) is not None for child in self.children)
+        for child in self.children:
+            child.wait(max(0.0, until_s - time.monotonic()))
 
-    def end(self) -> None:
-        """End all running children: SIGTERM, and SIGKILL after a grace period; note those that had to be killed."""
-        self.children += self._spares.values()
-        self._spares.clear()
-        for child in self.alive():
+    def end(self) -> list[str]:
+        """End all running children: SIGTERM, and SIGKILL after a grace period; return a sentence about each killed."""
+        killed = []
+        for child in self.children:
             child.signal(signal.SIGTERM)
             child.signal(signal.SIGCONT)  # a stopped process ignores SIGTERM
         self.wait(_GRACE_S)
-        for child in self.alive():
-            self.notices.append(f"{child.name} did not end: {child.state}; it was killed")
-            child.signal(signal.SIGKILL)
+        for child in self.children:
+            if child.code is None:
+                killed.append(f"{child.name} did not end: {child.process.status()}; it was killed")
+                child.signal(signal.SIGKILL)
         self.wait(_GRACE_S)
         for child in self.children:
             child.close()
+        return killed
 
-    def _start(self, name: str, observers: Sequence[str], incarnation: int = 0, *, standby: bool = False) -> Child:
-        arguments = self._arguments(name, observers, incarnation)
+    def _start(self, name: str, observers: Sequence[str] = (), incarnation: int = 0) -> None:
         log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
         try:
             self.logs.mkdir(parents=True, exist_ok=True)
-            return start_child(name, arguments, log, incarnation, standby=standby)
+            self.children.append(start_child(name, self._arguments(name, observers, incarnation), log, incarnation))
         except OSError as error:
             raise HarnessError(f"{log}: cannot write the output of {name} ({error.strerror})") from error
 
@@ -239,15 +188,10 @@ def free_ports(host: str, count: int) -> Iterator[list[int]]:
     Raises: HarnessError: the host's address is not of this machine.
     """
     with ExitStack() as stack:
-        sockets = []
-        for _ in range(count):
-            probe = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((host, 0))
-            except OSError as error:
-                raise HarnessError(f"network.host: cannot listen on {host} ({error.strerror})") from error
-            sockets.append(probe)
+        try:
+            sockets = [stack.enter_context(_bound(host, 0)) for _ in range(count)]
+        except OSError as error:
+            raise HarnessError(f"network.host: cannot listen on {host} ({error.strerror})") from error
         ports = [probe.getsockname()[1] for probe in sockets]
         if sys.platform != "linux":
             stack.close()  # elsewhere a bound socket blocks its port
@@ -260,12 +204,21 @@ def check_ports(host: str, ports: Sequence[int]) -> None:
     Raises: HarnessError: naming the first taken port.
     """
     for port in ports:
-        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((host, port))
-            except OSError as error:
-                raise HarnessError(
-                    f"network.base_port: expected free ports {ports[0]}..{ports[-1]} on {host}, "
-                    f"got {port}, which is taken ({error.strerror})"
-                ) from error
+        try:
+            _bound(host, port).close()
+        except OSError as error:
+            raise HarnessError(
+                f"network.base_port: expected free ports {ports[0]}..{ports[-1]} on {host}, "
+                f"got {port}, which is taken ({error.strerror})"
+            ) from error
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    probe = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        probe.bind((host, port))
+    except OSError:
+        probe.close()
+        raise
+    return probe

@@ -3,12 +3,15 @@
 import os
 import platform
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib.metadata import version
 from pathlib import Path
 
+from agent.own import checked_controller
 from model import native
+from plant.engines import checked_engine
 from protocol.scenario.setup import Setup
+from protocol.wire.names import PLANT, agent_name
 
 
 def run_header(
@@ -24,6 +27,20 @@ def run_header(
         **classes,
         "machine": machine(),
         "command_started_ns": str(_command_started_ns()),
+    }
+
+
+def checked(setup: Setup, external: Collection[str] = ()) -> dict[str, str]:
+    """Return names and versions of engine and controller of a run after making each once, as its processes will.
+
+    Those of a role of which all processes are `external` are unknown.
+
+    Raises: ScenarioError: one of them cannot be used.
+    """
+    agents_are_external = all(agent_name(agent) in external for agent in setup.agents)
+    return {
+        "engine": "external" if PLANT in external else checked_engine(setup),
+        "controller": "external" if agents_are_external else checked_controller(setup),
     }
 
 
@@ -50,6 +67,6 @@ def _command_started_ns() -> int:
     try:
         ticks = int(Path("/proc/self/stat").read_text().rsplit(")", 1)[1].split()[19])
         up_s = float(Path("/proc/uptime").read_text().split()[0])
-        return time.time_ns() - round((up_s - ticks / os.sysconf("SC_CLK_TCK")) * 1e9)
-    except (OSError, ValueError, IndexError):
+    except OSError:
         return time.time_ns()
+    return time.time_ns() - round((up_s - ticks / os.sysconf("SC_CLK_TCK")) * 1e9)

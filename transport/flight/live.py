@@ -8,7 +8,6 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from protocol.scenario.links import PERFECT
 from protocol.wire.keys import ROUTER
 from protocol.wire.messages import agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
-from transport.flight.fork_server import STOPPED, state_of
 
 _FILE = "live.json"
 # Faults of processes that `transport run` causes on request.
@@ -39,9 +37,11 @@ class LiveRun:
     keys: str = ""  # folder of their keys; empty without keys
     is_client: bool = False  # whether the endpoints belong to a router
 
-
-class LiveError(ValueError):
-    """A file that should describe an active run and does not; one line with file, expected and got."""
+    def ask(self, name: str, what: str, given: Mapping[str, Any], keys: Path | None = None) -> dict[str, Any]:
+        """Return the answer of one of its processes to a request, as `request`."""
+        keys = keys or (Path(self.keys) if self.keys else None)
+        # Connect only to the process that is asked: a stopped one delays the connection.
+        return request(self.run, [self.endpoints[name]], name, what, given, keys)
 
 
 def write(folder: Path, run: LiveRun) -> None:
@@ -59,62 +59,22 @@ def remove(folder: Path) -> None:
 
 
 def read(folder: Path) -> LiveRun | None:
-    """Return the active run of a folder, or None; the file of a killed run is ignored.
-
-    Raises: LiveError: the file has other content.
-    """
-    path = folder / _FILE
+    """Return the active run of a folder, or None; the file of a killed run, or with other content, is ignored."""
     try:
-        run = msgspec.json.decode(path.read_bytes(), type=LiveRun)
-    except OSError:
+        run = msgspec.json.decode((folder / _FILE).read_bytes(), type=LiveRun)
+    except (OSError, msgspec.MsgspecError):
         return None
-    except msgspec.MsgspecError as error:
-        raise LiveError(f"{path}: expected the description of an active run ({error})") from None
     return run if psutil.pid_exists(run.pid) else None
 
 
 def newest_folder(parent: Path) -> Path | None:
-    """Return the folder of the most recent active run below a folder.
-
-    Raises: LiveError: the file of a more recent run has other content.
-    """
+    """Return the folder of the most recent active run below a folder."""
     found = []
     for path in parent.glob(f"*/{_FILE}"):
-        if path.parent.is_symlink():
-            continue  # `latest` is one of the others
-        with suppress(OSError):  # removed since
-            found.append((path.stat().st_mtime, path.parent))
+        if not path.parent.is_symlink():  # `latest` is one of the others
+            with suppress(OSError):  # removed since
+                found.append((path.stat().st_mtime, path.parent))
     return next((folder for _, folder in sorted(found, reverse=True) if read(folder) is not None), None)
-
-
-def why_silent(folder: Path, run: LiveRun, name: str) -> str:
-    """Return why a process of the active run of a folder cannot answer, and the remedy: it has ended, or is stopped.
-
-    Empty if it runs, was not started by the run, or the system does not tell.
-    """
-    if not (folder / "logs" / f"{name}.log").exists():
-        return ""
-    try:
-        children = psutil.Process(run.pid).children()
-    except psutil.Error:
-        return ""
-    is_agent = name.startswith("agent")
-    words = {("--id", name.removeprefix("agent")) if is_agent else ("transport", name), ("--run", run.run)}
-    process = next((child for child in children if words <= _pairs(child) and child.is_running()), None)
-    if process is None:
-        remedy = f"; transport fault restart {name} starts it again" if is_agent else ", and the run ends"
-        return f"{name} of run {run.run} has ended{remedy}"
-    if state_of(process) in STOPPED.values():
-        remedy = f"; transport fault continue {name} lets it go on" if is_agent else ""
-        return f"{name} of run {run.run} is {state_of(process)}{remedy}"
-    return ""
-
-
-def _pairs(process: psutil.Process) -> set[tuple[str, str]]:
-    """Return the neighbouring words in the command line of a process; none if it has ended."""
-    with suppress(psutil.Error):
-        return set(pairwise(" ".join(process.cmdline()).split()))
-    return set()
 
 
 class RefusedError(ValueError):
@@ -130,13 +90,9 @@ def request(
 ) -> dict[str, Any]:
     """Send a request to a process of a run and return the answer.
 
-    Args:
-        run: Name of the run.
-        endpoints: Endpoints of its processes; that of the receiver is enough.
-        name: Receiver: "coordinator" for links and status, "recorder" for faults, any for health.
-        what: Request; see docs/protocol.md.
-        given: Its arguments.
-        keys: Folder of keys, if the run has any.
+    The receiver is "coordinator" for links, targets and status, "recorder" for faults, any for health
+    (docs/protocol.md); `keys` is the folder of keys, if the run has any.
+
     Raises: RefusedError, UnansweredError.
     """
     security = None if keys is None else Security(keys.resolve(), (name, ROUTER))
@@ -150,10 +106,7 @@ def request(
 
 
 class Commands:
-    """Queue of requests to one live run, sent one after the other by a thread.
-
-    It calls `on_result` with a sentence about each result and whether the request was refused.
-    """
+    """Requests to one live run, sent by a thread; `on_result` gets a sentence about each, and if it was refused."""
 
     def __init__(self, run: LiveRun, on_result: Callable[[str, bool], None]) -> None:
         self._run, self._on_result = run, on_result
@@ -179,18 +132,20 @@ class Commands:
         self._requests.put((RECORDER, "fault", {"do": action, "target": target}))
 
     def _send_requests(self) -> None:
-        keys = Path(self._run.keys) if self._run.keys else None
         while True:
             name, kind, content = self._requests.get()
             try:
-                answer = request(self._run.run, [self._run.endpoints[name]], name, kind, content, keys)
+                answer = self._run.ask(name, kind, content)
             except (RefusedError, UnansweredError) as error:
                 self._on_result(str(error), True)
                 continue
-            done = f"{content['do']} {content['target']}" if kind == "fault" else "links change"
-            text = f"{done}: at tick {answer['tick']}"
-            if kind == "target":
-                place, left_s = content["points_m"][-1], answer["ends_s"] - answer["t_s"]
-                name = "target ({:g}, {:g}, {:g}) m".format(*place)
+            text = f"links change: at tick {answer['tick']}"
+            if kind == "fault":
+                text = f"{content['do']} {content['target']}: at tick {answer['tick']}"
+            elif kind == "target":
+                name, left_s = (
+                    "target ({:g}, {:g}, {:g}) m".format(*content["points_m"][-1]),
+                    answer["ends_s"] - answer["t_s"],
+                )
                 text = f"{name}: arrives at t = {answer['ends_s']:.1f} s, in {left_s:.1f} s"
             self._on_result(text, False)

@@ -33,12 +33,9 @@ def simulate(
     """Simulate a run in this process, unpaced, and return how it ended.
 
     Messages are delivered in the order they are sent, to the same receivers as on the network. Lockstep makes the
-    result independent of that order, and equal to the Zenoh runtime's bit for bit.
+    result independent of that order, and equal to the Zenoh runtime's bit for bit. `record` is called with every
+    message, as the recorder would receive it; `stopwatch` is the steady clock of the step reports, ns.
 
-    Args:
-        setup: The run.
-        record: Function called with every message, as the recorder would receive it.
-        stopwatch: Steady clock of the step reports, ns.
     Raises: KeyboardInterrupt: see `check_interrupt`; RuntimeError: deadlock of the nodes, which is a bug.
     """
     with _TURN, threadpoolctl.threadpool_limits(1):
@@ -62,11 +59,11 @@ class InMemoryRun:
         self._nodes = {node.name: node for node in nodes}
         self._subscriptions = {name: self._keys.subscriptions(name) for name in self._nodes}
         self._receivers_of_key: dict[str, list[str]] = {}
-        self._frozen: dict[str, Node] = {}
         self._queue: deque[Message] = deque()
         self._now_ns = 0
-        self._incarnations: dict[str, int] = {}
-        self._returns = [fault for fault in setup.faults if fault.do in ("continue", "start")]
+        self._incarnations = {node.name: 0 for node in agents}
+        brought_back = (fault for fault in setup.faults if fault.do in ("continue", "start"))
+        self._returns = [fault for fault in brought_back if fault.target in self._incarnations]
 
     @property
     def nodes(self) -> Mapping[str, Node]:
@@ -123,9 +120,7 @@ class InMemoryRun:
         if fault is None or name not in self._nodes:
             return False
         node = self._nodes.pop(name)
-        if fault == "stop":
-            self._frozen[name] = node
-        elif name != self._coordinator.name:
+        if fault == "kill" and name != self._coordinator.name:
             self._announce(Presence(name, node.incarnation, alive=False))
         return True
 
@@ -134,20 +129,16 @@ class InMemoryRun:
         if not self._returns or self._returns[0].tick > self._coordinator.tick + 1:
             return False
         name = self._returns.pop(0).target
-        old = self._frozen.pop(name, None)
-        # Its state is outdated in both cases, so it comes back as a new node.
-        incarnation = self._incarnations.get(name, 0) + 1
-        self._incarnations[name] = incarnation
-        if old is None or isinstance(old, AgentNode):
-            agent = int(name.removeprefix("agent"))
-            self._nodes[name] = AgentNode(self._setup, agent, incarnation, self._stopwatch)
-            self._announce(Presence(name, incarnation, alive=True))
+        # The state of a frozen agent is outdated, so it comes back as a new node, too.
+        self._incarnations[name] += 1
+        agent, incarnation = int(name.removeprefix("agent")), self._incarnations[name]
+        self._nodes[name] = AgentNode(self._setup, agent, incarnation, self._stopwatch)
+        self._announce(Presence(name, incarnation, alive=True))
         return True
 
     def _wait(self) -> bool:
         """Advance time to the next wake-up of a node; return whether there is one."""
-        wakes = [(node.wake_ns, node) for node in self._nodes.values()]
-        waiting = [(wake_ns, node) for wake_ns, node in wakes if wake_ns is not None]
+        waiting = [(node.wake_ns, node) for node in self._nodes.values() if node.wake_ns is not None]
         if not waiting:
             return False
         wake_ns, node = min(waiting, key=lambda entry: entry[0])

@@ -1,8 +1,6 @@
 """Progress on the console: compilation before a run; simulated time, real-time factor, cost, attitude."""
 
-import itertools
 import time
-from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -66,11 +64,7 @@ class ConsoleProgress:
 
 
 class RunProgress(ConsoleProgress):
-    """Progress of a run.
-
-    Attributes:
-        setup: The run, with its targets so far.
-    """
+    """Progress of a run: `setup`, with its targets so far."""
 
     def __init__(self, setup: Setup, console: Console, waiting: str = "waiting for the processes") -> None:
         names = [phase.name for phase in setup.scenario.maneuver.phase]
@@ -81,8 +75,7 @@ class RunProgress(ConsoleProgress):
             TextColumn("{task.fields[status]}"),
         )
         super().__init__(console, *columns, TimeRemainingColumn())
-        self.setup = setup
-        self._cost = StageCost(setup)
+        self.setup, self._cost = setup, StageCost(setup)
         self._duration_s = setup.ticks * setup.settings.sampling_period_s
         if self._bar is not None:
             self._task = self._bar.add_task("starting", total=self._duration_s, status=waiting)
@@ -92,14 +85,15 @@ class RunProgress(ConsoleProgress):
         if plant_state is None or started_s is None:
             return
         t_s = plant_state.tick * self.setup.settings.sampling_period_s
-        wall_s = time.monotonic() - started_s
         if self._bar is not None:
-            beside = self._description + _BAR + _REMAINING
-            status = _fitting(self._status(plant_state, t_s, wall_s), self._console.width - beside)
+            status = self._status(plant_state, t_s, time.monotonic() - started_s)
+            width = self._console.width - self._description - _BAR - _REMAINING
+            while len(status) > 1 and len(_GAP.join(status)) > width:  # a wider line would hide the bar
+                status.pop()
             phase = self.setup.maneuver.phase_at(t_s).name
-            self._bar.update(self._task, completed=t_s, description=phase, status=status)
+            self._bar.update(self._task, completed=t_s, description=phase, status=_GAP.join(status))
         elif self._is_line_due():
-            self.say(_GAP.join(self._status(plant_state, t_s, wall_s)))
+            self.say(_GAP.join(self._status(plant_state, t_s, time.monotonic() - started_s)))
 
     def _status(self, plant_state: PlantState, t_s: float, wall_s: float) -> list[str]:
         """Return the parts of a line, the most important first."""
@@ -107,16 +101,5 @@ class RunProgress(ConsoleProgress):
         cost = self._cost.at(plant_state.tick, self.setup.model.outputs(plant_state.x), y_ref, plant_state.u)
         attitude_deg = float(np.degrees(np.abs(StateView(plant_state.x).Theta0)).max())
         factor = t_s / wall_s if wall_s > 0.0 else 0.0
-        return [
-            f"{t_s:5.1f} of {self._duration_s:.1f} s",
-            f"{factor:5.1f}x real time",
-            f"cost {cost:.5f}",
-            f"attitude {attitude_deg:.2f} deg",
-        ]
-
-
-def _fitting(parts: Sequence[str], width: int) -> str:
-    """Return as many parts as fit into a width, at least one: a wider line than the terminal would hide the bar."""
-    lengths = itertools.accumulate(len(part) + len(_GAP) for part in parts)
-    count = sum(length - len(_GAP) <= width for length in lengths)
-    return _GAP.join(parts[: max(count, 1)])
+        times = [f"{t_s:5.1f} of {self._duration_s:.1f} s", f"{factor:5.1f}x real time"]
+        return [*times, f"cost {cost:.5f}", f"attitude {attitude_deg:.2f} deg"]

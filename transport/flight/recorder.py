@@ -8,18 +8,18 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 
 from protocol.admission.gate import Gate, Sample
 from protocol.admission.plausibility import check_plausible, check_tick
-from protocol.network.bus import LINGER_S, Bus, BusEvent, Interrupted, Left
+from protocol.network.bus import Bus, BusEvent, Interrupted, Left
 from protocol.network.endpoints import Endpoints
 from protocol.network.session import BusError
 from protocol.scenario.links import told_change
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import check_target, with_targets
-from protocol.wire.codec import decode
+from protocol.wire.codec import Header, decode, encode
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import (
     BUNDLES,
@@ -42,8 +42,7 @@ from protocol.wire.messages import (
 )
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox, lost
-from transport.log.run_folder import END_NOT_RECORDED
-from transport.log.run_log import LogError
+from transport.log.run_log import channel_of
 from transport.log.writer import LogWriter
 
 # How many ticks the end of the run may be from the newest tick here: one connection may be slower than another.
@@ -61,35 +60,16 @@ _KEPT = 4
 _GATHER_S, _GATHER_PACED_S = 0.03, 0.01
 # The log file is flushed after a pause this long, less than the period of most runs.
 _PAUSE_S = 0.02
-# After the end of the run the recorder waits for the last message of each process: the longest pause between messages,
-# and the longest time in all, as long as the processes wait for it.
-_TRAIL_S, _LONGEST_TRAIL_S = 2.0, LINGER_S
-# The same pause where all that is missing is from processes whose tokens are gone, which may overtake messages.
+# After the end of the run the recorder waits for the last message of each process, until none comes for this long.
+_TRAIL_S = 2.0
+# The same where all that is missing is from processes whose tokens are gone, which may overtake messages.
 _QUIET_S = 0.05
 # The end of the run may arrive this long after the end of the coordinator's token.
 _OVERTAKEN_S = 0.5
 
 
 class Recorder:
-    """Recorder of one run; its attributes show the progress.
-
-    Attributes:
-        started_s: Steady-clock time of the first plant state, or None.
-        control: How the run ended, once it has.
-        error: Why recording ended early, or None.
-        received: Number of messages in the log.
-        tick: The newest open tick, -1 before the first.
-        setup: The run, with its targets so far.
-        requests: Requests to the parent of the run's processes.
-        gate: Checks of the messages that the recorder reads; readers of the log reject others.
-
-    Args:
-        setup, run: The run, and its name.
-        writer, endpoints: Open log, and endpoints to connect to.
-        join_timeout_s: Time to wait for the processes, s.
-        incarnation: Number of this start of the recorder.
-        has_ended: Returns whether the coordinator is known to have ended in order.
-    """
+    """Recorder of one run, with its open log; its attributes show the progress."""
 
     def __init__(
         self,
@@ -99,24 +79,22 @@ class Recorder:
         endpoints: Endpoints,
         join_timeout_s: float,
         incarnation: int = 0,
-        has_ended: Callable[[], bool] = lambda: False,
     ) -> None:
-        self.started_s: float | None = None
-        self.control: Control | None = None
+        self.started_s: float | None = None  # steady-clock time of the first plant state
+        self.control: Control | None = None  # how the run ended, once it has
+        self.error: str | None = None  # why recording ended early
+        self.received = 0  # messages in the log
+        self.tick = -1  # the newest open one
+        self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()  # to the parent of the run's processes
+        self.setup = setup  # with its targets so far
         self._notices: deque[str] = deque()  # the thread that shows them takes from the left
-        self.error: str | None = None
-        self.received = 0
-        self.tick = -1
-        self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self.setup, self._samples_s, self._ticks = setup, setup.samples_s, setup.ticks
-        self._writer = writer
-        self._writing = threading.Lock()  # notes come from another thread
+        self._samples_s, self._ticks, self._shape = setup.samples_s, setup.ticks, setup.shape
+        self._writer, self._writing = writer, threading.Lock()  # notes come from another thread
         self._keys = Keys(run)
-        self._shape = setup.shape
+        # Checks the messages that the recorder reads; readers of the log reject others.
         self.gate = Gate(RECORDER, self._keys, self._shape, self._check_moment, _UNREAD)
         self._newest = deque[bytes](maxlen=_KEPT)
         self._join_timeout_s = join_timeout_s
-        self._has_ended = has_ended
         self._bus = Bus(
             name=RECORDER,
             incarnation=incarnation,
@@ -168,31 +146,17 @@ class Recorder:
         """Wait for the end of the recording."""
         self._thread.join(timeout_s)
 
-    def end_early(self, reason: str) -> None:
-        """Stop, and write to the log why the run did not begin."""
-        self.stop("closing")
-        self.join()
-        if self.control is None:
-            with suppress(LogError):
-                self._end(reason)
-
     def note(self, target: str, what: str, origin: FaultOrigin, tick: int | None = None) -> None:
         """Log a fault of a process at a tick, by default the newest."""
         tick = max(self.tick, 0) if tick is None else tick
-        try:
-            self._take(self._out.stamp(FaultNote, tick=tick, target=target, what=what, origin=origin))
-        except LogError as error:  # the recording is about to end with it
-            self.error = self.error or str(error)
+        self._take(self._out.stamp(FaultNote, tick=tick, target=target, what=what, origin=origin))
 
     def close(self) -> None:
         """Leave the network and finish the log."""
         if self._thread.is_alive():
             self.stop("closing")
             self._thread.join()
-        try:
-            self._writer.close()
-        except LogError as error:
-            self.error = self.error or str(error)
+        self._writer.close()
 
     def _run(self) -> None:
         try:
@@ -200,7 +164,7 @@ class Recorder:
                 self._record()
                 for notice in self.gate.last_notices(self._out.incarnation):
                     self._take(notice)
-        except (BusError, LogError) as error:
+        except BusError as error:
             self.error = str(error)
         except BaseException as error:  # noqa: BLE001  # such as no memory: the run ends, and the error is told
             self.error = f"{RECORDER}: {type(error).__name__}: {error}".rstrip(": ")
@@ -208,37 +172,39 @@ class Recorder:
             self._bus.close()  # the coordinator waits for this
 
     def _record(self) -> None:
-        departures = _Departures(self._expected)
-        deadline: float | None = None
-        trail_ends: float | None = None
-        while departures.present or self.control is None:
-            timeout_s = None if deadline is None else max(0.0, deadline - time.monotonic())
+        # Processes that may still send messages, those without a token, and the newest incarnation of each.
+        present, gone, newest = set(self._expected), set[str](), dict[str, int]()
+        while present or self.control is None:
+            timeout_s = None
             if self.control is not None:
-                trail_ends = trail_ends or time.monotonic() + _LONGEST_TRAIL_S
-                if time.monotonic() > trail_ends:
-                    break
-                timeout_s = _QUIET_S if departures.are_gone else _TRAIL_S
+                timeout_s = _QUIET_S if present <= gone else _TRAIL_S
+            elif COORDINATOR in gone:
+                timeout_s = _OVERTAKEN_S
             event = self._next(timeout_s)
-            if event is None:
-                break
             match event:
+                case None:
+                    break
                 case Interrupted():
                     return
                 case Left(name=name):
-                    departures.present.discard(name)
-                case Presence():
-                    departures.note(event)
-                    if event.name == COORDINATOR and self.control is None:
-                        deadline = None if event.alive else time.monotonic() + _OVERTAKEN_S
+                    present.discard(name)
+                case Presence(name=name, incarnation=incarnation, alive=alive):
+                    if incarnation >= newest.get(name, 0):
+                        newest[name] = incarnation
+                        if alive:  # also again, after a standstill of that process or of this one
+                            gone.discard(name)
+                            present |= {name} & set(self._expected)
+                        else:
+                            gone.add(name)
                 case Request():
                     self.requests.put(event)
                 case _:
                     self.receive(event, self._bus.arrived_ns)
             for notice in self.gate.notices(time.monotonic_ns(), self._out.incarnation):
                 self._take(notice)
-        if self.control is None:
-            # The end of the run may have been sent during a standstill of this process.
-            self._end(END_NOT_RECORDED if self._has_ended() else f"{COORDINATOR} is gone")
+        if self.control is None:  # the coordinator cannot tell the end of the run
+            state = self.plant_state
+            self._take(lost(self._out, state.tick if state else 0, f"{COORDINATOR} is gone"))
 
     def _next(self, timeout_s: float | None) -> BusEvent | None:
         """Return the next event, or None after the timeout; flush the log in a pause."""
@@ -252,32 +218,23 @@ class Recorder:
 
     def receive(self, message: Message | Sample, at_ns: int | None = None) -> None:
         """Record what arrived from the network at a time, ns since 1970, now by default, unless it is refused."""
-        at_ns = time.time_ns() if at_ns is None else at_ns
-        if isinstance(message, Sample):
-            self._record_sample(message, at_ns)
-        else:
+        if isinstance(message, Message):
             self._take(message, at_ns)
-
-    def _record_sample(self, sample: Sample, at_ns: int) -> None:
-        """Record a message as it came; progress is that of messages which are in order."""
-        header = sample.header
-        with self._writing:
-            self._writer.add(f"/{self._keys.end(sample.key)}", sample.data, header, at_ns)
-        self.received += 1
+            return
+        # Recorded as it came; progress is that of messages which are in order.
+        header = message.header
+        self._write(f"/{self._keys.end(message.key)}", message.data, header, at_ns)
         if header.tick >= self._ticks:
             return
         if header.kind in _OF_TICKS:
             self.tick = max(header.tick, self.tick)
         elif header.kind in _OF_PLANT:
-            self._newest.append(sample.data)
+            self._newest.append(message.data)
             if self.started_s is None and (header.tick > 0 or header.kind == PlantState.kind):
                 self.started_s = time.monotonic()
 
     def _check_moment(self, message: Message) -> None:
-        """Refuse an end of the run at an impossible tick, and an invalid change of links or target.
-
-        Raises: MessageError: with the reason.
-        """
+        """Raise MessageError for an end of the run at an impossible tick, and an invalid change of links or target."""
         if isinstance(message, Control) and self.tick >= 0:
             check_tick(message, self.tick - _AHEAD, self.tick + _AHEAD)
         if isinstance(message, LinkChange):
@@ -286,9 +243,7 @@ class Recorder:
             check_target(self.setup, message)
 
     def _take(self, message: Message, at_ns: int | None = None) -> None:
-        with self._writing:
-            self._writer.write(message, time.time_ns() if at_ns is None else at_ns)
-        self.received += 1
+        self._write(channel_of(message), encode(message), message, at_ns)
         match message:
             case Control():
                 self.control = message
@@ -299,38 +254,7 @@ class Recorder:
             case FaultNote():
                 self._notices.append(f"fault: {message.target} {message.what}")
 
-    def _end(self, reason: str) -> None:
-        """Write the end of a run whose coordinator cannot."""
-        state = self.plant_state
-        self._take(lost(self._out, state.tick if state else 0, reason))
-
-
-class _Departures:
-    """Processes of the run that may still send messages: they have not said that they have sent their last.
-
-    Attributes:
-        present: Their names.
-    """
-
-    def __init__(self, expected: Collection[str]) -> None:
-        self.present = set(expected)
-        self._expected = frozenset(expected)
-        self._gone: set[str] = set()  # those of them without a token
-        self._newest: dict[str, int] = {}  # incarnations
-
-    @property
-    def are_gone(self) -> bool:
-        """Whether the tokens of all that are present have disappeared."""
-        return self.present <= self._gone
-
-    def note(self, event: Presence) -> None:
-        """Take note of a token that has appeared or disappeared."""
-        newest = self._newest.get(event.name, 0)
-        if not event.alive:
-            if event.incarnation >= newest:
-                self._gone.add(event.name)
-            return
-        # Reconnected after a standstill of that process or of this one.
-        self._newest[event.name] = max(event.incarnation, newest)
-        self._gone.discard(event.name)
-        self.present.update({event.name} & self._expected)
+    def _write(self, topic: str, data: bytes, header: Header | Message, at_ns: int | None) -> None:
+        with self._writing:
+            self._writer.add(topic, data, header, time.time_ns() if at_ns is None else at_ns)
+        self.received += 1

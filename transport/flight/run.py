@@ -4,10 +4,11 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -19,7 +20,9 @@ from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import (
+    EXIT_DIVERGED,
     EXIT_INTERRUPTED,
+    EXIT_OVERRUN,
     EXIT_SCENARIO,
     EXIT_UNREACHABLE,
     EXIT_UNRECORDED,
@@ -29,15 +32,20 @@ from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import FaultOrigin, Request
 from protocol.wire.names import COORDINATOR
 from transport.flight import live
-from transport.flight.harness import ORDERLY_ENDS, Child, Harness, check_ports, free_ports, keys_setting
-from transport.flight.header import run_header
+from transport.flight.harness import Child, Harness, check_ports, free_ports, keys_setting
+from transport.flight.header import checked, run_header
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
-from transport.flight.run_files import RunError, create, open_log, own_keys, refuse_existing
+from transport.flight.run_files import RunError, create, own_keys, refuse_existing
 from transport.flight.signals import collected_signals
-from transport.flight.trial import named, tried
-from transport.log.run_folder import forget_latest
+from transport.log.run_log import LogError
 from transport.log.writer import LogWriter
+
+# Exit codes of a process after the end of its run.
+_ORDERLY_ENDS = {0, EXIT_UNREACHABLE, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
+# Signals of faults, and their notes in the log.
+_SIGNALS = {"kill": signal.SIGKILL, "stop": signal.SIGSTOP, "continue": signal.SIGCONT}
+_NOTES = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
 
 
 class FaultScript:
@@ -48,40 +56,32 @@ class FaultScript:
 
     def __init__(self, setup: Setup, harness: Harness, recorder: Recorder) -> None:
         self._setup, self._harness, self._recorder = setup, harness, recorder
-        # The plant applies the failures of UAVs.
-        self._faults = [fault for fault in setup.faults if fault.do not in OF_UAVS]
-        self._dead: set[int] = set()  # children whose end has been noted
-        for target in {fault.target for fault in self._faults if fault.do == "start"}:
-            harness.prepare(target)
-        self._actions: Mapping[str, Callable[[str], bool]] = {
-            "kill": lambda name: harness.signal(name, signal.SIGKILL),
-            "stop": lambda name: harness.signal(name, signal.SIGSTOP),
-            "continue": lambda name: harness.signal(name, signal.SIGCONT),
-            "restart": self._restart,
-        }
+        # The plant applies the failures of UAVs. Kills are noted when the process has ended.
+        self._kills = [fault for fault in setup.faults if fault.do == "kill"]
+        self._faults = [fault for fault in setup.faults if fault.do not in (*OF_UAVS, "kill")]
 
     def work(self) -> None:
         """Apply due faults, answer requests, and note ended processes; to be called often."""
-        while self._faults and self._is_due(self._faults[0].tick - (self._faults[0].do in ("continue", "start"))):
+        for child in self._harness.ended():
+            code = child.code or 0
+            if code >= 0 or child.is_noted:
+                continue
+            child.is_noted = True
+            kill = next((fault for fault in self._kills if fault.target == child.name), None)
+            if kill is not None and code == -signal.SIGKILL:
+                self._kills.remove(kill)
+                self._recorder.note(child.name, _NOTES["kill"], "script", kill.tick)
+            else:
+                self._recorder.note(child.name, f"ended by {signal.Signals(-code).name}", "unknown")
+        while self._faults and self._is_due(self._faults[0].tick - (self._faults[0].do != "stop")):
             fault = self._faults.pop(0)
-            if fault.do in ("kill", "stop"):
-                self._note(fault.target, fault.do, "script", fault.tick)
+            if fault.do == "stop":
+                self._recorder.note(fault.target, _NOTES["stop"], "script", fault.tick)
             else:
                 self._do(fault.target, "restart" if fault.do == "start" else "continue", "script")
         while not self._recorder.requests.empty():
-            self._answer(self._recorder.requests.get())
-        for child in self._harness.ended():
-            code = child.code or 0
-            if child.process.pid in self._dead or code >= 0:
-                continue
-            expected = (fault for fault in self._faults if (fault.do, fault.target) == ("kill", child.name))
-            kill = next(expected, None) if code == -signal.SIGKILL else None
-            self._dead.add(child.process.pid)
-            if kill is None:
-                self._recorder.note(child.name, f"ended by {signal.Signals(-code).name}", "unknown")
-            else:
-                self._faults.remove(kill)
-                self._note(child.name, "kill", "script", kill.tick)
+            request = self._recorder.requests.get()
+            request.reply(self._answer(request))
 
     def _is_due(self, tick: int) -> bool:
         if self._recorder.tick >= tick:
@@ -92,40 +92,28 @@ class FaultScript:
             return False
         return (time.monotonic() - started_s) * speed >= (tick + 1) * self._setup.settings.sampling_period_s
 
-    def _answer(self, request: Request) -> None:
+    def _answer(self, request: Request) -> dict[str, Any]:
         action, target = (str(request.given.get(key, "")) for key in ("do", "target"))
         names = list(self._harness.mesh)
-        if request.what != "fault" or action not in self._actions:
-            request.reply({"error": f"do: expected one of {', '.join(self._actions)}, got {action!r}"})
-        elif target not in names:
-            request.reply({"error": f"target: expected one of {', '.join(names)}, got {target!r}"})
-        elif action == "restart" and not target.startswith("agent"):
-            request.reply({"error": f"target: expected an agent to restart, as a run ends with its {target}"})
-        elif not self._do(target, action, "person"):
-            request.reply({"error": f"{target} is not running"})
-        else:
-            request.reply({"tick": self._recorder.tick})
+        if request.what != "fault" or action not in _NOTES:
+            return {"error": f"do: expected one of {', '.join(_NOTES)}, got {action!r}"}
+        if target not in names:
+            return {"error": f"target: expected one of {', '.join(names)}, got {target!r}"}
+        if action == "restart" and not target.startswith("agent"):
+            return {"error": f"target: expected an agent to restart, as a run ends with its {target}"}
+        if not self._do(target, action, "person"):
+            return {"error": f"{target} is not running"}
+        return {"tick": self._recorder.tick}
 
     def _do(self, target: str, action: str, origin: FaultOrigin) -> bool:
-        done = self._actions[action](target)
-        if done:
-            self._note(target, action, origin)
-        return done
-
-    def _note(self, target: str, action: str, origin: FaultOrigin, tick: int | None = None) -> None:
-        done = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
-        self._recorder.note(target, done[action], origin, tick)
+        """Apply a fault and note it; return whether the process was there."""
         child = self._harness.child(target)
-        if action == "kill" and child is not None:
-            self._dead.add(child.process.pid)
-
-    def _restart(self, name: str) -> bool:
-        old = self._harness.child(name)
-        if old is not None:
-            self._dead.add(old.process.pid)
-        self._harness.restart(name)
-        if any((fault.do, fault.target) == ("start", name) for fault in self._faults):
-            self._harness.prepare(name)
+        if action == "restart":
+            self._harness.restart(target)
+        elif not child.signal(_SIGNALS[action]):
+            return False
+        child.is_noted |= action in ("kill", "restart")
+        self._recorder.note(target, _NOTES[action], origin)
         return True
 
 
@@ -157,10 +145,9 @@ def simulate(
 ) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end.
 
-    `started` is called once the processes are started; before the first tick they wait for
-    `ready` to return. Processes that are `external` are not: they join from elsewhere.
+    `started` is called once the processes are started; before the first tick they wait for `ready` to return. Processes
+    that are `external` join from elsewhere. At the end every process has ended and the log is complete.
 
-    Returns: The end of the run; every process has ended and the log is complete.
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
         ScenarioError: engine or controller cannot be used.
     """
@@ -170,7 +157,7 @@ def simulate(
     with ExitStack() as stack:
         stack.enter_context(_refusals())
         check_usable(_OPEN_FILES + _OPEN_FILES_EACH * len(names))
-        classes = tried(setup, external)
+        classes = checked(setup, external)
         compile_model(setup.system.N, console)
         places = stack.enter_context(_reserved(scenario, names))
         run = folder.name if Keys.allows(folder.name) else scenario.name
@@ -179,21 +166,15 @@ def simulate(
         recording = places.pop(RECORDER)
         started_here = {name: place for name, place in places.items() if name not in external}
         progress = stack.enter_context(RunProgress(setup, console))
-        own = stack.enter_context(own_keys(scenario, folder, progress.say))
-        harness = stack.enter_context(Harness(run, folder / "scenario.toml", started_here, folder / "logs", own))
+        own = stack.enter_context(own_keys(scenario, folder))
+        harness = Harness(run, folder / "scenario.toml", started_here, folder / "logs", own)
+        stack.callback(harness.end)
         if own is not None:
             recording = replace(recording, security=Security(own, ()))
         keys = "" if recording.security is None else str(recording.security.folder)
         harness.start(observers=[RECORDER])
-        writer = open_log(folder, setup, header, progress.say)
-        recorder = Recorder(
-            setup,
-            run,
-            writer,
-            recording,
-            scenario.clock.join_timeout_s,
-            has_ended=lambda: harness.has_ended(COORDINATOR),
-        )
+        writer = LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns, say=progress.say)
+        recorder = Recorder(setup, run, writer, recording, scenario.clock.join_timeout_s)
         try:
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
             ready()  # the coordinator waits for the recorder
@@ -207,26 +188,23 @@ def simulate(
             _watch(recorder, progress, harness, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
-        except RunError as error:
-            if error.exit_code != EXIT_INTERRUPTED:
-                recorder.end_early(str(error))
-            raise
         finally:
             recorder.close()
             live.remove(folder)
             if recorder.error is None and not harness.ended():
                 _discard_if_empty(folder, recorder)
-            harness.end()
-            for notice in harness.notices:
+            for notice in harness.end():
                 progress.say(notice)
         return _finished(folder, writer, recorder)
 
 
 @contextmanager
 def _refusals() -> Iterator[None]:
-    """Turn errors of the network into those of the run."""
+    """Turn errors of network and log into those of the run."""
     try:
         yield
+    except LogError as error:
+        raise RunError(str(error), EXIT_USAGE) from error
     except SecurityError as error:
         raise RunError(str(error), EXIT_SCENARIO) from error
     except BusError as error:
@@ -252,8 +230,9 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
     names = process_names(setup.scenario)
     text = create(folder, setup)
     with RunProgress(setup, console) as progress, _refusals():
-        header = run_header(setup, place.run, len(names), text, named(setup))
-        writer = open_log(folder, setup, header, progress.say)
+        classes = {"engine": setup.scenario.plant.engine, "controller": setup.scenario.agents.controller}
+        header = run_header(setup, place.run, len(names), text, classes)
+        writer = LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns, say=progress.say)
         try:
             recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
         except BusError:
@@ -272,7 +251,6 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
 def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
     """Remove the folder of a run without any message, so that the same command can be repeated."""
     if recorder.received == 0:
-        forget_latest(folder)
         shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -314,16 +292,14 @@ def _watch(
                     recorder.stop(signals[-1])
                     continue
                 progress.say(f"{signals[-1]}: ending the run; once more to end it at once")
-                harness.signal(COORDINATOR, signal.Signals[signals[-1]])
+                harness.child(COORDINATOR).signal(signal.Signals[signals[-1]])
             if harness is None or recorder.control is not None or recorder.started_s is not None:
                 continue
-            ended = harness.ended()
-            if ended:
+            for child in harness.ended():
                 # A run may end within its first ticks: its messages can reach the recorder after a process has ended.
-                ended_s = time.monotonic() if ended_s is None else ended_s
-                orderly = all(child.code in ORDERLY_ENDS for child in ended)
-                if not orderly or time.monotonic() - ended_s > _CATCH_UP_S:
-                    raise _ended_early(ended[0])
+                ended_s = ended_s or time.monotonic()
+                if child.code not in _ORDERLY_ENDS or time.monotonic() - ended_s > _CATCH_UP_S:
+                    raise _ended_early(child)
     for notice in recorder.new_notices():
         progress.say(notice)
 

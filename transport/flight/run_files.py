@@ -1,7 +1,7 @@
 """Folders of runs: their names, what is in them before the run begins, and the error of a run that cannot begin."""
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,11 +15,6 @@ from protocol.scenario.setup import Setup
 from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.log.run_folder import point_latest
-from transport.log.run_log import LogError
-from transport.log.writer import LogWriter
-
-_LOG = "run.mcap"
-_OPEN = "--set network.secret=false runs without, open to every local process"
 
 
 class RunError(TransportError, RuntimeError):
@@ -50,10 +45,7 @@ def refuse_existing(folder: Path) -> None:
 
 
 def create(folder: Path, setup: Setup) -> str:
-    """Create the run folder with the resolved scenario; return its text.
-
-    Raises: RunError: it exists, or cannot be written.
-    """
+    """Create the run folder with the resolved scenario; return its text, or raise RunError."""
     refuse_existing(folder)
     text = tomli_w.dumps(setup.scenario.tree())
     try:
@@ -67,39 +59,26 @@ def create(folder: Path, setup: Setup) -> str:
 
 
 @contextmanager
-def own_keys(scenario: Scenario, folder: Path, say: Callable[[str], None]) -> Iterator[Path | None]:
+def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
     """Make the secret of a run in its folder; None where other keys protect the run, or it is to be open.
 
-    On a file system without permissions it is made in the temporary folder of the system, and `say` is called.
+    On a file system without permissions it is made in the temporary folder of the system.
 
     Raises: RunError: it cannot be written where only this user can read it.
     """
-    network = scenario.network
+    network, problem = scenario.network, ""
     if network.keys is not None or network.router is not None or not network.secret:
         yield None
         return
-    with ExitStack() as stack:
-        try:
-            keys = stack.enter_context(new_secret(folder.resolve() / "keys"))
-        except OSError as error:
-            raise RunError(f"--out: cannot write to {folder} ({error.strerror})", EXIT_USAGE) from error
-        except SecurityError:
+    with tempfile.TemporaryDirectory(prefix=f"{folder.name}-") as second, ExitStack() as stack:
+        for place in (folder, Path(second)):
             try:
-                second = stack.enter_context(tempfile.TemporaryDirectory(prefix=f"{folder.name}-"))
-                keys = stack.enter_context(new_secret(Path(second).resolve() / "keys"))
-            except (OSError, SecurityError) as error:
-                expected = "expected a file system with permissions, in --out or in TMPDIR, for the secret of the run"
-                raise RunError(f"network.secret: {expected}, got none ({error}); {_OPEN}", EXIT_SCENARIO) from error
-            say(f"{folder} is on a file system without permissions: the secret of the run is in {keys}")
-        yield keys
-
-
-def open_log(folder: Path, setup: Setup, header: Mapping[str, str], say: Callable[[str], None]) -> LogWriter:
-    """Open the log of a run folder; `say` is called when the run has to go on without it.
-
-    Raises: RunError: it cannot be written.
-    """
-    try:
-        return LogWriter(folder / _LOG, header, period_ns=setup.period_ns, say=say)
-    except LogError as error:
-        raise RunError(str(error), EXIT_USAGE) from error
+                keys = stack.enter_context(new_secret(place.resolve() / "keys"))
+            except SecurityError as error:
+                problem = str(error)
+            else:
+                yield keys
+                return
+    expected = "expected a file system with permissions, in --out or in TMPDIR, for the secret of the run"
+    remedy = "--set network.secret=false runs without, open to every local process"
+    raise RunError(f"network.secret: {expected}, got none ({problem}); {remedy}", EXIT_SCENARIO)

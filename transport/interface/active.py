@@ -15,11 +15,7 @@ Point = Sequence[float]
 
 
 class ActiveRun:
-    """A run that is active on this machine.
-
-    Attributes:
-        folder: Its run folder.
-    """
+    """A run that is active on this machine, in its run folder `folder`."""
 
     def __init__(self, folder: Path, there: live.LiveRun) -> None:
         self.folder, self._there = folder, there
@@ -31,11 +27,8 @@ class ActiveRun:
     def target(self, x: float, y: float, z: float, *, speed: float | None = None) -> dict[str, Any]:
         """Send the payload to a position, inertial frame (z down), m, from the next tick on.
 
-        Args:
-            x: Position, to the front.
-            y: To the right.
-            z: Downwards.
-            speed: Largest speed, m/s; up to 1 m/s, if feasible, by default.
+        The largest speed, m/s, is up to 1 m/s, if feasible, by default.
+
         Returns: `tick`, its time `t_s`, and when the reference is there, `reached_s` and `ends_s`, s.
         Raises: ArgumentError: it cannot be flown, or the run does not answer.
         """
@@ -68,25 +61,18 @@ class ActiveRun:
         given: dict[str, Any] = {"points_m": [[float(value) for value in point] for point in points]}
         given |= {} if times is None else {"times_s": [float(value) for value in times]}
         given |= {} if speed is None else {"speed_mps": float(speed)}
-        there, keys = self._there, Path(self._there.keys) if self._there.keys else None
         try:
             asked(given)
-            return live.request(there.run, [there.endpoints[COORDINATOR]], COORDINATOR, "target", given, keys=keys)
+            return self._there.ask(COORDINATOR, "target", given)
         except (TargetError, live.RefusedError, live.UnansweredError) as error:
             raise ArgumentError(str(error)) from error
 
 
 @public
 def active(folder: "str | PathLike[str] | None" = None) -> ActiveRun:
-    """Return the active run of a folder, by default the most recent one in `runs`.
-
-    Raises: ArgumentError: there is none.
-    """
-    try:
-        found = live.newest_folder(Path("runs")) if folder is None else Path(folder)
-        there = None if found is None else live.read(found)
-    except live.LiveError as error:
-        raise ArgumentError(str(error)) from error
+    """Return the active run of a folder, by default the most recent one in `runs`; raise ArgumentError without one."""
+    found = live.newest_folder(Path("runs")) if folder is None else Path(folder)
+    there = None if found is None else live.read(found)
     if found is None or there is None:
         raise ArgumentError(f"no active run in {'runs' if folder is None else folder}")
     return ActiveRun(found, there)

@@ -50,9 +50,9 @@ def run_figure(name: str, setup: Setup, log: RunLog, series: Series) -> RunFigur
         raise ArgumentError(f"figure: expected one of {', '.join(FIGURES)}, got {name!r}")
     if not len(series.ticks):
         raise ArgumentError("figure: expected a run with at least one tick, got one with none")
-    found: list[bool] = []
-    figure = drawn(lambda empty: found.append(fill(empty, name, setup, log, series)))
-    if not found[0]:
-        raise ArgumentError(f"figure: expected a run with data for {name!r}, got one without")
+    with mpl.rc_context(RC):
+        figure = RunFigure()
+        if not fill(figure, name, setup, log, series):
+            raise ArgumentError(f"figure: expected a run with data for {name!r}, got one without")
     figure.cropped = name in CROPPED
     return figure

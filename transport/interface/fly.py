@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Self, Unpack
 
 import tomli_w
 from rich.console import Console
@@ -18,15 +18,14 @@ from protocol.scenario.targets import with_targets
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from protocol.wire.messages import Message, PlantState, Target
 from transport.flight import memory
-from transport.flight.header import run_header
+from transport.flight.header import checked, run_header
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.run_files import RunError
-from transport.flight.trial import checked
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario, path_phase
 from transport.interface.settings import ArgumentError, Settings, ShortSettings, file_name, public
 from transport.log.run_folder import open_run
-from transport.log.run_log import LogError, Recorded, RunLog
+from transport.log.run_log import Recorded, RunLog
 from transport.report.report import write_report
 
 # Shortest time between two updates, wall time, s.
@@ -45,50 +44,44 @@ def run_progress(setup: Setup, *, shown: bool) -> Iterator[Callable[[Message], N
     """Show the progress of a run; yield the function that takes each of its messages."""
     if not shown:
         yield lambda _: None
-    elif _in_notebook():
-        yield from _in_cell(setup)
-    else:
-        with RunProgress(setup, console(shown=True), waiting="in memory") as bar:
-            show = _throttled(bar.show)
-
-            def take(message: Message) -> None:
-                if isinstance(message, Target):
-                    bar.setup = with_targets(bar.setup, [message])
-                show(message)
-
-            yield take
-
-
-def _in_cell(setup: Setup) -> Iterator[Callable[[Message], None]]:
-    """Show the progress in the output of a notebook's cell, without widgets, and the duration at the end."""
-    from IPython.display import HTML, display  # in every notebook
-
-    handle: Any = display(HTML("<pre>starting</pre>"), display_id=True)
-    duration_s, began_s = setup.ticks * setup.settings.sampling_period_s, time.monotonic()
-    name = html.escape(setup.scenario.name)
-
-    def show(plant_state: PlantState, _: float) -> None:
-        reached_s = plant_state.tick * setup.settings.sampling_period_s
-        bar = f'<progress value="{reached_s / duration_s:.3f}"></progress>'
-        handle.update(HTML(f"{bar} {name}: {reached_s:.1f} of {duration_s:.1f} s"))
-
-    try:
-        yield _throttled(show)
-    finally:
-        handle.update(HTML(f"<pre>{name}: {time.monotonic() - began_s:.1f} s of wall time</pre>"))
-
-
-def _throttled(show: Callable[[PlantState, float], None]) -> Callable[[Message], None]:
-    """Return a function of messages that shows a plant state now and then."""
+        return
     began_s = next_s = time.monotonic()
+    in_cell = _in_notebook()
+    with _CellProgress(setup) if in_cell else RunProgress(setup, console(shown=True), waiting="in memory") as bar:
 
-    def take(message: Message) -> None:
-        nonlocal next_s
-        if isinstance(message, PlantState) and time.monotonic() >= next_s:
-            next_s = time.monotonic() + _EVERY_S
-            show(message, began_s)
+        def take(message: Message) -> None:
+            nonlocal next_s
+            if isinstance(message, Target):
+                bar.setup = with_targets(bar.setup, [message])
+            elif isinstance(message, PlantState) and time.monotonic() >= next_s:
+                next_s = time.monotonic() + _EVERY_S
+                bar.show(message, began_s)
 
-    return take
+        yield take
+
+
+class _CellProgress:
+    """Progress in the output of a notebook's cell, without widgets, and the duration at the end."""
+
+    def __init__(self, setup: Setup) -> None:
+        from IPython.display import HTML, display  # in every notebook
+
+        self.setup = setup
+        self._html: Any = HTML
+        self._handle: Any = display(HTML("<pre>starting</pre>"), display_id=True)
+        self._name, self._began_s = html.escape(setup.scenario.name), time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        duration_s = time.monotonic() - self._began_s
+        self._handle.update(self._html(f"<pre>{self._name}: {duration_s:.1f} s of wall time</pre>"))
+
+    def show(self, plant_state: PlantState, _: float) -> None:
+        share, period_s = plant_state.tick / self.setup.ticks, self.setup.settings.sampling_period_s
+        times = f"{plant_state.tick * period_s:.1f} of {self.setup.ticks * period_s:.1f} s"
+        self._handle.update(self._html(f'<progress value="{share:.3f}"></progress> {self._name}: {times}'))
 
 
 def _in_notebook() -> bool:
@@ -169,13 +162,11 @@ def load(folder: "str | PathLike[str]") -> Run:
     >>> transport.load("runs/none")
     Traceback (most recent call last):
         ...
-    transport.log.run_log.LogError: runs/none: expected a run folder, got no run.mcap in it
+    transport.log.run_log.LogError: runs/none/run.mcap: cannot read the log (No such file or directory)
 
     Raises: LogError: no run folder, or a log that cannot be read. ScenarioError: its scenario cannot be read.
     """
     path = Path(file_name(folder, "folder"))
-    if not (path / "run.mcap").exists():
-        raise LogError(f"{path}: expected a run folder, got no run.mcap in it")
     recorded = open_run(path)
     return Run(Scenario(recorded.scenario_file, allow_large=True), recorded.setup, recorded.log, path)
 
@@ -183,9 +174,7 @@ def load(folder: "str | PathLike[str]") -> Run:
 def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
     began_ns = time.time_ns()
     compile_model(setup.system.N, console(shown=shown))
-    text = tomli_w.dumps(setup.scenario.tree())
-    header = run_header(setup, setup.scenario.name, 1, text, checked(setup))
-    header = {**header, "command_started_ns": str(began_ns)}
+    header = run_header(setup, setup.scenario.name, 1, tomli_w.dumps(setup.scenario.tree()), checked(setup))
     messages: list[Recorded] = []
     with run_progress(setup, shown=shown) as show:
 
@@ -194,7 +183,8 @@ def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
             show(message)
 
         memory.simulate(setup, record)
-    return Run(scenario, setup, RunLog(header=header, messages=tuple(messages), cut=""))
+    log = RunLog(header={**header, "command_started_ns": str(began_ns)}, messages=tuple(messages), cut="")
+    return Run(scenario, setup, log)
 
 
 def _with_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, shown: bool) -> Run:

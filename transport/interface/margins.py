@@ -14,13 +14,9 @@ from transport.report.margins import HoverMargins, draw, hover_margins, notes, r
 
 @dataclass(frozen=True)
 class Margins:
-    """Margins of the hover of a scenario, as `transport.margins` returns them; printed as a table.
+    """Margins of the hover of a scenario, as `transport.margins` returns them; printed as a table."""
 
-    Attributes:
-        found: Numbers: SI units, factors relative to the known value.
-    """
-
-    found: HoverMargins
+    found: HoverMargins  # SI units, factors relative to the known value
 
     @property
     def data(self) -> dict[str, Any]:
@@ -47,16 +43,15 @@ def margins(
 ) -> Margins:
     """Return how far the plant may differ from the controllers' model before the hover becomes unstable.
 
-    A linear analysis of the sampled loop about hover, without limits and constraints; it takes seconds.
+    A linear analysis of the sampled loop about hover, without limits and constraints; it takes seconds. The agents in
+    `without`, 1-based, are gone for good, and their UAVs follow the fail-safe; the team that is left holds the payload
+    if all deviations decay (`settling_s`). Other arguments are those of `fly`.
 
     >>> import transport
     >>> lag_s = transport.margins("resilient").data["margins"]["immediate"]["lag_s"]
     >>> round(1e3 * lag_s["upper"])
     71
 
-    Args: as those of `fly`, and
-        without: Agents that are gone for good, 1-based; their UAVs follow the fail-safe. The team that is left holds
-            the payload if all deviations decay (`settling_s`).
     Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
     """
     chosen = Scenario(scenario, settings, **short)

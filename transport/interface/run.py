@@ -6,8 +6,6 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from rich.console import Console
-
 from protocol.scenario.files import write_delays
 from protocol.scenario.setup import Setup
 from transport.analysis.metrics import summarise
@@ -15,7 +13,7 @@ from transport.analysis.series import counted
 from transport.analysis.steps import steps_rows
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries
-from transport.interface.settings import ArgumentError, file_name, public, require_pandas
+from transport.interface.settings import ArgumentError, file_name, printed, public, require_pandas
 from transport.log.run_log import RunLog
 from transport.log.writer import LogWriter
 from transport.report.report import summary_table, write_report
@@ -43,14 +41,11 @@ class Run:
     >>> run.completed, run.summary["ticks"], run.series["payload_position_m"].shape
     (True, 10, (10, 3))
 
-    Attributes:
-        scenario: The scenario as it was simulated; changes of it do not affect the run.
-        log: All messages.
-        folder: The run folder, or None for a run that has none.
+    `scenario` is the one that was simulated, `log` has all messages, `folder` is None for a run without run folder.
     """
 
     def __init__(self, scenario: Scenario, setup: Setup, log: RunLog, folder: Path | None = None) -> None:
-        self.scenario, self.log, self.folder = scenario.copy(), log, folder
+        self.scenario, self.log, self.folder = scenario.copy(), log, folder  # changes of either do not affect the other
         self._setup = setup
         self._counted = counted(setup, log)
 
@@ -83,10 +78,7 @@ class Run:
 
     def __str__(self) -> str:
         """Return the table that `transport run` prints."""
-        console = Console(width=_WIDTH, force_jupyter=False, force_terminal=False, no_color=True)
-        with console.capture() as capture:
-            console.print(summary_table(self.summary))
-        return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
+        return printed(summary_table(self.summary), _WIDTH)
 
     @public
     def to_pandas(self, table: TableName = "series") -> "pd.DataFrame":
@@ -97,12 +89,10 @@ class Run:
         Raises: ArgumentError: no such table, or pandas is missing.
         """
         pandas = require_pandas()
-        match table:
-            case "series":
-                columns = self.series.columns()
-                return pandas.DataFrame(columns).set_index("time_s")
-            case "steps":
-                return pandas.DataFrame(list(steps_rows(self._setup, self._counted)))
+        if table == "series":
+            return pandas.DataFrame(self.series.columns()).set_index("time_s")
+        if table == "steps":
+            return pandas.DataFrame(list(steps_rows(self._setup, self._counted)))
         raise ArgumentError(f"table: expected 'series' or 'steps', got {table!r}")
 
     @public

@@ -24,7 +24,6 @@ from transport.interface.settings import (
     file_name,
     key_of,
     public,
-    setting,
     settings_of,
 )
 
@@ -34,28 +33,28 @@ class Section:
 
     _owner: "Scenario"
     _key: str
-    _data: BaseModel
 
-    def __init__(self, owner: "Scenario", key: str, data: BaseModel) -> None:
-        self._owner, self._key, self._data = owner, key, data
+    def __init__(self, owner: "Scenario", key: str) -> None:
+        self._owner, self._key = owner, key
+
+    @property
+    def _data(self) -> BaseModel:
+        found: BaseModel = self._owner._found(self._key)
+        return found
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
-        if (found := _part(self._data, name)) is None:
+        if _part(self._data, name) is None:
             raise AttributeError(f"{self._key or 'scenario'}: unknown key {name!r}; {_hint(self._data, name)}")
-        return self._owner._shown(self._key_of(name), *found)
+        return self._owner._shown(self._key_of(name))
 
     @public
     def __setattr__(self, name: str, value: Any) -> None:
         if name.startswith("_"):
             object.__setattr__(self, name, value)
-            return
-        self._owner[self._key_of(name)] = value
-        found: Any = self._owner.validated
-        for part in filter(None, self._key.split(".")):
-            found = next(iter(_part(found, part) or ()))
-        self._data = found
+        else:
+            self._owner[self._key_of(name)] = value
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *type(self._data).model_fields]
@@ -94,17 +93,14 @@ class Scenario(Section):
     >>> scenario.resized(6)
     Scenario('resilient-6': 6 UAVs, 6 agents, 25 s)
 
-    Args:
-        source: Scenario file, name of one that comes with the package, or another scenario.
-        settings: Changes by dotted key.
-        allow_large: Whether runs may exceed the limits on ticks, memory and log of `transport validate`.
-        short: Changes by short name (`transport.interface.settings.KEY_OF`).
+    The source is a scenario file, the name of one that comes with the package, or another scenario; changes are those
+    of `fly`. With `allow_large` runs may exceed the limits on ticks, memory and log of `transport validate`.
 
     Raises: ScenarioError: naming file or setting, field, expected, got. ArgumentError: an argument of the wrong kind.
     """
 
     _path: Path
-    _data: ScenarioTree
+    _tree: ScenarioTree
     _setup: Setup
     _allow_large: bool
 
@@ -117,16 +113,17 @@ class Scenario(Section):
         allow_large: bool = False,
         **short: Unpack[ShortSettings],
     ) -> None:
+        super().__init__(self, "")
         changes = settings_of(settings, short)
-        self._allow_large = allow_large or (isinstance(source, Scenario) and source._allow_large)
         if isinstance(source, Scenario):
-            self._take(source._path, source._data, source._setup)
+            self._allow_large = allow_large or source._allow_large
+            self._path, self._tree, self._setup = source._path, source._tree, source._setup
             if changes:
-                self._change(changes)
+                self._replace(given(self._tree), changes)
             return
-        path = find_scenario(file_name(source, "scenario"))
-        data = read_scenario(path, changes, allow_large=allow_large)
-        self._take(path, data, _setup_of(data, path, changes))
+        self._allow_large = allow_large
+        self._path = find_scenario(file_name(source, "scenario"))
+        self._take(read_scenario(self._path, changes, allow_large=allow_large), changes)
 
     @public
     def set(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> None:
@@ -136,28 +133,23 @@ class Scenario(Section):
         >>> scenario = transport.Scenario("paper")
         >>> scenario.set({"clock.mode": "realtime", "clock.speed": 1.0})
         """
-        self._change(settings_of(settings, short))
+        self._replace(given(self._tree), settings_of(settings, short))
 
     @public
     def __getitem__(self, key: str) -> Any:
         """Return the value of a dotted key or short name."""
-        found: Any = self._data
-        for part in key_of(key).split("."):
-            if (inner := _part(found, part)) is None:
-                raise ScenarioError(str(self._path), key_of(key), f"unknown key; {_hint(found, part)}")
-            (found,) = inner
-        return self._shown(key_of(key), found)
+        return self._shown(key_of(key))
 
     @public
     def __setitem__(self, key: str, value: Any) -> None:
         """Change the value of a dotted key or short name."""
-        self._change([setting(key, value)])
+        self._replace(given(self._tree), settings_of({key: value}, {}))
 
     @public
     def __delitem__(self, key: str) -> None:
         """Return a dotted key or short name to its default."""
-        self[key]  # refuses an unknown key
-        tree = given(self._data)
+        self._found(key_of(key))  # refuses an unknown key
+        tree = given(self._tree)
         *above, last = key_of(key).split(".")
         node: Any = tree
         for part in above:
@@ -169,10 +161,9 @@ class Scenario(Section):
         self._replace(tree, [])
 
     def __repr__(self) -> str:
-        setup = self._setup
-        sizes = [f"{setup.system.N} UAV{'s' * (setup.system.N > 1)}", f"{len(setup.agents)} agent"]
-        sizes[1] += "s" * (len(setup.agents) > 1)
-        return f"Scenario({self._data.name!r}: {', '.join(sizes)}, {setup.maneuver.duration_s:g} s)"
+        N, agents = self._setup.system.N, len(self._setup.agents)
+        sizes = f"{N} UAV{'s' * (N > 1)}, {agents} agent{'s' * (agents > 1)}"
+        return f"Scenario({self._tree.name!r}: {sizes}, {self._setup.maneuver.duration_s:g} s)"
 
     @property
     def file(self) -> Path:
@@ -187,15 +178,15 @@ class Scenario(Section):
     @property
     def validated(self) -> ScenarioTree:
         """The scenario as a frozen pydantic model."""
-        return self._data
+        return self._tree
 
     def tree(self) -> dict[str, Any]:
         """Return the scenario as plain data with every default."""
-        return self._data.tree()
+        return self._tree.tree()
 
     def digest(self) -> str:
         """Return the fingerprint that `transport validate` prints."""
-        return self._data.digest()
+        return self._tree.digest()
 
     @public
     def copy(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> "Scenario":
@@ -214,12 +205,8 @@ class Scenario(Section):
     ) -> "Scenario":
         """Return a scenario with a team of another size or vehicle, as `transport scenario new` makes it.
 
-        Args:
-            uavs: Number of UAVs.
-            group: UAVs per agent; by default as in this scenario.
-            name: Its name; by default from this scenario's, the vehicle's and the number of UAVs.
-            vehicle: Vehicle file, or crazyflie, x500, racing; by default the paper's.
-            load_kg: Mass of the payload, kg; by default half the mass of the UAVs.
+        Vehicle and load are those of `team`. An agent owns `group` UAVs, by default as many as in this scenario, whose
+        name, with the vehicle's and the number of UAVs, is the default of `name`.
         """
         if not isinstance(uavs, int) or not FEWEST <= uavs <= MOST:
             raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs!r}")
@@ -229,13 +216,12 @@ class Scenario(Section):
             raise ArgumentError(f"load_kg: expected a number > 0, got {load_kg!r}")
         source, chosen = str(self._path), None if vehicle is None else str(file_name(vehicle, "vehicle"))
         data = resized(
-            self._data, self._path.parent, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg
+            self._tree, self._path.parent, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg
         )
         if not self._allow_large:
             check_budget(data, source)
-        made = Scenario.__new__(Scenario)
-        made._allow_large = self._allow_large
-        made._take(self._path, data, Setup.of(data, source))
+        made = Scenario(self)
+        made._take(data, [])
         return made
 
     @public
@@ -244,40 +230,42 @@ class Scenario(Section):
         target = Path(file_name(path, "path"))
         try:
             with target.open("x", encoding="utf-8") as file:
-                file.write(tomli_w.dumps(self._data.tree()))
+                file.write(tomli_w.dumps(self.tree()))
         except FileExistsError as error:
             raise ArgumentError(f"path: expected a file that does not exist yet, got {target}") from error
         except OSError as error:
             raise ArgumentError(f"path: cannot write {target} ({error.strerror})") from error
         return target
 
-    def _shown(self, key: str, value: Any) -> Any:
-        """Return a value as the user gets it: sections, and lists as tuples, which cannot be changed."""
-        if isinstance(value, BaseModel):
-            return Section(self, key, value)
-        if isinstance(value, list | tuple):
-            return tuple(self._shown(f"{key}.{number}", part) for number, part in enumerate(value, start=1))
-        return value
+    def _found(self, key: str) -> Any:
+        """Return the value of a dotted key as the model has it; the scenario itself for an empty one."""
+        found: Any = self._tree
+        for part in filter(None, key.split(".")):
+            if (inner := _part(found, part)) is None:
+                raise ScenarioError(str(self._path), key, f"unknown key; {_hint(found, part)}")
+            (found,) = inner
+        return found
 
-    def _change(self, changes: list[str]) -> None:
-        self._replace(given(self._data), changes)
+    def _shown(self, key: str) -> Any:
+        """Return a value as the user gets it: sections, and lists as tuples, which cannot be changed."""
+        value = self._found(key)
+        if isinstance(value, BaseModel):
+            return Section(self, key)
+        if isinstance(value, list | tuple):
+            return tuple(self._shown(f"{key}.{number}") for number in range(1, len(value) + 1))
+        return value
 
     def _replace(self, tree: dict[str, Any], changes: list[str]) -> None:
         """Become the scenario of a tree with changes, or stay as it is if that is refused."""
-        data = with_settings(tree, changes, str(self._path), allow_large=self._allow_large)
-        self._take(self._path, data, _setup_of(data, self._path, changes))
+        self._take(with_settings(tree, changes, str(self._path), allow_large=self._allow_large), changes)
 
-    def _take(self, path: Path, data: ScenarioTree, setup: Setup) -> None:
-        super().__init__(self, "", data)
-        self._path, self._setup = path, setup
-
-
-def _setup_of(data: ScenarioTree, path: Path, changes: list[str]) -> Setup:
-    """Return the setup of a scenario with changes, which its errors name."""
-    try:
-        return Setup.of(data, str(path))
-    except ScenarioError as error:
-        raise error.blaming(changes) from error.__cause__
+    def _take(self, tree: ScenarioTree, changes: list[str]) -> None:
+        """Become a scenario with changes, which errors of its setup name."""
+        try:
+            self._setup = Setup.of(tree, str(self._path))
+        except ScenarioError as error:
+            raise error.blaming(changes) from error.__cause__
+        self._tree = tree
 
 
 def _part(found: Any, name: str) -> tuple[Any] | None:
@@ -315,13 +303,8 @@ def team(
     >>> transport.team(4, vehicle="x500", load_kg=3)
     Scenario('resilient-x500-4': 4 UAVs, 4 agents, 25 s)
 
-    Args:
-        uavs: Number of UAVs.
-        vehicle: Vehicle file, or crazyflie, x500, racing; by default the paper's.
-        load_kg: Mass of the payload, kg; by default half the mass of the UAVs.
-        base: Scenario with all other keys: maneuver, controller, network.
-        settings: Changes by dotted key.
-        short: Changes by short name.
+    The vehicle is a file, or crazyflie, x500, racing, by default the paper's; the payload has by default half the mass
+    of the UAVs. The base has all other keys: maneuver, controller, network; changes are those of `fly`.
 
     Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
     """

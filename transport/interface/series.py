@@ -1,6 +1,6 @@
 """Time series of a run as named arrays whose names end in their units."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,17 +20,12 @@ _UAV, _AGENT = "uav", "agent"
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One quantity of a run over time.
+    """One quantity of a run over time."""
 
-    Attributes:
-        unit: Unit, empty for none.
-        axes: Meaning of the axes behind the first, which is time: "uav", "agent" (both counted from 1), or components.
-        meaning: One sentence.
-    """
-
-    unit: str
+    unit: str  # empty for none
+    # Meaning of the axes behind the first, which is time: "uav", "agent" (both counted from 1), or components.
     axes: tuple[str | tuple[str, ...], ...]
-    meaning: str
+    meaning: str  # one sentence
 
 
 # All series, in the order in which they are listed. Positions: inertial frame, z down.
@@ -80,23 +75,16 @@ class RunSeries(Mapping[str, Array]):
     """
 
     def __init__(self, setup: Setup, log: RunLog) -> None:
-        self._series = series_of(setup, log)
-        self._setup, self._log = setup, log
-        self._reports: dict[str, Array] | None = None
-        self._found: dict[str, Array] = {}
+        self.source = series_of(setup, log)  # as figures and metrics of the report use them
+        self._arrays = {name: np.array(values) for name, values in _arrays(setup, log, self.source).items()}
+        for values in self._arrays.values():
+            values.setflags(write=False)
 
     def __getitem__(self, name: str) -> Array:
-        """Return a series, (ticks, ...), read-only.
-
-        Raises: KeyError: no such series.
-        """
+        """Return a series, (ticks, ...), read-only; raise KeyError if there is none of this name."""
         if name not in QUANTITIES:
             raise KeyError(f"{name}: expected one of {', '.join(QUANTITIES)}")
-        if name not in self._found:
-            values = np.array(self._values(name))
-            values.setflags(write=False)
-            self._found[name] = values
-        return self._found[name]
+        return self._arrays[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(QUANTITIES)
@@ -107,19 +95,6 @@ class RunSeries(Mapping[str, Array]):
     def __repr__(self) -> str:
         rows = [f"{name:22}{self[name].shape!s:14}{quantity.meaning}" for name, quantity in QUANTITIES.items()]
         return "\n".join([f"{len(self['time_s'])} ticks; name, shape, meaning:", *rows])
-
-    def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td><code>{name}</code></td><td>{self[name].shape}</td><td>{quantity.unit}</td>"
-            f"<td>{quantity.meaning}</td></tr>"
-            for name, quantity in QUANTITIES.items()
-        )
-        return f"<table><tr><th>name</th><th>shape</th><th>unit</th><th>meaning</th></tr>{rows}</table>"
-
-    @property
-    def source(self) -> Series:
-        """The series as the figures and metrics of the report use them."""
-        return self._series
 
     @public
     def unit(self, name: str) -> str:
@@ -150,65 +125,55 @@ class RunSeries(Mapping[str, Array]):
                 found[f"{name}[{label}]" if label else name] = values[(slice(None), *place)]
         return found
 
-    def _values(self, name: str) -> Array:
-        s, setup = self._series, self._setup
-        T, N = len(s.ticks), setup.system.N
-        uavs = s.x[:, state.PAYLOAD :].reshape(T, N, state.PER_UAV)
-        limits, on_rods = setup.settings.limits, s.on_rods[:, :, None]
-        commanded, rates = s.u.reshape(T, N, state.INPUTS)[:, :, 1:], setup.system.commands_rates
-        made: dict[str, Callable[[], Any]] = {
-            "time_s": lambda: s.times_s,
-            "payload_position_m": lambda: s.x[:, state.R0],
-            "payload_reference_m": lambda: s.payload_reference_I,
-            "payload_error_m": lambda: s.payload_error_I,
-            "payload_velocity_mps": lambda: s.payload_velocity_I,
-            "payload_attitude_deg": lambda: s.attitude_deg,
-            "payload_rate_radps": lambda: s.x[:, state.OMEGA0],
-            "uav_position_m": lambda: np.where(on_rods, s.uavs_I, np.nan),
-            "uav_reference_m": lambda: s.uav_references_I,
-            "uav_error_m": lambda: s.uav_errors_I,
-            "uav_attitude_deg": lambda: np.where(on_rods, np.degrees(uavs[:, :, state.THETA]), np.nan),
-            "thrust_N": lambda: s.u.reshape(T, N, state.INPUTS)[:, :, 0],
-            "thrust_limits_N": lambda: np.tile(limits.thrust_N, (T, 1)),
-            "moment_Nm": lambda: self._actual(lambda m: m.inputs[:, 1:], (N, 3)) if rates else commanded,
-            "cable_tension_N": lambda: self._actual(lambda m: m.tensions, (N,)),
-            "rate_command_radps": lambda: commanded if rates else np.full((T, N, 3), np.nan),
-            "moment_limit_Nm": lambda: np.tile(limits.moments_Nm, (T, 1)),
-            "separation_m": lambda: s.separation_m,
-            "clearance_m": lambda: s.clearance_m,
-            "cost": lambda: s.cost,
-            "constraint_violation": lambda: s.violation,
-        }
-        if name in made:
-            return np.asarray(made[name]())
-        if self._reports is None:
-            self._reports = self._of_reports()
-        return self._reports[name]
 
-    def _actual(self, part: Callable[[ActualInputs], Array], shape: tuple[int, ...]) -> Array:
-        """Return a part of the actual inputs at each tick, (T, *shape); NaN where they are missing."""
-        actual = {message.tick: found for message in self._log.of(ActualInputs) if len(found := part(message))}
-        missing = np.full(shape, np.nan)
-        return np.array([actual.get(int(tick), missing) for tick in self._series.ticks]).reshape(-1, *shape)
-
-    def _of_reports(self) -> dict[str, Array]:
-        """Return the series that come from the agents' reports."""
-        ticks, agents = self._series.ticks, self._setup.agents
-        shape = (len(ticks), len(agents))
-        found = {name: np.full(shape, np.nan) for name in ("plan_age_ticks", "plans_lost", "step_ms")}
-        found["estimated_force_N"] = np.full((*shape, 3), np.nan)
-        row_of = {int(tick): row for row, tick in enumerate(ticks)}
-        for report in self._log.of(StepReport):
-            row = row_of.get(report.tick)
-            if row is None or report.agent not in agents:
-                continue
-            place = row, report.agent - 1
-            ages = [age for age in report.plan_ages if age >= 0]
-            found["plan_age_ticks"][place] = max(ages, default=np.nan)
-            found["plans_lost"][place] = report.lost
-            found["step_ms"][place] = report.times_ms[-1]
-            found["estimated_force_N"][place] = report.force
-        return found
+def _arrays(setup: Setup, log: RunLog, s: Series) -> dict[str, Any]:
+    """Return the arrays of `QUANTITIES`."""
+    T, N, M = len(s.ticks), setup.system.N, len(setup.agents)
+    uavs, inputs = s.x[:, state.PAYLOAD :].reshape(T, N, state.PER_UAV), s.u.reshape(T, N, state.INPUTS)
+    limits, on_rods, missing = setup.settings.limits, s.on_rods[:, :, None], np.full((T, N, 3), np.nan)
+    moments_Nm, rates_radps, tensions_N = inputs[:, :, 1:], missing, missing[:, :, 0].copy()
+    if setup.system.commands_rates:
+        moments_Nm, rates_radps = missing.copy(), moments_Nm
+    row_of = {int(tick): row for row, tick in enumerate(s.ticks)}
+    for actual in log.of(ActualInputs):
+        row = row_of.get(actual.tick)
+        if row is not None and setup.system.commands_rates:
+            moments_Nm[row] = actual.inputs[:, 1:]
+        if row is not None and len(actual.tensions):
+            tensions_N[row] = actual.tensions
+    plan_ages, lost, step_ms, force_N = (np.full((T, M, *shape), np.nan) for shape in ((), (), (), (3,)))
+    for report in log.of(StepReport):
+        if report.tick in row_of and report.agent in setup.agents:
+            place = row_of[report.tick], report.agent - 1
+            plan_ages[place] = max((age for age in report.plan_ages if age >= 0), default=np.nan)
+            lost[place], step_ms[place], force_N[place] = report.lost, report.times_ms[-1], report.force
+    return {
+        "time_s": s.times_s,
+        "payload_position_m": s.x[:, state.R0],
+        "payload_reference_m": s.payload_reference_I,
+        "payload_error_m": s.payload_error_I,
+        "payload_velocity_mps": s.payload_velocity_I,
+        "payload_attitude_deg": s.attitude_deg,
+        "payload_rate_radps": s.x[:, state.OMEGA0],
+        "uav_position_m": np.where(on_rods, s.uavs_I, np.nan),
+        "uav_reference_m": s.uav_references_I,
+        "uav_error_m": s.uav_errors_I,
+        "uav_attitude_deg": np.where(on_rods, np.degrees(uavs[:, :, state.THETA]), np.nan),
+        "thrust_N": inputs[:, :, 0],
+        "thrust_limits_N": np.tile(limits.thrust_N, (T, 1)),
+        "moment_Nm": moments_Nm,
+        "moment_limit_Nm": np.tile(limits.moments_Nm, (T, 1)),
+        "rate_command_radps": rates_radps,
+        "cable_tension_N": tensions_N,
+        "separation_m": s.separation_m,
+        "clearance_m": s.clearance_m,
+        "cost": s.cost,
+        "constraint_violation": s.violation,
+        "plan_age_ticks": plan_ages,
+        "plans_lost": lost,
+        "estimated_force_N": force_N,
+        "step_ms": step_ms,
+    }
 
 
 def _known(name: str) -> Quantity:

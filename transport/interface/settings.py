@@ -1,6 +1,7 @@
 """Arguments of the Python interface: settings by dotted key or short name, file names, and errors about them."""
 
 import difflib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from importlib import import_module
@@ -10,6 +11,7 @@ from typing import Any, Literal, TypedDict, TypeVar, cast
 
 import numpy as np
 import tomli_w
+from rich.console import Console, RenderableType
 
 from protocol.scenario.errors import PythonSetting
 from protocol.scenario.files import path_problem
@@ -89,14 +91,6 @@ def key_of(name: str) -> str:
     raise ArgumentError(f"{name}: expected a dotted key such as 'links.delay_s' or a short name; {hint}")
 
 
-def setting(key: str, value: Any) -> str:
-    """Return a setting "dotted.key=value" with a TOML value, as the command line takes it.
-
-    Raises: ArgumentError: an unknown short name, or a value that TOML cannot hold.
-    """
-    return PythonSetting(f"{key_of(key)}={_toml(value, key)}")
-
-
 def settings_of(settings: Settings | None, short: Mapping[str, Any]) -> list[str]:
     """Return settings by dotted key, then keyword arguments, in the form of the command line.
 
@@ -121,12 +115,19 @@ def file_name(path: "str | PathLike[str]", argument: str) -> str:
 
     Raises: ArgumentError: neither text nor a path.
     """
-    if isinstance(path, str | PathLike):
-        problem = path_problem(str(path))
-        if problem:
-            raise ArgumentError(f"{argument}: expected the name of a file, got {str(path)!r:.60} ({problem})")
-        return str(path)
-    raise ArgumentError(f"{argument}: expected text or a path, got {type(path).__name__} {path!r:.60}")
+    if not isinstance(path, str | PathLike):
+        raise ArgumentError(f"{argument}: expected text or a path, got {type(path).__name__} {path!r:.60}")
+    if problem := path_problem(str(path)):
+        raise ArgumentError(f"{argument}: expected the name of a file, got {str(path)!r:.60} ({problem})")
+    return str(path)
+
+
+def printed(table: RenderableType, width: int) -> str:
+    """Return a table as text of a width, characters."""
+    console = Console(width=width, force_jupyter=False, force_terminal=False, no_color=True)
+    with console.capture() as capture:
+        console.print(table)
+    return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
 
 
 def require_pandas() -> Any:
@@ -144,7 +145,8 @@ def _toml(value: Any, name: str) -> str:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_bare(key, name)} = {_toml(part, name)}" for key, part in value.items()) + "}"
+        parts = (f"{json.dumps(str(key), ensure_ascii=False)} = {_toml(part, name)}" for key, part in value.items())
+        return f"{{{', '.join(parts)}}}"
     if isinstance(value, list | tuple | range):
         return f"[{', '.join(_toml(part, name) for part in value)}]"
     if isinstance(value, PathLike):
@@ -153,9 +155,3 @@ def _toml(value: Any, name: str) -> str:
         return tomli_w.dumps({"_": value}).removeprefix("_ = ").rstrip("\n")
     expected = "expected a number, text, true or false, or lists and dictionaries of these"
     raise ArgumentError(f"{name}: {expected}, got {type(value).__name__} {value!r:.60}")
-
-
-def _bare(key: Any, name: str) -> str:
-    if isinstance(key, str) and key.replace("_", "").isalnum() and key.isascii():
-        return key
-    raise ArgumentError(f"{name}: expected keys of letters, digits and underscores, got {key!r:.60}")

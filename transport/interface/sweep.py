@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from rich.console import Console
 
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
-from transport.experiments.declaration import Axis, Experiment, axis, quantity
+from transport.experiments.declaration import Experiment, axis, quantity
 from transport.experiments.figures import fill
 from transport.experiments.statistics import WIDTH, PointStatistics, means_in_words, table_of
 from transport.experiments.sweep import Results
@@ -22,7 +21,7 @@ from transport.flight.progress import compile_model
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.fly import console
 from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, file_name, key_of, public, require_pandas
+from transport.interface.settings import ArgumentError, file_name, key_of, printed, public, require_pandas
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,10 +69,14 @@ def sweep(
     values = _checked_grid(grid)
     if not isinstance(seeds, int) or seeds < 1:
         raise ArgumentError(f"seeds: expected a number >= 1, got {seeds!r}")
-    simulate = _simulator(workers)
-    points: list[Point] = []
-    cases: list[Case] = []
-    sizes: set[int] = set()
+    if isinstance(workers, str):
+        check_cluster(workers)
+        simulate: experiment_sweep.Simulate = partial(on_cluster, address=workers)
+    elif workers is None or (isinstance(workers, int) and workers >= 1):
+        simulate = partial(on_cores, jobs=workers)
+    else:
+        raise ArgumentError(f"workers: expected a number >= 1 or the address of a Dask cluster, got {workers!r}")
+    points, cases, sizes = list[Point](), list[Case](), set[int]()
     for label, scenario in _scenarios(base).items():
         for number, combination in enumerate(itertools.product(*values.values())):
             settings = dict(zip(values, combination, strict=True))
@@ -83,7 +86,8 @@ def sweep(
             cases += cases_of_point(len(points), changed.validated, changed.file, seeds)
             points.append(Point(scenario=label, labels=labels, text=text, baseline=number == 0))
             sizes.add(changed.setup.system.N)
-    experiment = Experiment(name=_NAME, points=tuple(points), x=_axis(next(iter(values))))
+    first = next(iter(values))
+    experiment = Experiment(name=_NAME, points=tuple(points), x=axis(first, key_of(first)))
     shown = console(shown=progress)
     target = None if folder is None else Path(file_name(folder, "folder"))
     with Results(_NAME, target) as results:
@@ -98,14 +102,11 @@ def sweep(
 
 
 class Sweep:
-    """The results of a sweep: a point for each combination of settings, and its runs.
-
-    Attributes:
-        points: Statistics of each point: means over completed runs with 95 % confidence intervals.
-    """
+    """The results of a sweep: a point for each combination of settings, and its runs."""
 
     def __init__(self, swept: experiment_sweep.Swept) -> None:
         self._swept = swept
+        # Statistics of each point: means over completed runs with 95 % confidence intervals.
         self.points: list[PointStatistics] = swept.measured
 
     def __len__(self) -> int:
@@ -116,10 +117,7 @@ class Sweep:
 
     def __str__(self) -> str:
         """Return the table that the commands `transport experiment` print."""
-        wide = Console(width=WIDTH, force_jupyter=False, force_terminal=False, no_color=True)
-        with wide.capture() as capture:
-            wide.print(table_of(means_in_words(self.points), self.points))
-        return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
+        return printed(table_of(means_in_words(self.points), self.points), WIDTH)
 
     @public
     def rows(self, table: Literal["points", "runs"] = "points") -> list[dict[str, Any]]:
@@ -165,33 +163,27 @@ class Sweep:
 
     def _drawn_as(self, x: str | None, kind: str) -> tuple[Experiment, list[PointStatistics]]:
         """Return the experiment with the axes of a figure, and the statistics with the labels it is drawn by."""
-        names = list(self._swept.experiment.points[0].labels)
+        points = self._swept.experiment.points
+        names = list(points[0].labels)
         along = names[0] if x is None else x
         if along not in names:
             raise ArgumentError(f"x: expected one of {', '.join(names)}, got {along!r}")
-        others = [name for name in names if name != along]
-        if kind == "map":
-            labels = [value for point in self._swept.experiment.points for value in point.labels.values()]
-            if len(others) != 1 or not all(isinstance(value, float) for value in labels):
-                raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
-            points = self._swept.experiment.points
-            across, up = _axis(along), _axis(others[0])
-            return Experiment(name=_NAME, points=points, x=across, y=up, drawn_as="map"), self.points
-        if kind != "curves":
+        if kind not in ("curves", "map"):
             raise ArgumentError(f"kind: expected 'curves' or 'map', got {kind!r}")
+        others, across = [name for name in names if name != along], axis(along, key_of(along))
+        if kind == "map":
+            if len(others) != 1 or any(isinstance(value, str) for point in points for value in point.labels.values()):
+                raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
+            up = axis(others[0], key_of(others[0]))
+            return Experiment(name=_NAME, points=points, x=across, y=up, drawn_as="map"), self.points
         measured = []
         for m in self.points:
             own: dict[str, str | float] = {along: m.point.labels[along]}
             if others:  # the settings that tell the curve
                 own[_CURVE] = ", ".join(quantity(key_of(name)).text(m.point.labels[name]) for name in others)
             measured.append(replace(m, point=replace(m.point, labels=own)))
-        points = tuple(m.point for m in measured)
-        return Experiment(name=_NAME, points=points, x=_axis(along), curves=_CURVE if others else None), measured
-
-
-def _axis(name: str) -> Axis:
-    """Return the axis of a setting, given by its key or its short name."""
-    return axis(name, key_of(name))
+        curves, drawn_points = _CURVE if others else None, tuple(m.point for m in measured)
+        return Experiment(name=_NAME, points=drawn_points, x=across, curves=curves), measured
 
 
 def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
@@ -223,24 +215,14 @@ def _label(value: Any) -> str | float:
 def _scenarios(base: "Base | Sequence[Base] | Mapping[str, Base]") -> dict[str, Scenario]:
     """Return the scenarios of a sweep by label."""
     if isinstance(base, Mapping):
-        found = {str(label): Scenario(one) for label, one in base.items()}
+        named = [(str(label), Scenario(one)) for label, one in base.items()]
     else:
         several = [base] if isinstance(base, str | PathLike | Scenario) else list(base)
-        scenarios = [Scenario(one) for one in several]
-        found = {scenario.name: scenario for scenario in scenarios}
-        if len(found) < len(scenarios):
-            names = ", ".join(scenario.name for scenario in scenarios)
-            raise ArgumentError(f"base: expected different names, or a dictionary with labels, got {names}")
+        named = [(scenario.name, scenario) for scenario in map(Scenario, several)]
+    found = dict(named)
+    if len(found) < len(named):
+        names = ", ".join(name for name, _ in named)
+        raise ArgumentError(f"base: expected different names, or a dictionary with labels, got {names}")
     if not found:
         raise ArgumentError("base: expected at least one scenario, got none")
     return found
-
-
-def _simulator(workers: int | str | None) -> experiment_sweep.Simulate:
-    """Return the function that simulates cases."""
-    if isinstance(workers, str):
-        check_cluster(workers)
-        return partial(on_cluster, address=workers)
-    if workers is not None and (not isinstance(workers, int) or workers < 1):
-        raise ArgumentError(f"workers: expected a number >= 1 or the address of a Dask cluster, got {workers!r}")
-    return partial(on_cores, jobs=workers)

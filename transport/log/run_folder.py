@@ -3,7 +3,6 @@
 Missing messages are found by gaps in the sequence numbers of each sender.
 """
 
-import os
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -13,23 +12,21 @@ from pathlib import Path
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import RECORDER
-from protocol.wire.messages import Control, Measurement, Message, Plan, PlantState, Rejected, StepReport
+from protocol.wire.messages import Control, Measurement, Plan, PlantState, Rejected, StepReport
 from protocol.wire.names import COORDINATOR
 from transport.log.run_log import RunLog, read_log
 
 # Folder whose runs have a link to the most recent one, and the name of the link.
 _RUNS, LATEST = "runs", "latest"
-# Reason of a run whose end was not recorded.
-END_NOT_RECORDED = "the outcome of the run did not reach the recorder"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedRun:
     """A recorded run."""
 
-    folder: Path  # the run folder
-    setup: Setup  # the run
-    log: RunLog  # its messages; `cut` names what the file lacks and what did not reach the recorder
+    folder: Path
+    setup: Setup
+    log: RunLog  # `cut` names what the file lacks and what did not reach the recorder
 
     @property
     def scenario_file(self) -> Path:
@@ -38,10 +35,7 @@ class RecordedRun:
 
 
 def open_run(folder: Path, *, horizons: bool = True, setup: Setup | None = None) -> RecordedRun:
-    """Read run.mcap of a run folder, with `horizons` as in `read_log`, and the run from scenario.toml unless given.
-
-    Raises: LogError: the log cannot be read; ScenarioError: the scenario cannot be read.
-    """
+    """Read run.mcap of a run folder, as `read_log`, and the run from scenario.toml, or raise ScenarioError."""
     path = folder / "run.mcap"
     if setup is None and path.exists():  # otherwise the folder is none of a run, which says more
         setup = setup_of(folder)
@@ -71,10 +65,7 @@ def missing(log: RunLog) -> str:
             merged[-1] = merged[-1][0], max(last, merged[-1][1])
         else:
             merged.append((first, last))
-    parts = [f"some messages of ticks {ranges(merged)}"] if merged else []
-    if any(control.reason == END_NOT_RECORDED for control in log.of(Control)):
-        parts.append(f"the rest of the run after tick {max(entry.message.tick for entry in log.messages)}")
-    return f"{' and '.join(parts)} did not reach the recorder" if parts else ""
+    return f"some messages of ticks {ranges(merged)} did not reach the recorder" if merged else ""
 
 
 def ranges(spans: Iterable[tuple[int, int]]) -> str:
@@ -101,43 +92,19 @@ def _gaps(log: RunLog) -> Iterator[tuple[int, int]]:
 def _unrecorded_end(log: RunLog) -> Iterator[tuple[int, int]]:
     """Yield first and last tick simulated after the last recorded plant state, if there are any."""
     recorded = max((plant_state.tick for plant_state in log.of(PlantState)), default=-1)
-    simulated = max((_simulated(entry.message) for entry in log.messages), default=-1)
+    # The plant measures at a tick after simulating the one before.
+    others = [message.tick - 1 for kind in (Measurement, Plan, StepReport) for message in log.of(kind)]
+    ends = [end.tick for end in log.of(Control) if end.outcome == "completed" and end.sender == COORDINATOR]
+    simulated = max([*others, *ends], default=-1)
     if simulated > recorded:
         yield recorded + 1, simulated
 
 
-def _simulated(message: Message) -> int:
-    """Return the last tick that the plant had simulated before a message, -1 for none."""
-    match message:
-        case Measurement() | Plan() | StepReport():
-            return message.tick - 1  # the plant measures at a tick after simulating the one before
-        case Control(outcome="completed") if message.sender == COORDINATOR:
-            return message.tick
-    return -1
-
-
 def point_latest(folder: Path) -> None:
-    """Point `latest` beside a run folder at it, if both are in a folder named `runs`.
-
-    The link is replaced atomically. Nothing happens where the system has no symbolic links, or something else has that
-    name.
-    """
+    """Point `latest` beside a run folder at it, if both are in a folder named `runs` and nothing else has that name."""
     link = folder.parent / LATEST
-    if folder.resolve().parent.name != _RUNS or folder.name == LATEST:
-        return
-    new = link.with_name(f".{LATEST}.{os.getpid()}")
-    with suppress(OSError, NotImplementedError):
-        new.symlink_to(folder.name, target_is_directory=True)
-        try:
-            if link.is_symlink() or not link.exists():
-                os.replace(new, link)
-        finally:
-            new.unlink(missing_ok=True)
-
-
-def forget_latest(folder: Path) -> None:
-    """Remove `latest` if it names a run folder that is removed."""
-    link = folder.parent / LATEST
-    with suppress(OSError):
-        if link.is_symlink() and link.readlink() == Path(folder.name):
-            link.unlink()
+    if folder.resolve().parent.name == _RUNS and folder.name != LATEST:
+        with suppress(OSError):
+            if link.is_symlink():
+                link.unlink()
+            link.symlink_to(folder.name, target_is_directory=True)

@@ -2,14 +2,13 @@
 
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar, cast
 
 import msgspec
-from mcap.records import Channel
+from mcap.exceptions import McapError
 
 from protocol.admission.gate import Gate
 from protocol.scenario.file import ScenarioError, validate
@@ -18,26 +17,21 @@ from protocol.wire.codec import VERSION, decode
 from protocol.wire.errors import TransportError
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import KINDS, LinkChange, Message, MessageError, Plan, Target
-from transport.log.parser import Parser, UnreadableError
+from transport.log.parser import Parser
 
 # Name of the metadata record that describes the run.
 METADATA = "run"
 # Encoding of the bytes of messages (docs/protocol.md); a log of another version of the protocol has another.
 ENCODING = f"payload-transport/{VERSION}"
 # Beginning of the channels of messages that the recorder made; no message from the network can be there.
-OWN = f"/{RECORDER}/"
+_OWN = f"/{RECORDER}/"
 
-KEYS = Keys("log")
-
-
-def is_known(channel: Channel) -> bool:
-    """Return whether this version reads a channel."""
-    return channel.message_encoding == ENCODING
+_KEYS = Keys("log")
 
 
 def channel_of(message: Message) -> str:
     """Return the channel in which a message is in the log if it came alone."""
-    return OWN + message.kind if message.sender == RECORDER else KEYS.of(message).removeprefix(KEYS.prefix)
+    return _OWN + message.kind if message.sender == RECORDER else _KEYS.of(message).removeprefix(_KEYS.prefix)
 
 
 def topic_of(message: Message) -> str:
@@ -47,7 +41,7 @@ def topic_of(message: Message) -> str:
             return f"/{message.kind}"
         case Plan(agent=agent):  # has two keys
             return f"/{message.kind}/{agent}"
-    return KEYS.of(message).removeprefix(KEYS.prefix)
+    return _KEYS.of(message).removeprefix(_KEYS.prefix)
 
 
 def kind_of(topic: str) -> str:
@@ -102,22 +96,14 @@ class LogTail:
 
     The log holds what came, also what was forged, repeated or garbled. Every message passes the gate of the run,
     without checks of the moment. Refused ones are counted and reported in the name of the recorder. Without the setup
-    of the run, sizes, agents and plausibility are not checked.
-
-    Args:
-        path: The file, which need not exist yet.
-        kinds: Kinds of messages to return.
-        setup: The run, if it is known already; otherwise it is taken from the header of the log.
-
-    Attributes:
-        parser: Parser of the file.
-        unknown: Descriptions of the entries that are not of this version.
+    of the run, which is taken from the header unless given, sizes, agents and plausibility are not checked. The file
+    need not exist yet; `read` returns the given kinds of messages.
     """
 
     def __init__(
         self, path: Path, kinds: Collection[str] | Mapping[str, object] = KINDS, setup: Setup | None = None
     ) -> None:
-        self.parser, self.unknown = Parser(path), list[str]()
+        self.parser, self.unknown = Parser(path), list[str]()  # descriptions of the entries of other versions
         self._path, self._wanted, self._setup = path, frozenset(kinds), setup
         self._gate: Gate | None = None
 
@@ -129,7 +115,7 @@ class LogTail:
     def read(self) -> list[Message]:
         """Return the new messages, in order; a record written only in part waits for the next call.
 
-        Raises: LogError: the file cannot be read, or would become too large.
+        Raises: LogError: the file cannot be read.
         """
         if self.ended or not self._path.exists():
             return []
@@ -143,40 +129,41 @@ class LogTail:
 
         Raises: LogError: as of `read`, or there is no such file.
         """
-        with reading(self._path):
-            for channel, data, received_ns in self.parser.entries():
-                if not is_known(channel):
-                    encoding = channel.message_encoding
-                    self.unknown.append(f"a channel {channel.topic!r} with encoding {encoding!r}")
+        try:
+            for channel, entry in self.parser.entries():
+                if channel.message_encoding != ENCODING:
+                    self.unknown.append(f"a channel {channel.topic!r} with encoding {channel.message_encoding!r}")
                     continue
-                if self._gate is None:
-                    setup = self._setup or setup_in(self.parser.metadata.get(METADATA, {}), self._path.parent)
-                    # The log of an in-memory run has no bundles.
-                    shape = None if setup is None else replace(setup.shape, relayed=False)
-                    self._gate = Gate(RECORDER, KEYS, shape)
                 try:
-                    for message in _accepted(self._gate, channel.topic, data, received_ns):
-                        yield Recorded(message=message, received_ns=received_ns)
+                    for message in self._accepted(channel.topic, entry.data, entry.publish_time):
+                        yield Recorded(message=message, received_ns=entry.publish_time)
                 except MessageError as error:
                     self.unknown.append(f"{channel.topic}: {error}")
+        except OSError as error:
+            raise LogError(f"{self._path}: cannot read the log ({error.strerror or error})") from error
+        except McapError as error:
+            raise LogError(f"{self._path}: {error}") from error
 
     def last_notices(self) -> list[Message]:
         """Return what is to be said at the end of the log."""
         return [] if self._gate is None else list(self._gate.last_notices(0))
 
+    def _accepted(self, topic: str, data: bytes, at_ns: int) -> Iterator[Message]:
+        """Yield the messages of an entry that arrived at a time, ns.
 
-def _accepted(gate: Gate, topic: str, data: bytes, at_ns: int) -> Iterator[Message]:
-    """Yield the messages of an entry that arrived at a time, ns.
-
-    Raises: MessageError: the recorder did not write this.
-    """
-    if topic.startswith(OWN):
-        yield decode(data)
-    else:
-        for message in gate.accept(KEYS.prefix + topic, data):
+        Raises: MessageError: the recorder did not write this.
+        """
+        if topic.startswith(_OWN):
+            yield decode(data)
+            return
+        if self._gate is None:
+            setup = self._setup or setup_in(self.parser.metadata.get(METADATA, {}), self._path.parent)
+            # The log of an in-memory run has no bundles.
+            self._gate = Gate(RECORDER, _KEYS, None if setup is None else replace(setup.shape, relayed=False))
+        for message in self._gate.accept(_KEYS.prefix + topic, data):
             if isinstance(message, Message):
                 yield message
-        yield from gate.notices(at_ns, 0)
+        yield from self._gate.notices(at_ns, 0)
 
 
 def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:
@@ -195,30 +182,22 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
     """Read all that can be read of a log, each message checked as by a receiver of the run (`LogTail`).
 
     A file cut or damaged anywhere behind its first bytes gives the messages of every intact chunk and a sentence in
-    `cut`. Messages equal the sent ones bit for bit.
+    `cut`. Messages equal the sent ones bit for bit. Without `horizons` plans have their first step only and no
+    corrections, which saves most of the memory.
 
-    Args:
-        path: The file.
-        horizons: Keep whole plans. Otherwise plans have their first step only and no corrections, which saves most of
-            the memory.
-        setup: The run, if it is known already; otherwise it is taken from the header of the log.
-    Raises: LogError: no such file, not an MCAP file, one that would become too large, or not the log of a run.
+    Raises: LogError: no such file, not an MCAP file, or not the log of a run.
     """
     tail = LogTail(path, setup=setup)
     messages: list[Recorded] = []
     for entry in tail.entries():
-        message = entry.message
-        if not horizons and isinstance(message, Plan):
-            message = msgspec.structs.replace(
-                message, inputs=message.inputs[:1].copy(), corrections=message.corrections[:0]
-            )
-            entry = replace(entry, message=message)
+        plan = entry.message
+        if not horizons and isinstance(plan, Plan):
+            shortened = {"inputs": plan.inputs[:1].copy(), "corrections": plan.corrections[:0]}
+            entry = replace(entry, message=msgspec.structs.replace(plan, **shortened))
         messages.append(entry)
     last_ns = messages[-1].received_ns if messages else 0
     messages += [Recorded(message=notice, received_ns=last_ns) for notice in tail.last_notices()]
-    parser, unknown = tail.parser, tail.unknown
-    with reading(path):
-        is_whole = parser.is_whole()
+    parser, unknown, is_whole = tail.parser, tail.unknown, tail.parser.is_whole()
     header = parser.metadata.get(METADATA)
     if header is None and is_whole and not parser.damaged:
         raise LogError(f'{path}: an MCAP file, but not the log of a run (no metadata record "{METADATA}")')
@@ -235,14 +214,3 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
         readable = f"{len(messages)} messages are readable, up to tick {last}" if messages else "no message is readable"
         cut = f"the log is incomplete ({'; '.join(problems)}): {readable}"
     return RunLog(header=header or {}, messages=tuple(messages), cut=cut)
-
-
-@contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Turn a failed reading of a file into a LogError."""
-    try:
-        yield
-    except OSError as error:
-        raise LogError(f"{path}: cannot read the log ({error.strerror or error})") from error
-    except UnreadableError as error:
-        raise LogError(f"{path}: {error}") from error

@@ -36,9 +36,6 @@ SENSED_NAMES = (
 INPUT_NAMES = ("thrust_N", "moment_x_Nm", "moment_y_Nm", "moment_z_Nm")
 RATE_NAMES = ("thrust_N", "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 
-# Endings of names and the units they stand for, longest first.
-_UNITS = {"_m_s2": "m/s²", "_rad_s": "rad/s", "_m_s": "m/s", "_Nm": "N m", "_rad": "rad", "_N": "N", "_m": "m"}
-
 # Array fields, spread over several columns or rows.
 _SPREAD = {
     Measurement.kind: ("payload", "uavs", "uav_states", "inputs"),
@@ -145,11 +142,3 @@ def _over_horizon(prefix: str, commands: tuple[str, ...], sequence: Array) -> Ro
         for name, values in zip(commands, sequence.T, strict=True)
         for step, value in enumerate(values)
     }
-
-
-def split_unit(name: str) -> tuple[str, str]:
-    """Return a readable name and its unit, empty for none: "moment x" and "N m" for "moment_x_Nm"."""
-    for ending, unit in _UNITS.items():
-        if name.endswith(ending):
-            return name.removesuffix(ending).replace("_", " "), unit
-    return name.replace("_", " "), ""

@@ -5,10 +5,8 @@ is scenario time, `publish_time` is when the recorder received the message. The 
 messages, describes the run. `transport log export` makes files for other programs.
 """
 
-import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from errno import EIO, ENOENT
 from pathlib import Path
 
 from mcap.writer import CompressionType, IndexType, Writer
@@ -35,25 +33,15 @@ class LogWriter:
     """Writes the log of one run. The file can be read at any moment; a kill loses at most the unfinished chunk.
 
     After a failed write the file is closed as it is, as no reader would find a record behind one that was written in
-    part. With `say` the failure is told, and further messages are dropped; without it, it raises LogError.
-
-    Args:
-        path: File to create.
-        header: Metadata of the run, as `read_log` returns it.
-        period_ns: Sampling period, ns: converts ticks to log times.
-        say: Function called with a sentence about a failure.
-
-    Attributes:
-        lost: Why messages are dropped; empty as long as all are written.
-        is_up_to_date: Whether all messages are in the file.
-
-    Raises: LogError: the file cannot be created.
+    part. With `say` the failure is told, and further messages are dropped; without it, it raises LogError, as does a
+    file that cannot be created.
     """
 
     def __init__(
         self, path: Path, header: Mapping[str, str], *, period_ns: int, say: Callable[[str], None] | None = None
     ) -> None:
-        self.lost, self.is_up_to_date = "", True
+        self.lost = ""  # why messages are dropped
+        self.is_up_to_date = True  # whether all messages are in the file
         self._path, self._period_ns, self._say = path, period_ns, say
         self._channels: dict[str, int] = {}
         self._begun_ns = self._bytes = 0  # of the unfinished chunk
@@ -72,7 +60,6 @@ class LogWriter:
             self._file.flush()
         except OSError as error:
             raise self._error(error) from error
-        self._size = self._file.tell()  # of the file, as far as it was flushed
 
     def __enter__(self) -> "LogWriter":
         return self
@@ -81,34 +68,24 @@ class LogWriter:
         self.close()
 
     def write(self, message: Message, received_ns: int) -> None:
-        """Append a message of this process, or one that was checked, received at a wall-clock time, ns since 1970.
-
-        Raises: LogError: the file cannot be written, or is closed.
-        """
+        """Append a message of this process, or one that was checked, received at a wall-clock time, ns since 1970."""
         self.add(channel_of(message), encode(message), message, received_ns)
 
     def add(self, topic: str, data: bytes, header: Header | Message, received_ns: int) -> None:
-        """Append a message as it came, with its header, to the channel of its key.
-
-        Raises: LogError: the file cannot be written, or is closed.
-        """
-        if self._file.closed:
-            if self._say is None:
-                raise LogError(f"{self._path}: the log is closed, got an entry of {topic}")
-            return
+        """Append a message as it came, with its header, to the channel of its key."""
         received_ns = min(max(received_ns, 0), LAST_TIME_NS)
         if received_ns - self._begun_ns > _CHUNK_NS:
             self.flush()
-            if self.lost:
-                return
+        if self._file.closed:
+            return
         with self._guarded():
             if self.is_up_to_date:
                 self._begun_ns = received_ns
-            channel = self._channels.get(topic)
-            if channel is None:
-                channel = self._channels[topic] = self._writer.register_channel(topic, ENCODING, 0)
+            if topic not in self._channels:
+                self._channels[topic] = self._writer.register_channel(topic, ENCODING, 0)
             log_ns = min(max(header.tick * self._period_ns, 0), LAST_TIME_NS)
-            self._writer.add_message(channel, log_ns, data, received_ns, header.sequence % SEQUENCES)
+            sequence = header.sequence % SEQUENCES
+            self._writer.add_message(self._channels[topic], log_ns, data, received_ns, sequence)
             self._bytes += len(data)
             self.is_up_to_date = False
         # The end of the run and its faults must not wait for the closing of the log.
@@ -116,40 +93,20 @@ class LogWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Finish the chunk: all messages are in the file, for live readers and against kills.
-
-        Raises: LogError: the file cannot be written.
-        """
+        """Finish the chunk: all messages are in the file, for live readers and against kills."""
         if not self.is_up_to_date:
             with self._guarded():
-                self._check()
                 self._writer.flush()  # type: ignore[no-untyped-call]
                 self._file.flush()
-                self._size, self._bytes, self.is_up_to_date = self._file.tell(), 0, True
+                self._bytes, self.is_up_to_date = 0, True
 
     def close(self) -> None:
-        """Write the summary and close the file; a second time, or after a failure, does nothing.
-
-        Raises: LogError: the file cannot be written.
-        """
+        """Write the summary and close the file; a second time, or after a failure, does nothing."""
         if not self._file.closed:
             with self._guarded():
-                self._check()
                 self._writer.finish()  # type: ignore[no-untyped-call]
                 self._file.close()
             self.is_up_to_date = True
-
-    def _check(self) -> None:
-        """Raise OSError if the file at the path is another one, or was cut: writing to it would not fail."""
-        own = os.fstat(self._file.fileno())
-        try:
-            is_there = os.path.samestat(self._path.stat(), own)
-        except OSError:
-            is_there = False
-        if not is_there:
-            raise OSError(ENOENT, "the file was removed")
-        if own.st_size < self._size:
-            raise OSError(EIO, "the file was cut")
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:

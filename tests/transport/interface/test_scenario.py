@@ -116,7 +116,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"source": "resilent"}, "did you mean 'resilient'"),
     ({"source": "missing.toml"}, "no such file"),
     ({"source": 3}, "scenario: expected text or a path, got int"),
-    ({"settings": {"faults.event": [{1: 2}]}}, "faults.event: expected keys of letters"),
+    ({"settings": {"faults.event": [{1: 2}]}}, "faults.event.1.1: unknown key"),
     ({"settings": {"delay": 1}}, "did you mean 'delay_s'"),
     ({"settings": {"links.delay_s": 0.1}, "delay_s": 0.1}, "delay_s: expected each key once, got links.delay_s twice"),
     ({"horizn": 3}, "horizn: expected a dotted key such as 'links.delay_s' or a short name; did you mean 'horizon'"),
