@@ -8,7 +8,6 @@ order anything arrives.
 import hashlib
 import json
 import math
-from bisect import bisect_right
 from collections.abc import Collection, Iterable, Mapping
 from operator import itemgetter
 from typing import Any
@@ -16,11 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator, Philox
-from pydantic import ValidationError
 
 from model.arrays import Array
-from protocol.scenario.errors import first_problem
-from protocol.scenario.keys import UNITS, key_of, out_of_range
+from protocol.scenario.errors import ScenarioError, validated
+from protocol.scenario.keys import UNITS, key_of
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
 from protocol.wire.messages import LinkChange, MessageError
 from protocol.wire.names import PLANT
@@ -29,7 +27,7 @@ Key = npt.NDArray[np.uint64]
 
 
 def draw_key(*purpose: object) -> Key:
-    """Return the key of an independent stream of random numbers for the seed of a run and a purpose, (2,) uint64."""
+    """Return the key of an independent stream of random numbers, for the seed of a run and a purpose, (2,) uint64."""
     digest = hashlib.sha256("/".join(map(str, purpose)).encode()).digest()
     return np.frombuffer(digest[:16], dtype="<u8")
 
@@ -111,11 +109,9 @@ class Link:
         """
         if change.covers(self.sender, self.receiver):
             given = {key: getattr(change, key) for key in change.model_fields_set & LinkSection.model_fields.keys()}
-            at = bisect_right(self._changes, tick, key=itemgetter(0))
-            self._changes.insert(at, (tick, given))
-            # Sections before it stay as they are; usually it is the latest.
-            del self._sections[1 + at :]
-            for start, keys in self._changes[at:]:
+            self._changes = sorted([*self._changes, (tick, given)], key=itemgetter(0))
+            del self._sections[1:]
+            for start, keys in self._changes:
                 section = self._sections[-1][1].model_copy(update=keys)
                 self._sections.append((start, section, section.perfect))
 
@@ -153,9 +149,7 @@ class Link:
     def usable_ticks(self, tick: int, after: int = 1) -> list[int]:
         """Return the ticks from which the message of a tick can be used: the first at or after its arrival.
 
-        Args:
-            tick: The message's.
-            after: Ticks that a message needs over a perfect link: 1 for what is used at the next tick.
+        Over a perfect link it needs `after` ticks: 1 for what is used at the next tick.
         """
         if not self._partitions and self._in_force(tick)[1]:
             return [tick + after]
@@ -175,13 +169,13 @@ class Link:
 
     def _in_burst(self, tick: int) -> bool:
         """Return whether the Gilbert-Elliott chain, which starts in the good state, is in the bad one at a tick."""
-        while len(self._bad) <= tick:
-            k, was_bad = len(self._bad), bool(self._bad) and self._bad[-1]
-            bursts = self.impairments(k).gilbert_elliott
-            if was_bad:
-                self._bad.append(bursts is not None and self._draw(k, stream=_CHAIN)[0] >= bursts.leave)
+        for k in range(len(self._bad), tick + 1):
+            was_bad, bursts = k > 0 and self._bad[-1], self.impairments(k).gilbert_elliott
+            if bursts is None or not (was_bad or bursts.enter):
+                self._bad.append(False)
             else:
-                self._bad.append(bool(bursts and bursts.enter and self._draw(k, stream=_CHAIN)[0] < bursts.enter))
+                draw = self._draw(k, stream=_CHAIN)[0]
+                self._bad.append(bool(draw >= bursts.leave if was_bad else draw < bursts.enter))
         return self._bad[tick]
 
     def _delay(self, section: LinkSection, uniform: Array) -> float:
@@ -217,23 +211,15 @@ class LinkChanges:
         """
         if message.number > self._applied + 1:
             raise MessageError("future", f"change {message.number} of the links after {self._applied}")
-        told_change(message, self._samples_s)
+        link_change(message.source, message.target, message.settings, self._samples_s)
 
     def apply(self, message: LinkChange) -> None:
         """Apply a change, unless it was repeated for a process that has just joined."""
         if message.number == self._applied + 1:
-            change = told_change(message, self._samples_s)
+            change = link_change(message.source, message.target, message.settings, self._samples_s)
             self._applied += 1
             for link in self._links:
                 link.change(message.tick, change)
-
-
-def told_change(message: LinkChange, samples_s: Mapping[str, tuple[float, ...]]) -> LinkOverrideSection:
-    """Return the change of links in a message of the coordinator; measured delays are given by file name.
-
-    Raises: LinkError: it cannot be applied.
-    """
-    return link_change(message.source, message.target, message.settings, samples_s)
 
 
 def link_change(source: str, target: str, settings: str, samples: Collection[str] | None = None) -> LinkOverrideSection:
@@ -251,15 +237,12 @@ def link_change(source: str, target: str, settings: str, samples: Collection[str
         raise LinkError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
     ends = {key: name for key, name in (("from", source), ("to", target)) if name}
     try:
-        change = LinkOverrideSection.model_validate({**given, **ends})
-    except ValidationError as error:
-        raise LinkError(str(first_problem(error, "", LinkOverrideSection))) from error
-    for field, problem in out_of_range(change):
-        raise LinkError(f"{field}: {problem}")
+        change = validated(LinkOverrideSection, {**given, **ends})
+    except ScenarioError as error:
+        raise LinkError(str(error)) from error
     if (change.samples is not None) != (change.distribution == "empirical"):
-        raise LinkError(
-            f"samples: expected a file with distribution empirical and with no other, got {change.samples!r}"
-        )
+        expected = "expected a file with distribution empirical and with no other"
+        raise LinkError(f"samples: {expected}, got {change.samples!r}")
     if change.samples is not None and samples is not None and change.samples not in samples:
         known = ", ".join(sorted(samples)) or "none"
         raise LinkError(f"samples: expected a file that the scenario names ({known}), got {change.samples!r}")
@@ -278,10 +261,7 @@ def words_of(change: LinkChange) -> str:
 def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> str:
     """Return a change of links in words, such as "links from agent1 to agent2: delay 0.2 s, loss 30 %".
 
-    Args:
-        source: Name of the sender, empty for any agent.
-        target: Name of the receiver, empty for any agent.
-        settings: Valid keys and values of a link; all of `PERFECT` are a cleared link.
+    Empty names are any agents; all of `PERFECT` as settings are a cleared link.
     """
     ends = (f" from {source}" if source else "") + (f" to {target}" if target else "")
     links = f"links{ends or ' between agents'}"
@@ -291,7 +271,6 @@ def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> st
 
 
 def _words(key: str, value: Any) -> str:
-    """Return a key of a link and its new value in words."""
     template = key_of(LinkSection.model_fields[key]).words
     if key == "gilbert_elliott":
         if value is None or not value["enter"]:
@@ -299,6 +278,4 @@ def _words(key: str, value: Any) -> str:
         return f"burst loss, entered with {100.0 * value['enter']:g} % and left with {100.0 * value['leave']:g} %"
     if value is None:
         return f"no {key}"
-    if template:
-        return template.format(100.0 * value if "%" in template else value)
-    return f"{key} {value}"
+    return template.format(100.0 * value if "%" in template else value) if template else f"{key} {value}"

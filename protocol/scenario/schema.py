@@ -5,17 +5,19 @@ Every process of a run reads the same file. The docstring of a field is its mean
 
 import hashlib
 import json
+from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from annotated_types import Interval
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 from pydantic_core import PydanticCustomError
 
 from model.curves import Curve, ShapeKind
 from model.maneuver import PhaseKind, Profile
 from model.parameters import GRAVITY
 from mpc.settings import ControllerSettings, Key, NotNegative, Positive, PositiveVector, Section, Vector
+from protocol.scenario.files import TableError, way_of
 from protocol.scenario.link_sections import LinksSection
 from protocol.scenario.own_class import is_class_name
 from protocol.scenario.plant_sections import PlantSection
@@ -139,21 +141,30 @@ class PhaseSection(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _timed(cls, value: Any) -> Any:
-        """Fill in duration and displacement of a curve; fields that make none are refused by their own checks."""
+    def _timed(cls, value: Any, info: ValidationInfo) -> Any:
+        """Read the file; fill in duration and displacement of a table and a curve where their fields are valid."""
+        if isinstance(value, dict) and isinstance(value.get("file"), str):
+            for key in ("duration_s", "displacement_m", "way"):
+                if key in value:
+                    raise TableError(f"expected no {key} next to `file`, which defines it")
+            way = way_of(Path(info.context or "") / value["file"])
+            value = {key: given for key, given in value.items() if key != "file"} | {"way": way}
         try:
+            if value.get("way"):
+                duration_s, *displacement_m = value["way"][-1]
+                return {"duration_s": duration_s, "displacement_m": displacement_m, **value}
             given = cls.model_construct(**value)
             if given.kind in get_args(ShapeKind):
-                duration_s = value.get("duration_s", 2.0 * given.ramp_s)
                 if given.times_s is not None:
-                    duration_s = given.times_s[-1]
+                    value = {**value, "duration_s": float(given.times_s[-1])}
                 elif given.speed_mps is not None:
                     duration_s = _curve(given, 2.0 * given.ramp_s).fastest() / given.speed_mps + given.ramp_s
+                    value = {**value, "duration_s": float(duration_s)}
+                duration_s = value.get("duration_s", 2.0 * given.ramp_s)
                 end_m = _curve(given, duration_s).path(np.array([duration_s]), 1)[0, 0].tolist()
-                timed = "duration_s" in value or given.times_s is not None or given.speed_mps is not None
-                return {"displacement_m": end_m, **value, **({"duration_s": float(duration_s)} if timed else {})}
+                value = {"displacement_m": end_m, **value}
         except (TypeError, ValueError, AttributeError, IndexError):
-            pass
+            pass  # a wrong field is refused by its own check
         return value
 
     def curve(self) -> Curve | None:

@@ -4,31 +4,32 @@ The coordinator decides the timing once, so that every process makes the same re
 """
 
 import math
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations, pairwise
 from operator import itemgetter
-from typing import Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from model.arrays import Array
 from model.curves import ORDERS, Curve
 from model.flat import LEAST_TENSION, MOST_TILT, flight, slowed
 from model.hover import Hover
-from model.maneuver import Maneuver, Target
+from model.maneuver import Target
 from model.parameters import System, resting_height
 from model.state import INPUTS, StateView
 from mpc.settings import ControllerSettings
-from protocol.scenario.errors import first_problem
-from protocol.scenario.keys import out_of_range
-from protocol.scenario.schema import FURTHEST_M, Scenario, TargetSection
+from protocol.scenario.errors import ScenarioError, validated
+from protocol.scenario.schema import FURTHEST_M, TargetSection
 from protocol.wire import messages
 from protocol.wire.message import MessageError
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox
+
+if TYPE_CHECKING:
+    from protocol.scenario.setup import Setup
 
 # Largest slowing tried, and relative accuracy of the one found.
 _SLOWEST = 64.0
@@ -105,28 +106,6 @@ _ON_GROUND_M = 1e-3
 _SLACK = 1e-9
 
 
-class Run(Protocol):
-    """A run as targets need it (`Setup`, which checks its own)."""
-
-    @property
-    def scenario(self) -> Scenario: ...  # noqa: D102
-    @property
-    def system(self) -> System: ...  # noqa: D102
-    @property
-    def hover(self) -> Hover: ...  # noqa: D102
-    @property
-    def settings(self) -> ControllerSettings: ...  # noqa: D102
-    @property
-    def maneuver(self) -> Maneuver: ...  # noqa: D102
-    @property
-    def ticks(self) -> int: ...  # noqa: D102
-    def blocked(self, times_s: Array) -> tuple[int, str] | None: ...  # noqa: D102
-    def headed(self, target: Target, key: Hashable) -> Self: ...  # noqa: D102
-
-
-R = TypeVar("R", bound=Run)
-
-
 class TargetError(MessageError):
     """A target that cannot be flown; the text says what was expected and what came."""
 
@@ -140,11 +119,9 @@ def asked(given: Mapping[str, Any]) -> TargetSection:
     Raises: TargetError: it is not valid, whatever the run.
     """
     try:
-        section = TargetSection.model_validate(dict(given))
-    except ValidationError as error:
-        raise TargetError(str(first_problem(error, "", TargetSection))) from error
-    for field, problem in out_of_range(section):
-        raise TargetError(f"{field}: {problem}")
+        section = validated(TargetSection, dict(given))
+    except ScenarioError as error:
+        raise TargetError(str(error)) from error
     times_s = section.times_s
     if times_s is not None and (
         len(times_s) != len(section.points_m) or any(b <= a for a, b in pairwise(times_s)) or section.speed_mps
@@ -166,13 +143,13 @@ def target_of(message: messages.Target, period_s: float) -> Target:
     return Target(since_s=message.tick * period_s, point_I=first, approach=approach, way=way)
 
 
-def headed(setup: R, message: messages.Target) -> R:
+def headed(setup: "Setup", message: messages.Target) -> "Setup":
     """Return a run with the target in a message."""
     key = (message.number, message.tick, message.points.tobytes(), message.approach_s, message.way_s)
     return setup.headed(target_of(message, setup.settings.sampling_period_s), key)
 
 
-def with_targets(setup: R, found: Iterable[messages.Target]) -> R:
+def with_targets(setup: "Setup", found: Iterable[messages.Target]) -> "Setup":
     """Return a run with the targets of its log, each once, in the order of their numbers."""
     for message in found:
         if message.number == len(setup.maneuver.targets) + 1:
@@ -182,7 +159,7 @@ def with_targets(setup: R, found: Iterable[messages.Target]) -> R:
     return setup
 
 
-def check_target(setup: Run, message: messages.Target) -> None:
+def check_target(setup: "Setup", message: messages.Target) -> None:
     """Check that a target is the next one of a run, or one that is repeated, and that its numbers make a path.
 
     Raises: MessageError: with the reason.
@@ -208,14 +185,14 @@ def target_in_words(message: messages.Target) -> str:
     return f"target ({x:g}, {y:g}, {z:g}) m{further}"
 
 
-def scripted(setup: Run) -> list[tuple[int, TargetSection]]:
+def scripted(setup: "Setup") -> list[tuple[int, TargetSection]]:
     """Return the targets of a scenario with their ticks, in the order of time."""
     period_s, sections = setup.settings.sampling_period_s, setup.scenario.maneuver.target
     found = [(math.ceil(section.at_s / period_s - _SLACK), section) for section in sections]
     return sorted(found, key=itemgetter(0))
 
 
-def check_scripted(setup: Run) -> None:
+def check_scripted(setup: "Setup") -> None:
     """Check that the targets of a scenario can be flown one after the other.
 
     Raises: TargetError: one cannot.
@@ -226,7 +203,7 @@ def check_scripted(setup: Run) -> None:
         setup = headed(setup, out.stamp(messages.Target, number=number, **planned(setup, section, tick)))
 
 
-def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
+def planned(setup: "Setup", section: TargetSection, tick: int) -> dict[str, Any]:
     """Return the numbers of the message for a target from a tick on.
 
     Raises: TargetError: it cannot be flown.
@@ -264,7 +241,7 @@ def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
     return found
 
 
-def _check_places(setup: Run, points: Array, since_s: float) -> None:
+def _check_places(setup: "Setup", points: Array, since_s: float) -> None:
     """Check that points are in reach and above the ground, and that the payload flies.
 
     Without a ground in the plant, none may be below z = 0 unless the payload has been as low.
@@ -287,7 +264,7 @@ def _check_places(setup: Run, points: Array, since_s: float) -> None:
         raise TargetError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")
 
 
-def _approach(setup: Run, point_I: Array, since_s: float, speed_mps: float) -> Curve:
+def _approach(setup: "Setup", point_I: Array, since_s: float, speed_mps: float) -> Curve:
     """Return the approach of a target: the fastest of those tried that keeps the limits."""
     maneuver, flat = setup.maneuver, setup.scenario.maneuver.reference == "flat"
     here_I, end_I = maneuver.path(np.array([since_s, maneuver.duration_s]))[0]
@@ -309,7 +286,7 @@ def _approach(setup: Run, point_I: Array, since_s: float, speed_mps: float) -> C
     raise TargetError(f"points_m: {wrong}")
 
 
-def _way(setup: Run, further: Array, section: TargetSection) -> Curve:
+def _way(setup: "Setup", further: Array, section: TargetSection) -> Curve:
     """Return the curve through way points relative to the target."""
     if section.times_s is not None:
         times_s = [time_s - section.times_s[0] for time_s in section.times_s[1:]]
@@ -345,6 +322,6 @@ def _instants(duration_s: float, period_s: float) -> Array:
     return np.linspace(0.0, duration_s, max(2, math.ceil(duration_s / period_s)) + 1)
 
 
-def _last_s(setup: Run) -> float:
+def _last_s(setup: "Setup") -> float:
     """Return the time of the last sampling instant."""
     return (setup.ticks - 1) * setup.settings.sampling_period_s
