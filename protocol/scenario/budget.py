@@ -44,7 +44,6 @@ class Budget:
     variables: int  # of the largest agent's QP
     rows: int  # of that QP, without the user's constraints on inputs
     relay_bytes: float  # largest message: all plans and reports of a tick
-    agent_bytes: float  # memory of the largest agent
     process_bytes: float  # memory of the largest process: an agent, the plant, or the report after the run
     total_bytes: float  # memory of all processes
     worker_bytes: float  # memory of one process that simulates the whole run, as in a sweep
@@ -77,7 +76,9 @@ def estimate(scenario: Scenario) -> Budget:
     measurement = _FLOAT * (PAYLOAD + (PER_UAV + INPUTS) * own) + 60.0 + 3.0 * M
     plant_state = _FLOAT * (n + INPUTS * N) + 60.0
     tick_bytes = M * (plan * controller.negotiation_iterations + report + measurement) + plant_state
-    if _are_motors_recorded(scenario):
+    motors = scenario.plant.motors
+    has_degraded = any(event.do == "degrade" for event in scenario.faults.event)
+    if motors.lag_s or motors.thrust_step_N or motors.rotors or has_degraded:  # the log has the actual inputs
         tick_bytes += (_FLOAT * INPUTS + 1.0) * N + 60.0
 
     instants = ticks + horizon + 2
@@ -88,19 +89,19 @@ def estimate(scenario: Scenario) -> Budget:
     base_bytes = BASE_BYTES + _MODEL_BYTES * N
     agent_bytes = base_bytes + path_bytes + matrix_bytes
     report_bytes = base_bytes + ticks * (M * _REPORTED_BYTES + 6.0 * _FLOAT * n)
-    plant = scenario.plant
-    step_s = min(plant.step_s, plant.mujoco.step_s) if plant.engine == "mujoco" else plant.step_s
-    rest_bytes = 4 * base_bytes  # plant, coordinator, recorder, fork server
+    plant_step_s = scenario.plant.step_s
+    if scenario.plant.engine == "mujoco":
+        plant_step_s = min(plant_step_s, scenario.plant.mujoco.step_s)
     return Budget(
         ticks=ticks,
-        plant_steps=_plant_steps(scenario, step_s),
+        plant_steps=math.ceil(controller.sampling_period_s / plant_step_s - 1e-9),
         variables=variables,
         rows=rows,
         relay_bytes=M * (plan + report + 60.0) + 200.0,
-        agent_bytes=agent_bytes,
         process_bytes=max(agent_bytes, report_bytes),
-        total_bytes=M * agent_bytes + rest_bytes + (report_bytes - base_bytes),
-        worker_bytes=base_bytes + M * (agent_bytes - base_bytes) + ticks * tick_bytes + (report_bytes - base_bytes),
+        # Plant, coordinator, recorder, fork server besides.
+        total_bytes=M * agent_bytes + 3 * base_bytes + report_bytes,
+        worker_bytes=M * (agent_bytes - base_bytes) + ticks * tick_bytes + report_bytes,
         log_bytes=_COMPRESSED * ticks * tick_bytes,
         step_s=controller.negotiation_iterations
         * (6e-4 + 7e-8 * states**2 + 1.5e-8 * rows * variables + 3.4e-11 * variables**3),
@@ -121,8 +122,7 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
     """
     found = estimate(scenario)
     size = "maneuver.phase" if found.ticks > 20 * found.variables else "controller.horizon"
-    is_mujoco = found.plant_steps > _plant_steps(scenario, scenario.plant.step_s)
-    steps = "plant.mujoco.step_s" if is_mujoco else "plant.step_s"
+    steps = "plant.mujoco.step_s" if scenario.plant.engine == "mujoco" else "plant.step_s"
     for field, got, most, unit, shown in (
         ("maneuver.phase", found.ticks, MOST_TICKS, "sampling periods", ",d"),
         (steps, found.plant_steps, MOST_PLANT_STEPS, "integration steps per sampling period", ",d"),
@@ -141,17 +141,6 @@ def most_workers(scenarios: Iterable[Scenario]) -> int:
     """Return how many processes that each simulate one of these runs fit into the memory of a run, at least one."""
     largest = max((estimate(scenario).worker_bytes for scenario in scenarios), default=BASE_BYTES)
     return max(1, int(MOST_TOTAL_BYTES // largest))
-
-
-def _are_motors_recorded(scenario: Scenario) -> bool:
-    """Return whether the log has the actual inputs: the motors are not ideal, as `plant.motors.Motors` decides."""
-    motors, events = scenario.plant.motors, scenario.faults.event
-    fails = any(event.do == "degrade" for event in events)
-    return bool(motors.lag_s or motors.thrust_step_N or motors.rotors or fails)
-
-
-def _plant_steps(scenario: Scenario, step_s: float) -> int:
-    return math.ceil(scenario.controller.sampling_period_s / step_s - 1e-9)
 
 
 def _program(scenario: Scenario, own: int) -> tuple[int, int]:

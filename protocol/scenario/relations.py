@@ -112,7 +112,9 @@ def _ownership(scenario: Scenario) -> Problems:
 
 def _links(scenario: Scenario) -> Problems:
     links, names = scenario.links, _processes(scenario)
-    ends = [(f"links.partition.{i}.between", name) for i, p in enumerate(links.partition, start=1) for name in p.between]
+    ends = [
+        (f"links.partition.{i}.between", name) for i, p in enumerate(links.partition, start=1) for name in p.between
+    ]
     for place, section in links.all().items():
         field = f"links.{place}" if place else "links"
         if isinstance(section, LinkOverrideSection):

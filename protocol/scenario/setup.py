@@ -1,7 +1,7 @@
 """Objects of a run, built from its scenario by every process, identically."""
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import combinations
@@ -19,7 +19,7 @@ from model.hover import Hover, hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference, Target
 from model.obstacles import Obstacle, Solid, bodies, clearances
-from model.parameters import Payload, System, Uav, resting_height
+from model.parameters import ParameterError, Payload, System, Uav, resting_height
 from model.state import INPUTS, PAYLOAD, REPORTED, REPORTS, SENSED
 from mpc.cost import UserCosts
 from mpc.fail_safe import FailSafe
@@ -38,6 +38,9 @@ from protocol.wire.messages import Measurement, Plan
 from protocol.wire.names import PLANT
 from protocol.wire.run_shape import RunShape
 
+# Field of a scenario; expected and got.
+Problems = Iterator[tuple[str, str]]
+
 # How far a payload that takes off or lands may be from the ground, m.
 _ON_GROUND_M = 1e-3
 
@@ -47,19 +50,12 @@ _FRAME_BYTES = 16 * 1024
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorSheet:
-    """Data sheet of the vehicles' own sensors: position, velocity, attitude, body rates, specific force.
+    """Data sheet of the vehicles' own sensors: position, velocity, attitude, body rates, specific force."""
 
-    Attributes:
-        vehicle: Whether agents have these sensors, not states.
-        noise: Standard deviations, (5,), SI.
-        bias: Standard deviations of the constant errors, (5,), SI.
-        ages: Sampling periods from a quantity to its measurement.
-    """
-
-    vehicle: bool
-    noise: Array
-    bias: Array
-    ages: tuple[int, ...]
+    vehicle: bool  # whether agents have these sensors, not states
+    noise: Array  # standard deviations, (5,), SI
+    bias: Array  # standard deviations of the constant errors, (5,), SI
+    ages: tuple[int, ...]  # sampling periods from a quantity to its measurement
 
 
 @dataclass(frozen=True)
@@ -80,23 +76,22 @@ class Setup:
 
         Raises: ScenarioError: a body, path or setting is impossible; naming file, field, expected, got.
         """
-        body = scenario.system.payload
+        section, inner = scenario.system, scenario.controller
+        body, gains = section.payload, None if inner.inputs == "moments" else 1.0 / np.array(inner.rate_time_constant_s)
         payload = building(source, "system.payload", lambda: Payload(mass=body.mass_kg, inertia=body.inertia_kgm2))
-        uavs = [building(source, f"system.uav.{section.id}", partial(_uav, section)) for section in scenario.system.uav]
-        gravity = scenario.system.gravity_mps2
-        inner = scenario.controller
-        gains = None if inner.inputs == "moments" else 1.0 / np.array(inner.rate_time_constant_s)
+        uavs = [building(source, f"system.uav.{uav.id}", partial(_uav, uav)) for uav in section.uav]
         system = building(
-            source, "system", lambda: System(payload=payload, uavs=uavs, gravity=gravity, rate_gains=gains)
+            source,
+            "system",
+            lambda: System(payload=payload, uavs=uavs, gravity=section.gravity_mps2, rate_gains=gains),
         )
         equilibrium = building(source, "system.uav", lambda: hover(system))
-        maneuver = building(source, "maneuver", lambda: _maneuver(scenario))
         settings = building(source, "controller", lambda: _settings(scenario))
         setup = Setup(
             scenario=scenario,
             system=system,
             hover=equilibrium,
-            maneuver=maneuver,
+            maneuver=building(source, "maneuver", lambda: _maneuver(scenario)),
             settings=settings,
             owned=tuple(tuple(uav - 1 for uav in group) for group in scenario.owned),
             samples_s=_samples(scenario, source),
@@ -104,10 +99,9 @@ class Setup:
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraint, system))
         building(source, "controller.cost", lambda: UserCosts(settings.cost, setup.model).about(equilibrium.x))
         building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
-        setup._check_ground(source)
-        setup._check_hover_is_possible(source)
-        setup._check_flight(source)
-        setup._check_obstacles(source)
+        for check in (setup._off_ground, setup._off_hover, setup._off_limits, setup._off_obstacles):
+            for key, problem in check():
+                raise ScenarioError(source, key, problem)
         try:
             check_scripted(setup)
         except TargetError as error:
@@ -138,10 +132,9 @@ class Setup:
     @cached_property
     def track(self) -> Track | None:
         """States and inputs along a flat reference at the instants of `X_ref`; None with a hover reference."""
-        reference = self.reference
-        if isinstance(reference, Reference):
+        if isinstance(self.reference, Reference):
             return None
-        return reference.track(len(self._instants_s()), self.settings.sampling_period_s)
+        return self.reference.track(len(self._instants_s()), self.settings.sampling_period_s)
 
     @cached_property
     def Y_ref(self) -> Array:
@@ -159,10 +152,7 @@ class Setup:
         return None
 
     def headed(self, target: Target, key: Hashable) -> Self:
-        """Return this run with a target; the reference before it is the same bit for bit.
-
-        `key` distinguishes the target from others.
-        """
+        """Return this run with a target, which `key` distinguishes from others; the reference before it is the same."""
         leads = "X_ref" in self.__dict__  # where controllers are
         known: Self | None = self._headed.get((key, leads))
         if known is None:
@@ -201,14 +191,12 @@ class Setup:
     @cached_property
     def sensors(self) -> SensorSheet:
         """Data sheet of the vehicles' own sensors, which the filters of the agents know."""
-        noise = self.scenario.plant.noise
-        bias, late, of = noise.bias, noise.delay, ("position_m", "velocity_mps", "attitude_rad", "rate_rads")
-        delays_s = (late.position_s, late.velocity_s, late.attitude_s, late.rate_s, late.specific_force_s)
+        noise, period_s = self.scenario.plant.noise, self.settings.sampling_period_s
         return SensorSheet(
             vehicle=self.scenario.plant.sensors == "vehicle",
-            noise=np.array([getattr(noise, key) for key in (*of, "specific_force_mps2")]),
-            bias=np.array([getattr(bias, key) for key in (*of, "specific_force_mps2")]),
-            ages=tuple(round(delay_s / self.settings.sampling_period_s) for delay_s in delays_s),
+            noise=np.array([getattr(noise, key) for key in type(noise.bias).model_fields]),
+            bias=np.array(list(noise.bias.model_dump().values())),
+            ages=tuple(round(delay_s / period_s) for delay_s in noise.delay.model_dump().values()),
         )
 
     @property
@@ -279,8 +267,8 @@ class Setup:
 
     def doubts(self) -> list[str]:
         """Return the phases that exceed the vehicles' thrust, one line each: they take longer than planned."""
-        limits, mass = self.settings.limits, self.system.payload.mass + sum(uav.mass for uav in self.system.uavs)
-        weight, (least, most) = mass * self.system.gravity, np.multiply(self.system.N, limits.thrust_N)
+        mass = self.system.payload.mass + sum(uav.mass for uav in self.system.uavs)
+        weight, (least, most) = mass * self.system.gravity, np.multiply(self.system.N, self.settings.limits.thrust_N)
         sideways, up, down = math.sqrt(most**2 - weight**2) / mass, (most - weight) / mass, (weight - least) / mass
         found = []
         for phase in self.maneuver.phases:
@@ -293,17 +281,16 @@ class Setup:
                 found.append(f"phase {phase.name!r}: {asked}; at full thrust it takes {takes_s:.1f} s")
         return found
 
-    def _check_ground(self, source: str) -> None:
-        """Check that take-offs begin and landings end on the ground, and that no path leads below it."""
+    def _off_ground(self) -> Problems:
+        """Yield take-offs that do not begin and landings that do not end on the ground, and paths below it."""
         ground_m = self.scenario.plant.ground_m
         if ground_m is None:
             return  # without take-offs and landings: protocol.scenario.relations
         resting_m = resting_height(self.system, ground_m)
-        where = "where the payload stands on the ground"
+        at = f"z = {resting_m:g} m, where the payload stands on the ground"
         height_m = float(self.maneuver.start_I[2])
         if height_m > resting_m + _ON_GROUND_M:
-            expected = f"expected z of at most {resting_m:g} m, {where}, got {height_m:g}"
-            raise ScenarioError(source, "maneuver.start_m", expected)
+            yield "maneuver.start_m", f"expected a start above {at}, got {height_m:g}"
         for number, phase in enumerate(self.maneuver.phases, start=1):
             before_m, height_m = height_m, height_m + float(phase.displacement_I[2])
             lowest_m = height_m if phase.way is None else before_m + float(phase.way[:, 3].max())
@@ -316,36 +303,34 @@ class Setup:
                 ("a path above", lowest_m, lowest_m > resting_m + _ON_GROUND_M),
             ):
                 if wrong:
-                    expected = f"expected {what} z = {resting_m:g} m, {where}, got {got_m:g}"
-                    raise ScenarioError(source, f"maneuver.phase.{number}", expected)
+                    yield f"maneuver.phase.{number}", f"expected {what} {at}, got {got_m:g}"
 
-    def _check_flight(self, source: str) -> None:
-        """Check that a flat reference keeps the limits; if not, offer the least slowing with which it does."""
+    def _off_limits(self) -> Problems:
+        """Yield how a flat reference exceeds the limits, and the least slowing with which it does not."""
         if self.scenario.maneuver.reference == "hover":
             return
-        path = building(source, "maneuver.profile", lambda: self.maneuver.jets(self._instants_s()))
-        released: frozenset[int] = frozenset()
-        teams = [("maneuver.phase", 0, released)]
-        for tick, what, uav in uav_faults(self.faults):
-            if what == "release":
-                released |= {uav}
-                teams.append(("faults.event", tick, released))
-        for key, since, gone in teams:
-            system, equilibrium = with_released(self.system, gone), self.hover
-            if gone:
-                equilibrium = building(source, key, partial(failed_hover, self.system, gone, gone))
-            if wrong := exceeded(path[:, since:], system, equilibrium, self.settings, gone):
-                # After slowing, the release may be anywhere on the path.
-                factor = least_slowing(path, system, equilibrium, self.settings, gone)
-                remedy = "" if factor is None else f"; feasible if all phases take {factor:.3f} times as long"
-                raise ScenarioError(source, key, wrong + remedy)
+        releases = [(tick, uav) for tick, what, uav in uav_faults(self.faults) if what == "release"]
+        key = "maneuver.profile"
+        try:
+            path = self.maneuver.jets(self._instants_s())
+            for count in range(len(releases) + 1):
+                key, since = ("faults.event", releases[count - 1][0]) if count else ("maneuver.phase", 0)
+                gone = frozenset(uav for _, uav in releases[:count])
+                team = with_released(self.system, gone), failed_hover(self.system, gone, gone) if gone else self.hover
+                if wrong := exceeded(path[:, since:], *team, self.settings, gone):
+                    # After slowing, the release may be anywhere on the path.
+                    factor = least_slowing(path, *team, self.settings, gone)
+                    remedy = "" if factor is None else f"; feasible if all phases take {factor:.3f} times as long"
+                    yield key, wrong + remedy
+        except ParameterError as error:
+            yield key, str(error)
 
-    def _check_obstacles(self, source: str) -> None:
-        """Check that the reference keeps the margins of all obstacles at the sampling instants."""
+    def _off_obstacles(self) -> Problems:
+        """Yield the obstacle whose margins the reference does not keep at the sampling instants."""
         if blocked := self.blocked(self._instants_s()):
             number, wrong = blocked
             remedy = "move the path or the obstacle, or lean the rods (maneuver.phase.formation)"
-            raise ScenarioError(source, f"obstacle.{number}", f"{wrong}; slowing does not help: {remedy}")
+            yield f"obstacle.{number}", f"{wrong}; slowing does not help: {remedy}"
 
     def blocked(self, times_s: Array) -> tuple[int, str] | None:
         """Return the first obstacle whose margins the reference does not keep, from 1, and got and expected."""
@@ -359,31 +344,28 @@ class Setup:
                 return number, f"{wrong}, got {max(float(clear_m[row, body]), 0.0):.3g} m at {times_s[row]:g} s"
         return None
 
-    def _check_hover_is_possible(self, source: str) -> None:
-        """Check that hover is within the limits on thrust and on the distance of UAVs."""
-        thrusts_N, rotors = self.hover.u[::4], self.scenario.plant.motors.rotors
-        ranges = [(1.0, "controller.limits.thrust_N", self.settings.limits.thrust_N)]
-        ranges += [(0.25, "plant.motors.rotors.thrust_N", rotors.thrust_N)] if rotors else []
-        for share, key, (low, high) in ranges:
-            for uav, thrust in enumerate(share * thrusts_N, start=1):
-                if not low <= thrust <= high:
-                    hover = f"the hover thrust {thrust:.2f} N of UAV{uav}"
-                    quarter = f"a quarter of the hover thrust of UAV{uav}, {thrust:.2f} N"
-                    expected = f"expected a range that contains {hover if share == 1.0 else quarter}"
-                    raise ScenarioError(source, key, f"{expected}, got {[low, high]}")
+    def _off_hover(self) -> Problems:
+        """Yield limits on thrust, tension or the distance of UAVs that hover exceeds."""
+        thrusts_N, rotors, limits = self.hover.u[::4], self.scenario.plant.motors.rotors, self.settings.limits.thrust_N
+        for uav, thrust_N in enumerate(thrusts_N, start=1):
+            if not limits[0] <= thrust_N <= limits[1]:
+                expected = f"expected a range that contains the hover thrust {thrust_N:.2f} N of UAV{uav}"
+                yield "controller.limits.thrust_N", f"{expected}, got {list(limits)}"
+            if rotors and not rotors.thrust_N[0] <= thrust_N / 4.0 <= rotors.thrust_N[1]:
+                expected = f"a quarter of the hover thrust of UAV{uav}, {thrust_N / 4.0:.2f} N"
+                got = f"got {list(rotors.thrust_N)}"
+                yield "plant.motors.rotors.thrust_N", f"expected a range that contains {expected}, {got}"
         tension, least_N = self.settings.tension, float(self.hover.tensions.min())
         if tension is not None and least_N <= tension.minimum_N:
             expected = f"expected less than the {least_N:.2f} N at hover"
-            raise ScenarioError(source, "controller.tension.minimum_N", f"{expected}, got {tension.minimum_N}")
+            yield "controller.tension.minimum_N", f"{expected}, got {tension.minimum_N}"
         separation = self.settings.separation
-        if separation is None or self.system.N < 2:
-            return
         r = self.model.outputs(self.hover.x)[: 3 * self.system.N].reshape(-1, 3)
-        pairs = combinations(range(len(r)), 2)
-        distance, i, j = min((float(np.linalg.norm(r[i] - r[j])), i, j) for i, j in pairs)
-        if distance < separation.minimum_m:
-            expected = f"expected at most the {distance:.3f} m between UAV{i + 1} and UAV{j + 1} at hover"
-            raise ScenarioError(source, "controller.separation.minimum_m", f"{expected}, got {separation.minimum_m}")
+        for i, j in combinations(range(len(r)), 2):
+            distance_m = float(np.linalg.norm(r[i] - r[j]))
+            if separation is not None and distance_m < separation.minimum_m:
+                expected = f"expected at most the {distance_m:.3f} m between UAV{i + 1} and UAV{j + 1} at hover"
+                yield "controller.separation.minimum_m", f"{expected}, got {separation.minimum_m}"
 
 
 def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:

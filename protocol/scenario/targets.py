@@ -4,7 +4,7 @@ The coordinator decides the timing once, so that every process makes the same re
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations, pairwise
@@ -84,9 +84,10 @@ def least_slowing(
     path: Array, system: System, hover: Hover, settings: ControllerSettings, released: Collection[int] = ()
 ) -> float | None:
     """Return the least factor on all durations with which the team keeps all limits; None if none does."""
-    fits: Callable[[float], bool] = lambda factor: (  # noqa: E731
-        exceeded(slowed(path, factor), system, hover, settings, released) is None
-    )
+
+    def fits(factor: float) -> bool:
+        return exceeded(slowed(path, factor), system, hover, settings, released) is None
+
     low, high = 1.0, 2.0
     while not fits(high):
         if high >= _SLOWEST:
@@ -213,32 +214,29 @@ def planned(setup: "Setup", section: TargetSection, tick: int) -> dict[str, Any]
     _check_places(setup, points, since_s)
     speed_mps = section.speed_mps or SPEED_MPS
     approach = _approach(setup, points[0], since_s, speed_mps)
-    found: dict[str, Any] = {
-        "tick": tick,
-        "points": points,
-        "times": np.zeros(len(points)),
-        "approach_s": approach.duration_s,
-        "approach_ramp_s": approach.ramp_s,
-        "way_s": 0.0,
-        "way_ramp_s": 0.0,
-    }
-    way = None
+    way, times = None, np.zeros(len(points))
     if len(points) > 1:
         way = _way(setup, points[1:] - points[0], section)
-        found |= {"way_s": way.duration_s, "way_ramp_s": way.ramp_s}
         if way.times_s is not None:
-            found["times"][1:] = way.times_s
+            times[1:] = way.times_s
         _check_places(setup, points[0] + way.path(_instants(way.duration_s, period_s), 1)[0], since_s)
-    ends_s = since_s + found["approach_s"] + found["way_s"]
+    ends_s = since_s + approach.duration_s + (way.duration_s if way else 0.0)
     if ends_s > _last_s(setup):
-        raise TargetError(
-            f"expected a target before the end of the run at t = {_last_s(setup):.2f} s, got {ends_s:.2f} s"
-        )
+        expected = f"expected a target before the end of the run at t = {_last_s(setup):.2f} s"
+        raise TargetError(f"{expected}, got {ends_s:.2f} s")
     if setup.scenario.obstacle:
         led = setup.headed(Target(since_s=since_s, point_I=points[0], approach=approach, way=way), object())
         if blocked := led.blocked(np.arange(since_s, ends_s + period_s, period_s)):
             raise TargetError(f"points_m: {blocked[1]}")
-    return found
+    return {
+        "tick": tick,
+        "points": points,
+        "times": times,
+        "approach_s": approach.duration_s,
+        "approach_ramp_s": approach.ramp_s,
+        "way_s": way.duration_s if way else 0.0,
+        "way_ramp_s": way.ramp_s if way else 0.0,
+    }
 
 
 def _check_places(setup: "Setup", points: Array, since_s: float) -> None:
@@ -249,18 +247,15 @@ def _check_places(setup: "Setup", points: Array, since_s: float) -> None:
     if np.abs(points).max() > FURTHEST_M:
         raise TargetError(f"points_m: expected at most {FURTHEST_M:g} m, got {np.abs(points).max():g}")
     ground_m = setup.scenario.plant.ground_m
+    flown = setup.maneuver.path(np.array([0.0, since_s]))[0]
     if ground_m is None:
-        lowest_m = max(0.0, *setup.maneuver.path(np.array([0.0, since_s]))[0][:, 2])
-        if points[:, 2].max() > lowest_m + _SLACK:
-            expected = f"expected z of at most {lowest_m:g} m, as z points down"
-            raise TargetError(f"points_m: {expected}, got {points[:, 2].max():g}")
-        return
-    resting_m = resting_height(setup.system, ground_m)
-    if points[:, 2].max() > resting_m + _SLACK:
-        expected = f"expected z of at most {resting_m:g} m, where the payload stands on the ground"
-        raise TargetError(f"points_m: {expected}, got {points[:, 2].max():g}")
-    phase, place_I = setup.maneuver.phase_at(since_s), setup.maneuver.path(np.array([since_s]))[0][0]
-    if phase.kind in ("take_off", "land") or place_I[2] > resting_m - _ON_GROUND_M:
+        lowest_m, why = max(0.0, *flown[:, 2]), "as z points down"
+    else:
+        lowest_m, why = resting_height(setup.system, ground_m), "where the payload stands on the ground"
+    if points[:, 2].max() > lowest_m + _SLACK:
+        raise TargetError(f"points_m: expected z of at most {lowest_m:g} m, {why}, got {points[:, 2].max():g}")
+    phase = setup.maneuver.phase_at(since_s)
+    if ground_m is not None and (phase.kind in ("take_off", "land") or flown[1, 2] > lowest_m - _ON_GROUND_M):
         raise TargetError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")
 
 

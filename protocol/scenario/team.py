@@ -131,7 +131,7 @@ def resized(
         tree = _merged(tree, {"controller": chosen.controller, "plant": chosen.plant})
         basis = f"{template.name}-{chosen.name}"
     tree["name"] = f"{basis}-{uavs}" if name is None else name
-    team = ring(uavs, template.system.gravity_mps2, chosen and chosen.uav, load_kg)
+    team = ring(uavs, template.system.gravity_mps2, chosen.uav if chosen else None, load_kg)
     tree["system"] = team.model_dump(mode="json")
     tree["agents"] = {"owned": [ids[i : i + group] for i in range(0, uavs, group)]}
     return validate(tree, source)

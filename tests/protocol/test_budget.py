@@ -111,7 +111,7 @@ def test_a_relay_beyond_the_largest_message_is_refused_in_any_case() -> None:
     """Relayed plans of a tick that no receiver accepts in one message are refused also with `allow_large`."""
     path, settings = find_scenario("resilient"), ["controller.horizon=10000"]
     team = resized(read_scenario(path), path.parent, 32, group=None, name=None, source="resilient")
-    with pytest.raises(ScenarioError, match=r"set a shorter horizon") as caught:
+    with pytest.raises(ScenarioError, match=r"controller.horizon: expected plans of a tick") as caught:
         validate({**team.tree(), "controller": {**team.tree()["controller"], "horizon": 10_000}}, "many")
     assert f"{MAX_BYTES:,}" in str(caught.value)
     assert read_scenario(path, settings, allow_large=True)  # four UAVs fit

@@ -101,13 +101,14 @@ def test_a_path_that_is_not_there_is_refused(tmp_path: Path) -> None:
     """A missing file, a folder or bytes are named as such, with the setting if it gave the name."""
     path = written(tmp_path, csv(QUARTER))
     with pytest.raises(
-        ScenarioError, match=r"^--set maneuver.phase.2.file=no.csv: maneuver.phase.2: cannot read .*no.csv \(No such file"
+        ScenarioError,
+        match=r"^--set maneuver.phase.2.file=no.csv: maneuver.phase.2: cannot read .*no.csv \(No such file",
     ):
         read_scenario(path, ["maneuver.phase.2.file=no.csv"])
     with pytest.raises(ScenarioError, match=r"cannot read .* \(Is a directory\)"):
         read_scenario(path, ["maneuver.phase.2.file=."])
     (tmp_path / "way.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ScenarioError, match="cannot read .* .'utf-8' codec can't decode"):
+    with pytest.raises(ScenarioError, match=r"cannot read .* .'utf-8' codec can't decode"):
         read_scenario(path)
 
 

@@ -173,7 +173,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ),
     (
         ("plant.engine=mujoco", "plant.ground_m=-12.0"),
-        "maneuver.start_m: expected z of at most -12.125 m, where the payload stands on the ground, got -10",
+        "maneuver.start_m: expected a start above z = -12.125 m, where the payload stands on the ground, got -10",
     ),
     (
         ("maneuver.phase.4.displacement_m=[0.0,0.0,20.0]", *GROUND),
