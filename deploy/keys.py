@@ -1,4 +1,4 @@
-"""Keys of a deployment: an authority and a certificate for each name, or passwords.
+"""Keys of a deployment: an authority and a certificate for each name.
 
 The folder holds all keys and is not copied to hosts; `transport deploy render` gives each host its own part.
 """
@@ -6,7 +6,7 @@ The folder holds all keys and is not copied to hosts; `transport deploy render` 
 import ipaddress
 import os
 import secrets
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from protocol.network.security import AUTHORITY, USERS
+from protocol.network.security import AUTHORITY
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER
 
 # The authority's own key, needed to sign further certificates; no host has it.
@@ -30,7 +30,6 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 # Clocks of hosts may differ: a certificate is valid from some time before it was made.
 _BEFORE = timedelta(days=2)
-_PASSWORD_BYTES = 24
 
 
 class KeysError(ValueError):
@@ -66,31 +65,12 @@ def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days
             file.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
 
 
-def make_passwords(folder: Path, names: Iterable[str]) -> None:
-    """Make a password for each name that has none, and the list of passwords for the router.
-
-    Raises: KeysError: the folder cannot be written to.
-    """
-    with _writing(folder):
-        for name in names:
-            file = folder / f"{name}.password"
-            if not file.exists():
-                _write_private(file, f"{secrets.token_urlsafe(_PASSWORD_BYTES)}\n".encode())
-        files = sorted(folder.glob("*.password"))
-        lines = [f"{file.stem}:{file.read_text(encoding='utf-8').strip()}\n" for file in files]
-        (folder / USERS).unlink(missing_ok=True)
-        _write_private(folder / USERS, "".join(lines).encode())
-
-
 def files_of(folder: Path, name: str) -> list[Path]:
     """Return the files of a folder of keys that the host of a name needs.
 
     Raises: KeysError: a file is missing.
     """
-    if (folder / AUTHORITY).exists():
-        wanted = [folder / AUTHORITY, folder / f"{name}.pem", folder / f"{name}.key"]
-    else:
-        wanted = [folder / f"{name}.password", *([folder / USERS] if name == ROUTER else [])]
+    wanted = [folder / AUTHORITY, folder / f"{name}.pem", folder / f"{name}.key"]
     for file in wanted:
         if not file.is_file():
             raise KeysError(f"--keys: expected the file {file}, got none (transport deploy keys)")
@@ -174,10 +154,6 @@ def _write_key(file: Path, key: ec.EllipticCurvePrivateKey) -> None:
     text = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
-    _write_private(file, text)
-
-
-def _write_private(file: Path, content: bytes) -> None:
-    """Write a file that only its owner can read, from the first byte on."""
+    # Only its owner can read it, from the first byte on.
     with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
-        stream.write(content)
+        stream.write(text)

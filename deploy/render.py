@@ -17,7 +17,7 @@ from deploy.keys import files_of
 from protocol.network.endpoints import process_names
 from protocol.network.parent import ENVIRONMENT
 from protocol.network.process import PATIENCE_S
-from protocol.network.security import AUTHORITY, Security
+from protocol.network.security import Security
 from protocol.network.session import configuration
 from protocol.scenario.files import write_delays
 from protocol.scenario.setup import Setup
@@ -50,10 +50,7 @@ def render(setup: Setup, inventory: Inventory, keys: Path | None, out: Path, *, 
         raise RenderError("--keys: expected a folder of keys, or insecure = true in the inventory, got neither")
     if out.exists():
         raise RenderError(f"--out: expected a folder that does not exist yet, got {out}")
-    scheme = "tls" if keys is not None and (keys / AUTHORITY).exists() else "tcp"
-    if keys is not None and scheme == "tcp" and not inventory.routers:
-        raise RenderError("--keys: expected a host that runs a router with passwords, which only a router can check")
-    placed = placements(inventory, process_names(setup.scenario), scheme)
+    placed = placements(inventory, process_names(setup.scenario), "tcp" if keys is None else "tls")
     wanted = {host.name: _keys(keys, host, placed) for host in inventory.host}
     for host in inventory.host:
         etc = (out / host.name).resolve() if in_place else ETC
@@ -149,9 +146,7 @@ def _write_configurations(
         text = json.dumps(configuration(place, patience_s, name, keys), indent=1, ensure_ascii=False)
         if source is not None:
             text = text.replace(str(source.resolve()), str(etc / "keys"))
-        file = folder / "zenoh" / f"{name}.json5"
-        file.touch(mode=0o600)  # it may contain a password
-        file.write_text(f"{text}\n", encoding="utf-8")
+        (folder / "zenoh" / f"{name}.json5").write_text(f"{text}\n", encoding="utf-8")
 
 
 def _keys(keys: Path | None, host: Host, placed: Sequence[Placement]) -> list[Path]:

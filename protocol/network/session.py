@@ -111,7 +111,7 @@ def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }
     if endpoints.security is not None:
-        secure = endpoints.security.configuration(name, keys.prefix, mode=endpoints.mode)
+        secure = endpoints.security.configuration(name, keys.prefix)
         transport = secure["transport"]
         found["transport"]["link"] |= transport.pop("link", {})
         found["transport"] |= transport

@@ -388,7 +388,7 @@ class NetworkSection(Section):
     """address of a router such as `tls/192.0.2.1:7447`: all processes are its clients and none listens
     ([deploy.md](deploy.md#topologies))"""
     keys: Annotated[str, Field(pattern=r"^[^\x00]*$")] | None = None
-    """folder of certificates or passwords, relative to the current folder: TLS and access control on every link
+    """folder of certificates, relative to the current folder: TLS and access control on every link
     ([deploy.md](deploy.md#access-control))"""
     insecure: bool = False
     """true: listen unencrypted on an address that other hosts can reach"""

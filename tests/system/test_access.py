@@ -183,7 +183,7 @@ def test_rights_to_request() -> None:
 
 def test_rights_to_put() -> None:
     """By the access rules only the owner of a key may put a message on it."""
-    rules = access_control(TEAM, KEYS.prefix, "cert_common_names")
+    rules = access_control(TEAM, KEYS.prefix)
     assert (rules["enabled"], rules["default_permission"]) == (True, "deny")
     assert all(rule["permission"] == "allow" for rule in rules["rules"])
     by_id = {rule["id"]: rule for rule in rules["rules"]}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from protocol.network.endpoints import Endpoints, endpoints_of_all, process_names
+from protocol.network.endpoints import Endpoints, mesh, process_names
 from protocol.network.process import Place
 from protocol.network.security import Security, SecurityError
 from protocol.network.session import BusError, check_usable
@@ -241,7 +241,8 @@ def _reserved(scenario: Scenario, names: Sequence[str]) -> Iterator[dict[str, En
         if base_port is not None:
             ports = list(range(base_port, base_port + len(names)))
             check_ports(host, ports)
-        yield dict(endpoints_of_all([*names, RECORDER], scenario, [*ports, own]))
+        places = mesh(scenario, [*names, RECORDER], [*ports, own])
+        yield {name: place.checked(name, scenario) for name, place in places.items()}
 
 
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
