@@ -132,8 +132,6 @@ class FaultScript:
 # Time for the processes to end after the run before they are killed.
 _LEAVE_S = 3.0
 _POLL_S = 0.05
-# Open files of the command, and for each process: its port, output, pipe and connection.
-_OPEN_FILES, _OPEN_FILES_EACH = 32, 5
 # Time for the recorder to receive the messages of a run whose processes have ended.
 _CATCH_UP_S = 2.0
 
@@ -169,7 +167,7 @@ def simulate(
     names = process_names(scenario)
     with ExitStack() as stack:
         stack.enter_context(_refusals())
-        check_usable(_OPEN_FILES + _OPEN_FILES_EACH * len(names))
+        check_usable()
         classes = tried(setup, external)
         compile_model(setup.system.N, console)
         places = stack.enter_context(_reserved(scenario, names))
