@@ -248,10 +248,9 @@ def run_node(
         ) as bus,
     ):
         _watch_signals(bus)
-        open_to_all = exposed(place.endpoints.listen)
-        if open_to_all is not None:
+        if open_to_all := exposed(place.endpoints.listen):
             journal.log("insecure", at=open_to_all, means="any host with access can read and send all messages")
-        if place.endpoints.security is None and place.endpoints.listen and open_to_all is None:
+        elif place.endpoints.security is None and place.endpoints.listen:
             journal.log("open", means="any process on this host can read and send all messages (docs/deploy.md)")
         journal.log("listening", cpu_s=time.process_time(), at=", ".join(place.endpoints.listen))
         exchange = exchange_of(setup, node.name, place.incarnation, Keys(place.run), bus.put)

@@ -87,9 +87,9 @@ def test_routers(tmp_path: Path) -> None:
     [
         (("", "x = "), "not valid TOML"),
         (('"agent4"]', "]"), "host: expected a host that runs agent4, got none"),
-        (('"agent4"]', '"agent4", "agent2"]'), "host.2.runs: agent2 runs on ground already"),
+        (('"agent4"]', '"agent4", "agent2"]'), "host.1.runs: expected each process on one host, got agent2 on 2"),
         (('"agent4"]', '"agent44"]'), "host.2.runs: expected one of coordinator, plant"),
-        (('"agent4"]', '"agnet4"]'), "did you mean 'agent4'?"),
+        (('"agent4"]', '"agnet4"]'), "got 'agnet4'"),
         (("cpus = { plant", "cpus = { agent3"), "host.1.cpus: expected one of coordinator, plant"),
         (('"remote"', '"ground"'), "host.1.name: expected each host once, got 'ground' again"),
         (("priority = 10", "priority = 99"), "host.1.priority: "),
@@ -184,7 +184,7 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     )
     assert checked.returncode == 0, checked.stderr
     again = here("deploy", "render", "--hosts", "none.toml", "--keys", "keys", "--out", "x")
-    assert (again.exit_code, again.stderr) == (2, "transport: none.toml: cannot be read (No such file or directory)\n")
+    assert (again.exit_code, again.stderr) == (2, "transport: none.toml: no such file\n")
 
 
 def test_a_large_run_is_rendered_on_purpose(tmp_path: Path) -> None:
