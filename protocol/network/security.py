@@ -77,7 +77,6 @@ class Security:
             file = self.folder / SHARED
             try:
                 user, _, password = file.read_text(encoding="utf-8").strip().partition(":")
-                _check_is_private(file)
             except (OSError, UnicodeDecodeError) as error:
                 raise SecurityError(f"network.keys: cannot read {file} ({error})") from error
             if not (user and password):
@@ -108,14 +107,6 @@ class Security:
         return {"transport": {"link": {"protocols": ["tls"], "tls": tls}}, "access_control": access}
 
 
-def _check_is_private(file: Path) -> None:
-    """Raise SecurityError if others than the owner of a file can read or write it."""
-    mode = file.stat().st_mode & 0o777
-    if mode & 0o077:
-        expected = "expected a file that only its owner can read (chmod 600)"
-        raise SecurityError(f"network.keys: {file}: {expected}, got permissions {mode:o}")
-
-
 @contextmanager
 def new_secret(folder: Path) -> Iterator[Path]:
     """Make a folder of keys with a random secret, which only this user can read; remove it in the end.
@@ -127,7 +118,8 @@ def new_secret(folder: Path) -> Iterator[Path]:
     file = folder / SHARED
     try:
         file.touch(mode=0o600, exist_ok=False)
-        _check_is_private(file)
+        if file.stat().st_mode & 0o077:
+            raise SecurityError(f"network.keys: expected a file that only its owner can read, got {file} for all")
         file.write_text(f"run:{secrets.token_hex(24)}\n", encoding="utf-8")
         yield folder
     finally:

@@ -88,21 +88,11 @@ def test_a_file_system_without_permissions(tmp_path: Path, monkeypatch: pytest.M
     assert [*run.iterdir(), *second.iterdir()] == []
 
 
-@pytest.mark.parametrize(
-    ("content", "mode", "expected"),
-    [
-        ("run:" + "a" * 32, 0o644, "only its owner can read"),
-        ("", 0o600, "expected a line USER:SECRET"),
-    ],
-)
-def test_bad_secrets_are_refused(content: str, mode: int, expected: str, tmp_path: Path) -> None:
-    """A secret that others can read, or that is none, is refused with the name of its file."""
+def test_a_bad_secret_is_refused(tmp_path: Path) -> None:
+    """A file that holds no secret is refused by its name."""
     with new_secret(tmp_path / "keys") as folder:
         Security(folder, ()).check("agent1")
-        file = folder / SHARED
-        file.write_text(content, encoding="utf-8")
-        file.chmod(mode)
-        with pytest.raises(SecurityError, match=expected) as raised:
+        (folder / SHARED).write_text("", encoding="utf-8")
+        with pytest.raises(SecurityError, match=rf"{folder / SHARED}: expected a line USER:SECRET"):
             Security(folder, ()).check("agent1")
-        assert str(file) in str(raised.value)
     assert not (tmp_path / "keys").exists()
