@@ -20,7 +20,7 @@ from model.arrays import Array
 from protocol.scenario.errors import ScenarioError, validated
 from protocol.scenario.keys import UNITS, key_of
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
-from protocol.wire.messages import LinkChange, MessageError
+from protocol.wire.messages import LinkChange, Measurement, MessageError, Plan
 from protocol.wire.names import PLANT
 
 Key = npt.NDArray[np.uint64]
@@ -63,13 +63,8 @@ class LinkError(MessageError):
 class Link:
     """One directed link of a run: decides which messages arrive, and when.
 
-    Args:
-        links: The links of the scenario: its general keys or the last override of this link, partitions, changes.
-        sender, receiver: Process names.
-        kind: Message kind.
-        seed: Of the run.
-        period_s: Sampling period, s.
-        samples_s: Measured delays by file name, for the distribution "empirical".
+    Of the scenario's links it has the general keys or the last override, partitions and changes. Given are also the
+    run's seed, the sampling period, s, and measured delays, s, by file name.
     """
 
     def __init__(
@@ -78,10 +73,9 @@ class Link:
         sender: str,
         receiver: str,
         *,
-        kind: str,
         seed: int,
         period_s: float,
-        samples_s: Mapping[str, tuple[float, ...]] | None = None,
+        samples_s: Mapping[str, tuple[float, ...]],
     ) -> None:
         self.sender, self.receiver = sender, receiver
         chosen: LinkSection = links
@@ -93,11 +87,11 @@ class Link:
         # First tick, impairments from then on, and whether they are none: asked for with every message.
         self._sections = [(0, chosen, chosen.perfect)]
         self._changes: list[tuple[int, dict[str, Any]]] = []  # first tick, keys given
-        self._period_s, self._samples_s = period_s, samples_s or {}
+        self._period_s, self._samples_s = period_s, samples_s
         # A partition concerns the plant only if it names it.
         cuts = [p for p in links.partition if PLANT in p.between or PLANT not in (sender, receiver)]
         self._partitions = [(p.start_s, p.end_s) for p in cuts if (sender in p.between) != (receiver in p.between)]
-        self._key = draw_key(seed, sender, receiver, kind)
+        self._key = draw_key(seed, sender, receiver, (Measurement if sender == PLANT else Plan).kind)
         self._bad: list[bool] = []  # Gilbert-Elliott state by tick
         for change in sorted(links.change, key=lambda change: change.at_s):
             self.change(math.ceil(change.at_s / period_s - _SLACK), change)
@@ -122,9 +116,7 @@ class Link:
     def delays(self, tick: int, negotiation: int = 0) -> list[float]:
         """Return the delays with which the message of a tick arrives, s: none if it is lost, two if duplicated.
 
-        Args:
-            tick: The message's.
-            negotiation: 0 for the message a tick ends with; 1, 2, ... for those exchanged within it before.
+        Messages of the negotiation within the tick, before the one it ends with, are numbered from 1.
         """
         section, perfect = self._in_force(tick)
         sent_s = tick * self._period_s

@@ -7,13 +7,11 @@ from operator import attrgetter
 
 import numpy as np
 
-from protocol.scenario.budget import estimate
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.link_sections import LinkChangeSection, LinkOverrideSection
 from protocol.scenario.plant_sections import MujocoSection
 from protocol.scenario.schema import FURTHEST_M, Scenario
-from protocol.wire.codec import MAX_BYTES
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
 # Contacts of MuJoCo have a time constant of 0.02 s, which takes two steps at least.
@@ -156,8 +154,6 @@ def _controller(scenario: Scenario) -> Problems:
     if motors.falling_lag_s is not None and (motors.rotors is None or not motors.lag_s):
         got = f"lag_s {motors.lag_s:g}, {'no ' if motors.rotors is None else ''}rotors"
         yield "plant.motors.falling_lag_s", "lag_s > 0 and rotors with it", got
-    if scenario.clock.relayed and (size := estimate(scenario).relay_bytes) > MAX_BYTES:
-        yield "controller.horizon", f"plans of a tick of at most {MAX_BYTES:,} bytes in one message", f"{size:,.0f}"
 
 
 def _clock(scenario: Scenario) -> Problems:

@@ -34,8 +34,6 @@ from protocol.scenario.links import Link
 from protocol.scenario.schema import FURTHEST_M, ObstacleSection, Scenario, UavSection
 from protocol.scenario.targets import TargetError, check_scripted, exceeded, least_slowing
 from protocol.wire.codec import MAX_BYTES
-from protocol.wire.messages import Measurement, Plan
-from protocol.wire.names import PLANT
 from protocol.wire.run_shape import RunShape
 
 # Field of a scenario; expected and got.
@@ -248,7 +246,6 @@ class Setup:
             self.scenario.links,
             sender,
             receiver,
-            kind=Measurement.kind if sender == PLANT else Plan.kind,
             seed=self.scenario.seed,
             period_s=self.settings.sampling_period_s,
             samples_s=self.samples_s,

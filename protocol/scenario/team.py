@@ -106,19 +106,19 @@ def resized(
     vehicle: str | None = None,
     load_kg: float | None = None,
 ) -> Scenario:
-    """Return a scenario for N UAVs: a ring of them, the keys of their vehicle, and all others of the template.
+    """Return a scenario for a ring of UAVs, the keys of their vehicle, and all others of the template.
+
+    Paths in the template are relative to its folder and become absolute. No more keys are given than it gives.
 
     Args:
-        template: Source of controller, clock, links, maneuver, ... and gravity.
-        folder: Of the template's file; paths in it are relative to that and become absolute.
+        template, source: Source of controller, clock, links, maneuver, ... and gravity; its name in error texts.
+        folder: Of the template's file.
         uavs: N, from `FEWEST` to `MOST`.
         group: UAVs per agent, the last agent may have fewer; None: as many as the template's first agent has, and
             all of them where that one has all.
         name: Of the scenario; the template's with the number of UAVs when None.
-        source: Name of the template in error texts.
         vehicle: File or name of a vehicle; the paper's UAV when None.
         load_kg: Mass of the payload, kg; half the mass of the UAVs when None.
-    Returns: The scenario, with no more keys given than the template gives.
     Raises: ScenarioError: the template names agents that this team does not have, or the name is invalid.
     """
     chosen = None if vehicle is None else read_vehicle(vehicle)
