@@ -29,71 +29,6 @@ ASK_EVERY_S = 0.5
 WAITING_S = 5.0
 
 
-def absent(missing: Collection[str], left: Collection[str]) -> str:
-    """Return the missing processes; those that have left, which gave up waiting themselves, only if no other is."""
-    return ", ".join(sorted(set(missing) - set(left))) or f"{', '.join(sorted(missing))} (came and left)"
-
-
-class Peers:
-    """The processes of a run that are up, by their liveliness tokens.
-
-    The gate learns of each new incarnation of a process, and counts bad tokens.
-
-    Attributes:
-        alive: Incarnations of the processes that are up, by name.
-        left: Processes that were up, and are not any more.
-    """
-
-    def __init__(self, name: str, incarnation: int, digest: str, keys: Keys, gate: Gate) -> None:
-        self.alive: dict[str, int] = {}
-        self.left: set[str] = set()
-        self._name, self._incarnation, self._digest = name, incarnation, digest
-        self._keys, self._gate = keys, gate
-
-    def check(self, key: str) -> None:
-        """Check the token of another process while this one joins.
-
-        Raises: BusError: the token shows another scenario, protocol version, or a process with this one's name.
-        """
-        try:
-            token = self._keys.token(key)
-        except MessageError:
-            return  # counted by `note`
-        if token.name == self._name and token.incarnation != self._incarnation:
-            raise BusError(f"{self._name} is already running in this run (incarnation {token.incarnation})")
-        if token.version != VERSION:
-            spoken = f"{token.name} speaks version {token.version} of the protocol, {self._name} version {VERSION}"
-            raise BusError(f"{spoken}: install the same release on all hosts")
-        if token.digest != self._digest:
-            digests = f"digest {token.digest}, here {self._digest}"
-            raise BusError(f"{token.name} runs another scenario ({digests}): start all from the same file")
-
-    def note(self, key: str, *, here: bool) -> Presence | None:
-        """Take note of a token that has appeared or disappeared.
-
-        Returns: The event for the node, or None: a process takes part from its "ready" token on, not from "alive" on.
-        """
-        try:
-            token = self._keys.token(key)
-        except MessageError as error:
-            if here:
-                self._gate.refuse(self._keys.end(key), error)
-            return None
-        if token.digest is None:
-            return Presence(token.name, token.incarnation, alive=True) if here else None
-        if token.digest != self._digest or token.version != VERSION:
-            return None  # a process of another scenario finds out by itself that it does not belong here
-        if here:
-            self.alive[token.name] = token.incarnation
-            self.left.discard(token.name)
-            self._gate.announce(token.name, token.incarnation)
-            return None
-        if self.alive.get(token.name) == token.incarnation:
-            del self.alive[token.name]
-            self.left.add(token.name)
-        return Presence(token.name, token.incarnation, alive=False)
-
-
 # How long a process waits at the end of the run for those that leave before it: a busy host may take seconds to read.
 LINGER_S = 10.0
 
@@ -121,20 +56,8 @@ _Item = zenoh.Sample | zenoh.Query | Interrupted | Request
 class Bus:
     """Connection of one process to the network of one run.
 
-    Args:
-        name: Process name: "coordinator", "plant", "agent1", "recorder".
-        digest: Fingerprint of the scenario; processes with different ones refuse each other.
-        relayed: Whether plans, reports and measurements come in bundles; None if that is not known.
-        serves: Whether its node answers requests; every process answers for its health.
-        patience_s: How long sending may wait for a peer that does not read before the link to it is closed.
-        gather_s: How long an arrival may wait for more: one wake-up for many messages costs less processor time.
-        reach_s: How long a client looks for its router.
-
-    Attributes:
-        arrived_ns: Wall-clock time of arrival of the last event that `next` returned, ns since 1970.
-        gate: The checks of all messages; it has the bundle that the last event came in.
-        before_wait: Function that `next` calls when no message of a bundle is left to be read.
-        offset: By how much the coordinator's wall clock is ahead of this one, once this process has joined.
+    Processes with different digests of the scenario refuse each other. Sending waits for a peer that does not read for
+    `patience_s` before the link to it is closed; a client looks for its router for `reach_s`.
 
     Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
@@ -148,24 +71,25 @@ class Bus:
         digest: str,
         endpoints: Endpoints,
         gate: Gate,
-        relayed: bool | None = None,
-        serves: bool = False,
+        relayed: bool | None = None,  # whether plans, reports and measurements come in bundles, if that is known
+        serves: bool = False,  # whether its node answers requests; every process answers for its health
         patience_s: float = 1.0,
-        gather_s: float = 0.0,
+        gather_s: float = 0.0,  # how long an arrival may wait for more: one wake-up for many messages costs less
         reach_s: float = 30.0,
     ) -> None:
-        self.arrived_ns = 0
-        self.before_wait: Callable[[], None] = lambda: None
-        self.offset: Offset | None = None
-        self._gather_s, self._serves = gather_s, serves
+        self.arrived_ns = 0  # wall-clock time of arrival of the last event that `next` returned, ns since 1970
+        self.before_wait: Callable[[], None] = lambda: None  # called when no message of a bundle is left to be read
+        self.offset: Offset | None = None  # lead of the coordinator's wall clock, once this process has joined
+        self.alive: dict[str, int] = {}  # incarnations of the processes that are up, by name
+        self.gate = gate  # has the bundle that the last event came in
         self.name, self.incarnation, self._digest = name, incarnation, digest
         self._keys, self._endpoints = Keys(run), endpoints
-        self.gate = gate
+        self._gather_s, self._serves = gather_s, serves
+        self._left: set[str] = set()  # processes that were up, and are not any more
         self._accepted: Iterator[Message | Sample] = iter(())  # in the bytes that arrived last
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
-        self.peers = Peers(name, incarnation, digest, self._keys, gate)
         log_errors(to_output=name not in (RECORDER, WATCHER))
         self._session = open_session(endpoints, patience_s, name, self._keys, reach_s)
         # Subscribers before the token: a process that sees the token may send at once, and nothing is lost. Their
@@ -199,30 +123,28 @@ class Bus:
         """
         self._declare_token(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
         deadline, sign_s = time.monotonic() + timeout_s, time.monotonic() + WAITING_S
-        awaited, alive = set(expected) - {self.name}, self.peers.alive
+        awaited = set(expected) - {self.name}
         # When all are up, or the coordinator is ready, which has seen all, it is asked whether the run has begun.
         asks, ask_s = self.name != COORDINATOR, math.inf
         early: list[tuple[int, _Item]] = []
         while True:
             now_s = time.monotonic()
-            if now_s >= ask_s or (asks and awaited <= alive.keys()):
+            if now_s >= ask_s or (asks and awaited <= self.alive.keys()):
                 asks = False
                 awaited, ask_s = self._taking_part(expected) or awaited, now_s + ASK_EVERY_S
-            missing = awaited - alive.keys()
+            missing = awaited - self.alive.keys()
             if not missing:
                 break
             if now_s >= sign_s:
                 sign_s += WAITING_S
-                on_wait(
-                    f"waiting for {absent(missing, self.peers.left)}; gives up in {max(0.0, deadline - now_s):.0f} s"
-                )
+                on_wait(f"waiting for {self._absent(missing)}; gives up in {max(0.0, deadline - now_s):.0f} s")
             try:
                 at_ns, item = self._inbox.get(timeout=max(0.0, min(deadline, sign_s, ask_s) - now_s))
             except queue.Empty:
                 if time.monotonic() < deadline:
                     continue
                 raise BusError(
-                    f"{self.name}: no sign of {absent(missing, self.peers.left)} within {timeout_s:g} s; "
+                    f"{self.name}: no sign of {self._absent(missing)} within {timeout_s:g} s; "
                     f"listening on {', '.join(self._endpoints.listen) or 'nothing'}, "
                     f"connecting to {', '.join(self._endpoints.connect) or 'none: others connect to it'}"
                 ) from None
@@ -232,10 +154,7 @@ class Bus:
                 request = self._request(item, at_ns)
                 early += [(at_ns, request)] if request is not None else []
             elif isinstance(item, zenoh.Sample) and str(item.key_expr).startswith(f"{self._keys.prefix}/alive/"):
-                here = item.kind == zenoh.SampleKind.PUT
-                if here:
-                    self.peers.check(str(item.key_expr))
-                self.peers.note(str(item.key_expr), here=here)
+                self._note(item, joins=True)
             else:
                 early.append((at_ns, item))
                 if isinstance(item, zenoh.Sample) and self._keys.is_ready(str(item.key_expr), COORDINATOR):
@@ -246,6 +165,47 @@ class Bus:
         for stamped in early:
             self._inbox.put(stamped)
         return None
+
+    def _absent(self, missing: Collection[str]) -> str:
+        """Return the missing processes; those that have left, which gave up waiting themselves, only if no other is."""
+        return ", ".join(sorted(set(missing) - self._left)) or f"{', '.join(sorted(missing))} (came and left)"
+
+    def _note(self, sample: zenoh.Sample, *, joins: bool = False) -> Presence | None:
+        """Take note of a token that has appeared or disappeared; return the event for the node.
+
+        A process takes part from its "ready" token on, not from "alive" on. The gate learns of new incarnations.
+
+        Raises: BusError: while this process joins, another one has its name, or another scenario or protocol version.
+        """
+        key, here = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+        try:
+            token = self._keys.token(key)
+        except MessageError as error:
+            if here:
+                self.gate.refuse(self._keys.end(key), error)
+            return None
+        if token.digest is None:
+            return Presence(token.name, token.incarnation, alive=True) if here else None
+        if joins and here:
+            if token.name == self.name and token.incarnation != self.incarnation:
+                raise BusError(f"{self.name} is already running in this run (incarnation {token.incarnation})")
+            if token.version != VERSION:
+                spoken = f"{token.name} speaks version {token.version} of the protocol, {self.name} version {VERSION}"
+                raise BusError(f"{spoken}: install the same release on all hosts")
+            if token.digest != self._digest:
+                digests = f"digest {token.digest}, here {self._digest}"
+                raise BusError(f"{token.name} runs another scenario ({digests}): start all from the same file")
+        if token.digest != self._digest or token.version != VERSION:
+            return None  # a process of another scenario finds out by itself that it does not belong here
+        if here:
+            self.alive[token.name] = token.incarnation
+            self._left.discard(token.name)
+            self.gate.announce(token.name, token.incarnation)
+            return None
+        if self.alive.get(token.name) == token.incarnation:
+            del self.alive[token.name]
+            self._left.add(token.name)
+        return Presence(token.name, token.incarnation, alive=False)
 
     def _taking_part(self, expected: Collection[str]) -> set[str] | None:
         """Return the others that take part in a run that has begun, and its observers; None if it has not.
@@ -315,7 +275,7 @@ class Bus:
         """
         self.put(self._keys.left(self.name), b"")
         deadline = time.monotonic() + LINGER_S
-        while {RECORDER, *after} & set(self.peers.alive) and time.monotonic() < deadline:
+        while {RECORDER, *after} & set(self.alive) and time.monotonic() < deadline:
             if isinstance(self.next(max(0.0, deadline - time.monotonic())), Interrupted):
                 return
 
@@ -381,7 +341,7 @@ class Bus:
             return self._request(item, self.arrived_ns)
         key = str(item.key_expr)
         if self._keys.is_token(key):
-            return self.peers.note(key, here=item.kind == zenoh.SampleKind.PUT)
+            return self._note(item)
         name = key.removeprefix(self._keys.left(""))
         if name != key:
             return Left(name)

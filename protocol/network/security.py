@@ -66,10 +66,10 @@ class Security:
 
         Raises: SecurityError: naming the file, what was expected and what came.
         """
-        self.configuration(name, "transport/*")
+        self.configure({"transport": {"link": {}}}, name, "transport/*")
 
-    def configuration(self, name: str, prefix: str) -> dict[str, Any]:
-        """Return the security part of Zenoh's configuration of a process; `prefix` is that of its key expressions.
+    def configure(self, configuration: dict[str, Any], name: str, prefix: str) -> None:
+        """Add security to Zenoh's configuration of a process; `prefix` is that of its key expressions.
 
         Raises: SecurityError: as `check`.
         """
@@ -82,7 +82,8 @@ class Security:
             if not (user and password):
                 raise SecurityError(f"network.keys: {file}: expected a line USER:SECRET")
             shared = {"user": user, "password": password, "dictionary_file": str(file)}
-            return {"transport": {"auth": {"usrpwd": shared}}}
+            configuration["transport"]["auth"] = {"usrpwd": shared}
+            return
         authority, certificate, key = (self.folder / file for file in (AUTHORITY, f"{name}.pem", f"{name}.key"))
         try:
             _shake_hands(authority, certificate, key)
@@ -93,7 +94,8 @@ class Security:
             expected = f"expected a certificate of {authority.name} that is valid now, and its key"
             problem = getattr(error, "verify_message", "") or error
             raise SecurityError(f"network.keys: {certificate}: {expected}, got {problem}") from error
-        tls = {
+        configuration["transport"]["link"]["protocols"] = ["tls"]
+        configuration["transport"]["link"]["tls"] = {
             "root_ca_certificate": str(authority),
             "enable_mtls": True,
             "verify_name_on_connect": True,
@@ -103,8 +105,7 @@ class Security:
             "connect_certificate": str(certificate),
             "connect_private_key": str(key),
         }
-        access = access_control(self.names, prefix)
-        return {"transport": {"link": {"protocols": ["tls"], "tls": tls}}, "access_control": access}
+        configuration["access_control"] = access_control(self.names, prefix)
 
 
 @contextmanager
@@ -170,23 +171,20 @@ def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
 
     Raises: ssl.SSLError: a peer would refuse it. OSError: a file cannot be read.
     """
-    contexts = []
-    for protocol in (ssl.PROTOCOL_TLS_SERVER, ssl.PROTOCOL_TLS_CLIENT):
+    there, back, ends = ssl.MemoryBIO(), ssl.MemoryBIO(), []
+    for protocol, incoming, outgoing in (
+        (ssl.PROTOCOL_TLS_SERVER, there, back),
+        (ssl.PROTOCOL_TLS_CLIENT, back, there),
+    ):
         context = ssl.SSLContext(protocol)
         context.check_hostname = False  # its address is not known here
         context.verify_mode = ssl.CERT_REQUIRED
         context.load_verify_locations(authority)
         context.load_cert_chain(certificate, key)
-        contexts.append(context)
-    there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
-    ends = [
-        contexts[0].wrap_bio(there, back, server_side=True),
-        contexts[1].wrap_bio(back, there, server_side=False),
-    ]
-    for _ in range(_FLIGHTS):
-        for end in ends:
-            with suppress(ssl.SSLWantReadError):
-                end.do_handshake()
+        ends.append(context.wrap_bio(incoming, outgoing, server_side=protocol == ssl.PROTOCOL_TLS_SERVER))
+    for end in ends * _FLIGHTS:
+        with suppress(ssl.SSLWantReadError):
+            end.do_handshake()
 
 
 def _rights(keys: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:

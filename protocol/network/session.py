@@ -106,11 +106,7 @@ def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }
     if endpoints.security is not None:
-        secure = endpoints.security.configuration(name, keys.prefix)
-        transport = secure["transport"]
-        found["transport"]["link"] |= transport.pop("link", {})
-        found["transport"] |= transport
-        found |= {key: value for key, value in secure.items() if key != "transport"}
+        endpoints.security.configure(found, name, keys.prefix)
     return found
 
 

@@ -89,7 +89,7 @@ def estimate(scenario: Scenario) -> Budget:
     matrix_bytes = _FLOAT * (2.0 * rows * variables + 3.0 * variables**2 + 6.0 * states**2 + 2.0 * states * variables)
     base_bytes = _BASE_BYTES + _MODEL_BYTES * N
     report_bytes = base_bytes + ticks * (M * _REPORTED_BYTES + 6.0 * _FLOAT * n)
-    plant_step_s = min(plant.step_s, plant.mujoco.step_s) if plant.engine == "mujoco" else plant.step_s
+    plant_step_s = plant.mujoco.step_s if plant.engine == "mujoco" else plant.step_s
     step_s = 6e-4 + 7e-8 * states**2 + 1.5e-8 * rows * variables + 3.4e-11 * variables**3
     return Budget(
         ticks=ticks,

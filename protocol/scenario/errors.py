@@ -102,7 +102,7 @@ _WORDS = {
 def _problem(problem: Any, section: type[BaseModel]) -> tuple[str, str]:
     """Return the field of one of pydantic's problems, and the problem in the project's words."""
     kind, message, value = problem["type"], problem["msg"], problem["input"]
-    *_, last = problem["loc"]
+    last = problem["loc"][-1] if problem["loc"] else ""
     field: list[str] = []
     for part in problem["loc"]:  # pydantic also names the branch of a union that it tried, which is no key
         names = names_of(section)

@@ -1,9 +1,9 @@
 """Sections of the links: impairments, exceptions for single links, partitions, changes during a run."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Interval
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from mpc.settings import Key, NotNegative, Positive, Section
 from protocol.wire.names import PLANT
@@ -76,6 +76,12 @@ class LinkSection(Section):
     ] = None
     """messages per second of scenario time that the link carries, evenly spread; those beyond are dropped. There is
     one per tick: half of 1 / T_s drops every other"""
+
+    @model_validator(mode="after")
+    def _has_samples(self) -> Self:
+        if self.distribution == "empirical" and self.samples is None:
+            raise ValueError("samples: expected a file of measured delays, got nothing")
+        return self
 
     @property
     def perfect(self) -> bool:

@@ -232,9 +232,6 @@ def link_change(source: str, target: str, settings: str, samples: Collection[str
         change = validated(LinkOverrideSection, {**given, **ends})
     except ScenarioError as error:
         raise LinkError(str(error)) from error
-    if (change.samples is not None) != (change.distribution == "empirical"):
-        expected = "expected a file with distribution empirical and with no other"
-        raise LinkError(f"samples: {expected}, got {change.samples!r}")
     if change.samples is not None and samples is not None and change.samples not in samples:
         known = ", ".join(sorted(samples)) or "none"
         raise LinkError(f"samples: expected a file that the scenario names ({known}), got {change.samples!r}")

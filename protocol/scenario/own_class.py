@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import AfterValidator
 
 from model.arrays import Array
 
@@ -25,9 +26,15 @@ class OwnClassError(ValueError):
     """A class of the user that cannot be used, or that has failed; one line."""
 
 
-def is_class_name(value: str) -> bool:
-    """Return whether a text has the form "package.module:Class"."""
-    return _NAME.fullmatch(value) is not None
+def or_class(*names: str) -> AfterValidator:
+    """Return a check that a text is one of some names or has the form "package.module:Class"."""
+
+    def check(value: str) -> str:
+        if value not in names and not _NAME.fullmatch(value):
+            raise ValueError(f"expected {', '.join(map(repr, names))} or 'package.module:Class', got {value!r}")
+        return value
+
+    return AfterValidator(check)
 
 
 def own_class(name: str) -> Any:

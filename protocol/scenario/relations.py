@@ -1,21 +1,16 @@
 """Relations between the fields of a scenario, checked once each field is valid by itself."""
 
-import re
 from collections.abc import Iterator
 from itertools import pairwise
 from operator import attrgetter
 
-import numpy as np
-
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.faults import OF_UAVS
-from protocol.scenario.link_sections import LinkChangeSection, LinkOverrideSection
+from protocol.scenario.link_sections import LinkOverrideSection
 from protocol.scenario.plant_sections import MujocoSection
-from protocol.scenario.schema import FURTHEST_M, Scenario
+from protocol.scenario.schema import Scenario
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-# Contacts of MuJoCo have a time constant of 0.02 s, which takes two steps at least.
-LONGEST_MUJOCO_STEP_S = 0.01
 # Shortest lag of motors other than none, in sampling periods: the discretisation takes exponentials of its reciprocal.
 _SHORTEST_LAG = 0.01
 
@@ -82,7 +77,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
 
     Raises: ScenarioError: with the first problem.
     """
-    for check in (_needs, _ownership, _links, _controller, _clock, _faults, _plant, _curves, _path, _obstacles):
+    for check in (_needs, _ownership, _links, _controller, _clock, _faults, _plant, _phases, _obstacles):
         for field, expected, got in check(scenario):
             raise ScenarioError(source, field, f"expected {expected}, got {got}")
 
@@ -117,12 +112,6 @@ def _links(scenario: Scenario) -> Problems:
         field = f"links.{place}" if place else "links"
         if isinstance(section, LinkOverrideSection):
             ends += [(f"{field}.{key}", name) for key, name in (("from", section.from_), ("to", section.to)) if name]
-        if section.distribution == "empirical" and section.samples is None:
-            yield f"{field}.samples", "a file of measured delays", "nothing"
-        changed = isinstance(section, LinkChangeSection) and section.samples is not None
-        if changed and section.distribution != "empirical":
-            expected = "'empirical' with samples, as a change names every changed key"
-            yield f"{field}.distribution", expected, repr(section.distribution)
     for field, name in ends:
         if name not in names:
             yield field, f"one of {', '.join(names)}", repr(name)
@@ -162,9 +151,6 @@ def _clock(scenario: Scenario) -> Problems:
         yield "clock.speed", "a number > 0 with mode realtime, such as 1", 0
     if clock.mode == "realtime" and clock.actuation == "immediate":
         yield "clock.actuation", "'next_tick' with mode realtime, where a step takes time", "'immediate'"
-    router = scenario.network.router
-    if router is not None and not re.fullmatch(r"(tcp|tls)/\S+:\d+", router):
-        yield "network.router", "an endpoint such as tls/192.0.2.1:7447", repr(router)
 
 
 def _faults(scenario: Scenario) -> Problems:
@@ -191,13 +177,8 @@ def _faults(scenario: Scenario) -> Problems:
 
 
 def _plant(scenario: Scenario) -> Problems:
-    plant, period_s, mujoco = scenario.plant, scenario.controller.sampling_period_s, scenario.plant.mujoco
-    if plant.step_s > period_s:
-        yield "plant.step_s", f"at most the sampling period {period_s}", plant.step_s
-    if mujoco.step_s > min(period_s, LONGEST_MUJOCO_STEP_S):
-        expected = f"at most the sampling period {period_s} and {LONGEST_MUJOCO_STEP_S} s, as contacts are stiff"
-        yield "plant.mujoco.step_s", expected, mujoco.step_s
-    if mujoco.suspension == "cables" and any(event.do == "release" for event in scenario.faults.event):
+    plant, period_s = scenario.plant, scenario.controller.sampling_period_s
+    if plant.mujoco.suspension == "cables" and any(event.do == "release" for event in scenario.faults.event):
         yield "plant.mujoco.suspension", "'rods' with a fault 'release'", "'cables'"
     # Drag is held over a period, so above this bound it would reverse the motion it brakes; only in wind.
     wind, system = plant.wind, scenario.system
@@ -208,37 +189,20 @@ def _plant(scenario: Scenario) -> Problems:
             yield f"plant.wind.{key}", f"at most mass over sampling period {mass / period_s:g}", getattr(wind, key)
 
 
-def _path(scenario: Scenario) -> Problems:
-    """A path stays where float64 resolves positions well; take-offs and landings are vertical, and need a ground."""
-    within = f"a path within {FURTHEST_M:g} m of the origin"
-    reached = np.array(scenario.maneuver.start_m)
-    if np.abs(reached).max() > FURTHEST_M:
-        yield "maneuver.start_m", within, list(scenario.maneuver.start_m)
-    for i, phase in enumerate(scenario.maneuver.phase, start=1):
-        field, (x, y, z) = f"maneuver.phase.{i}", phase.displacement_m
-        places = [phase.displacement_m, *(place for _, *place in phase.way or [] if len(place) == len(reached))]
-        if (curve := phase.curve()) is not None:
-            places += curve.path(np.linspace(0.0, phase.duration_s, 101), 1)[0].tolist()
-        furthest = np.abs(reached + places).max()
-        if furthest > FURTHEST_M:
-            yield f"{field}.{'way' if phase.way else 'displacement_m'}", within, f"{furthest:g} m"
-        reached = reached + phase.displacement_m
-        if phase.kind != "move" and phase.way is not None:
-            yield f"{field}.kind", "'move' with a path from a file", repr(phase.kind)
-        if phase.kind not in ("take_off", "land"):
-            continue
-        if scenario.plant.ground_m is None:
-            yield f"{field}.kind", "plant.ground_m with it", f"{phase.kind!r} without a ground"
-        if x != 0.0 or y != 0.0 or (z >= 0.0 if phase.kind == "take_off" else z <= 0.0):
-            direction = "up, negative z" if phase.kind == "take_off" else "down, positive z"
-            yield f"{field}.displacement_m", f"a path straight {direction}", list(phase.displacement_m)
-
-
-def _curves(scenario: Scenario) -> Problems:
-    """A spline has way points and rising times; formations end as they begin, and need a flat reference."""
+def _phases(scenario: Scenario) -> Problems:
+    """Take-offs and landings are vertical and need a ground; splines have points; formations end as they begin."""
     maneuver = scenario.maneuver
     for i, phase in enumerate(maneuver.phase, start=1):
         field, times, points = f"maneuver.phase.{i}", phase.times_s, phase.points_m or []
+        x, y, z = phase.displacement_m
+        if phase.kind in ("take_off", "land"):
+            if scenario.plant.ground_m is None:
+                yield f"{field}.kind", "plant.ground_m with it", f"{phase.kind!r} without a ground"
+            if x != 0.0 or y != 0.0 or (z >= 0.0 if phase.kind == "take_off" else z <= 0.0):
+                direction = "up, negative z" if phase.kind == "take_off" else "down, positive z"
+                yield f"{field}.displacement_m", f"a path straight {direction}", [x, y, z]
+        if phase.kind != "move" and phase.way is not None:
+            yield f"{field}.kind", "'move' with a path from a file", repr(phase.kind)
         if phase.kind == "spline" and not points:
             yield f"{field}.points_m", "way points with kind 'spline'", "none"
         if times is not None and (len(times) != len(points) or any(b <= a for a, b in pairwise(times))):

@@ -5,13 +5,13 @@ Every process of a run reads the same file. The docstring of a field is its mean
 
 import hashlib
 import json
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from annotated_types import Interval
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
-from pydantic_core import PydanticCustomError
 
 from model.curves import Curve, ShapeKind
 from model.maneuver import PhaseKind, Profile
@@ -19,43 +19,24 @@ from model.parameters import GRAVITY
 from mpc.settings import ControllerSettings, Key, NotNegative, Positive, PositiveVector, Section, Vector
 from protocol.scenario.files import TableError, way_of
 from protocol.scenario.link_sections import LinksSection
-from protocol.scenario.own_class import is_class_name
+from protocol.scenario.own_class import or_class
 from protocol.scenario.plant_sections import PlantSection
 from protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS, MAX_POINTS
 from protocol.wire.names import MAX_UAVS
 
 
-def _inertia(value: Any) -> Any:
-    try:
-        shape = np.shape(np.asarray(value, dtype=np.float64))
-    except (TypeError, ValueError):
-        shape = None
-    if shape not in ((3,), (3, 3)):
-        raise PydanticCustomError("shape", "expected 3 principal moments or 3 rows of 3 numbers")
+def _inertia(value: list[Any]) -> list[Any]:
+    if [len(row) if isinstance(row, list) else 1 for row in value] not in ([1, 1, 1], [3, 3, 3]):
+        raise ValueError(f"expected 3 principal moments or 3 rows of 3 numbers, got {value}")
     return value
-
-
-def _relaxation(value: float | str) -> float | str:
-    if value == "auto" or (isinstance(value, float | int) and 0.0 < value <= 1.0):
-        return value
-    raise PydanticCustomError("relaxation", "expected a number in (0, 1] or 'auto'")
-
-
-def _own_controller(value: str) -> str:
-    if value == "mpc" or is_class_name(value):
-        return value
-    raise PydanticCustomError("controller", "expected 'mpc' or 'package.module:Class'")
 
 
 Inertia = Annotated[list[float] | list[list[float]], AfterValidator(_inertia), Key(type="3 numbers or 3 rows of 3")]
 Relaxation = Annotated[
-    float | str,
-    AfterValidator(_relaxation),
+    Annotated[float, Interval(gt=0.0, le=1.0)] | Literal["auto"],
     Key(type="number > 0, <= 1, or auto", label="relaxation", short="relaxation"),
 ]
 _WAIT_S = (1e-3, 1e6)
-# Largest distance of a path from the origin along any axis, m.
-FURTHEST_M = 1e5
 
 
 class PayloadSection(Section):
@@ -102,7 +83,7 @@ class PhaseSection(Section):
     """name of the phase in progress display and figures"""
     duration_s: Positive
     """duration of the phase"""
-    displacement_m: Annotated[Vector, Key(within=(0.0, 1e6))]  # that of a path from a file: a difference of its rows
+    displacement_m: Annotated[Vector, Key(within=(0.0, 1e5))]  # that of a path from a file: a difference of its rows
     """displacement of the payload over the phase, inertial frame; up is negative z"""
     kind: PhaseKind = "move"
     """a take_off begins and a land ends with the payload standing on the ground, `plant.ground_m`; both are vertical,
@@ -196,6 +177,17 @@ class TargetSection(Section):
     times_s: Annotated[list[NotNegative] | None, Key(type="list of rising numbers", unit="s")] = None
     """times of the points instead of a speed; they count from that of the first one"""
 
+    @model_validator(mode="after")
+    def _points_differ_and_times_rise(self) -> Self:
+        times_s, count = self.times_s, len(self.points_m)
+        if times_s is not None and (
+            len(times_s) != count or any(b <= a for a, b in pairwise(times_s)) or self.speed_mps is not None
+        ):
+            raise ValueError(f"times_s: expected {count} rising times and no speed_mps, got {times_s}")
+        if any(a == b for a, b in pairwise(self.points_m)):
+            raise ValueError("points_m: expected each way point away from the one before, got the same twice")
+        return self
+
 
 class ScriptedTargetSection(TargetSection):
     """A target that the coordinator announces at an instant, as it does for `transport target`."""
@@ -208,8 +200,7 @@ class ManeuverSection(Section):
     """Path of the payload."""
 
     start_m: Vector = (0.0, 0.0, -10.0)
-    """payload position at t = 0, inertial frame; the run starts there at rest in hover. The path must stay within 100
-    km of the origin"""
+    """payload position at t = 0, inertial frame; the run starts there at rest in hover"""
     reference: Literal["hover", "flat"] = "hover"
     """reference of the controllers: hover moved along the path, or the motion of the whole team that carries the
     payload along it ([equations.md](equations.md#references-that-a-team-can-fly)), which the shared control law follows
@@ -305,7 +296,7 @@ class AgentsSection(Section):
     """UAVs of each agent: agent 1 owns the first list, and so on; each UAV once. If omitted: one agent for each UAV"""
     controller: Annotated[
         str,
-        AfterValidator(_own_controller),
+        or_class("mpc"),
         Key(type="mpc, package.module:Class", label="controller", short="controller"),
     ] = "mpc"
     """controller of every agent: that of this project, or [your own class](bring-your-own.md#your-own-controller)"""
@@ -384,7 +375,7 @@ class NetworkSection(Section):
     base_port: Annotated[int, Interval(ge=1024, le=65_000)] | None = None
     """port of the coordinator, then plant, agent 1, ... If omitted: free ports for `transport run`, 7447 and up for
     processes started by hand"""
-    router: str | None = None
+    router: Annotated[str, Field(pattern=r"^(tcp|tls)/\S+:\d+$")] | None = None
     """address of a router such as `tls/192.0.2.1:7447`: all processes are its clients and none listens
     ([deploy.md](deploy.md#topologies))"""
     keys: Annotated[str, Field(pattern=r"^[^\x00]*$")] | None = None

@@ -31,7 +31,7 @@ from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted, uav_faults
 from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
-from protocol.scenario.schema import FURTHEST_M, ObstacleSection, Scenario, UavSection
+from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
 from protocol.scenario.targets import TargetError, check_scripted, exceeded, least_slowing
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.run_shape import RunShape
@@ -39,6 +39,8 @@ from protocol.wire.run_shape import RunShape
 # Field of a scenario; expected and got.
 Problems = Iterator[tuple[str, str]]
 
+# Width of the walls beside a gap, m: no path comes near their ends.
+_WALL_M = 1e5
 # How far a payload that takes off or lands may be from the ground, m.
 _ON_GROUND_M = 1e-3
 
@@ -78,22 +80,15 @@ class Setup:
         body, gains = section.payload, None if inner.inputs == "moments" else 1.0 / np.array(inner.rate_time_constant_s)
         payload = building(source, "system.payload", lambda: Payload(mass=body.mass_kg, inertia=body.inertia_kgm2))
         uavs = [building(source, f"system.uav.{uav.id}", partial(_uav, uav)) for uav in section.uav]
+        gravity = section.gravity_mps2
         system = building(
-            source,
-            "system",
-            lambda: System(payload=payload, uavs=uavs, gravity=section.gravity_mps2, rate_gains=gains),
+            source, "system", lambda: System(payload=payload, uavs=uavs, gravity=gravity, rate_gains=gains)
         )
         equilibrium = building(source, "system.uav", lambda: hover(system))
+        maneuver = building(source, "maneuver", lambda: _maneuver(scenario))
         settings = building(source, "controller", lambda: _settings(scenario))
-        setup = Setup(
-            scenario=scenario,
-            system=system,
-            hover=equilibrium,
-            maneuver=building(source, "maneuver", lambda: _maneuver(scenario)),
-            settings=settings,
-            owned=tuple(tuple(uav - 1 for uav in group) for group in scenario.owned),
-            samples_s=_samples(scenario, source),
-        )
+        owned = tuple(tuple(uav - 1 for uav in group) for group in scenario.owned)
+        setup = Setup(scenario, system, equilibrium, maneuver, settings, owned, _samples(scenario, source))
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraint, system))
         building(source, "controller.cost", lambda: UserCosts(settings.cost, setup.model).about(equilibrium.x))
         building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
@@ -367,18 +362,16 @@ class Setup:
 
 def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
     """Return the measured delays by the files that the links name, relative to the scenario's folder."""
-    found: dict[str, tuple[float, ...]] = {}
-    for section in scenario.links.all().values():
-        if section.distribution != "empirical" or section.samples is None:
-            continue
-        if ".." in Path(section.samples).parts:
+    sections = scenario.links.all().values()
+    files = dict.fromkeys(link.samples for link in sections if link.distribution == "empirical" and link.samples)
+    for file in files:
+        if ".." in Path(file).parts:
             expected = "expected an absolute path or one below the scenario's folder"
-            raise ScenarioError(source, "links.samples", f"{expected}, got {section.samples!r}")
-        try:
-            found[section.samples] = delays_of(Path(source).parent / section.samples)
-        except TableError as error:
-            raise ScenarioError(source, "links.samples", str(error)) from error
-    return found
+            raise ScenarioError(source, "links.samples", f"{expected}, got {file!r}")
+    try:
+        return {file: delays_of(Path(source).parent / file) for file in files}
+    except TableError as error:
+        raise ScenarioError(source, "links.samples", str(error)) from error
 
 
 def _uav(section: UavSection) -> Uav:
@@ -414,9 +407,8 @@ def _obstacle(section: ObstacleSection) -> Obstacle:
     elif section.size_m is not None:
         half = np.array(section.size_m) / 2.0
     elif section.width_m is not None:
-        # Walls this wide have no ends that a path, which is within reach of the origin, comes near.
-        half = np.array([section.thickness_m / 2.0, FURTHEST_M, np.inf])
-        shifts_m = [sign * (section.width_m / 2.0 + FURTHEST_M) for sign in (-1.0, 1.0)]
+        half = np.array([section.thickness_m / 2.0, _WALL_M, np.inf])
+        shifts_m = [sign * (section.width_m / 2.0 + _WALL_M) for sign in (-1.0, 1.0)]
     across = np.array([-math.sin(heading_rad), math.cos(heading_rad), 0.0])
     solids = tuple(
         Solid(centre_I=centre_I + shift_m * across, heading_rad=heading_rad, half=half, radius=radius)

@@ -111,12 +111,13 @@ def resized(
     Paths in the template are relative to its folder and become absolute. No more keys are given than it gives.
 
     Args:
-        template, source: Source of controller, clock, links, maneuver, ... and gravity; its name in error texts.
+        template: Source of controller, clock, links, maneuver, ... and gravity.
         folder: Of the template's file.
         uavs: N, from `FEWEST` to `MOST`.
         group: UAVs per agent, the last agent may have fewer; None: as many as the template's first agent has, and
             all of them where that one has all.
         name: Of the scenario; the template's with the number of UAVs when None.
+        source: Name of the template in error texts.
         vehicle: File or name of a vehicle; the paper's UAV when None.
         load_kg: Mass of the payload, kg; half the mass of the UAVs when None.
     Raises: ScenarioError: the template names agents that this team does not have, or the name is invalid.

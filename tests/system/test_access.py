@@ -139,7 +139,7 @@ def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
             0 <= extra <= (MOST_REPEATED if impostor == "agent1" else 0)
         )  # its own messages, repeated until one arrived
         assert {entry.sender for entry in plant.gate.rejections} <= {"plan/1"}
-        assert all(plant.bus.peers.alive.get(name) is None for name in ("coordinator", "agent2"))
+        assert all(plant.bus.alive.get(name) is None for name in ("coordinator", "agent2"))
         del tokens
 
 
