@@ -63,10 +63,7 @@ def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days
 
 
 def files_of(folder: Path, name: str) -> list[Path]:
-    """Return the files of a folder of keys that the host of a name needs.
-
-    Raises: KeysError: a file is missing.
-    """
+    """Return the files of a folder of keys that the host of a name needs. Raises: KeysError: a file is missing."""
     wanted = [folder / AUTHORITY, folder / f"{name}.pem", folder / f"{name}.key"]
     for file in wanted:
         if not file.is_file():

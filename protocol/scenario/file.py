@@ -58,10 +58,7 @@ def read_scenario(path: Path, settings: Sequence[str] = (), *, allow_large: bool
 
 
 def read_tree(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file.
-
-    Raises: ScenarioError: it cannot be read.
-    """
+    """Return the content of a TOML file. Raises: ScenarioError: it cannot be read."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:

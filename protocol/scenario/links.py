@@ -124,9 +124,11 @@ class Link:
             return []
         if perfect:
             return [0.0]
-        if section.rate_hz is not None and not self._within_rate(tick, section.rate_hz):
-            return []
-        draw = self._draw(tick, stream=_MESSAGE + negotiation)
+        if section.rate_hz is not None and tick > 0:
+            per_tick = section.rate_hz * self._period_s  # the messages that the rate leaves room for are evenly spread
+            if math.floor(tick * per_tick + _SLACK) == math.floor((tick - 1) * per_tick + _SLACK):
+                return []
+        draw = generator(self._key, tick, _MESSAGE + negotiation).random(_DRAWS)
         if draw[_LOSS] < section.loss:
             return []
         if self._in_burst(tick) and section.gilbert_elliott and draw[_BURST] < section.gilbert_elliott.loss:
@@ -150,15 +152,6 @@ class Link:
     def _in_force(self, tick: int) -> tuple[LinkSection, bool]:
         return next((section, perfect) for start, section, perfect in reversed(self._sections) if start <= tick)
 
-    def _within_rate(self, tick: int, rate_hz: float) -> bool:
-        """Return whether the rate leaves room for the message of a tick, the messages carried being evenly spread."""
-        per_tick = rate_hz * self._period_s
-        return tick == 0 or math.floor(tick * per_tick + _SLACK) > math.floor((tick - 1) * per_tick + _SLACK)
-
-    def _draw(self, tick: int, stream: int) -> Array:
-        """Return the uniform numbers in [0, 1) of a tick, (`_DRAWS`,)."""
-        return generator(self._key, tick, stream).random(_DRAWS)
-
     def _in_burst(self, tick: int) -> bool:
         """Return whether the Gilbert-Elliott chain, which starts in the good state, is in the bad one at a tick."""
         for k in range(len(self._bad), tick + 1):
@@ -166,8 +159,8 @@ class Link:
             if bursts is None or not (was_bad or bursts.enter):
                 self._bad.append(False)
             else:
-                draw = self._draw(k, stream=_CHAIN)[0]
-                self._bad.append(bool(draw >= bursts.leave if was_bad else draw < bursts.enter))
+                draw = generator(self._key, k, _CHAIN).random()
+                self._bad.append(draw >= bursts.leave if was_bad else draw < bursts.enter)
         return self._bad[tick]
 
     def _delay(self, section: LinkSection, uniform: Array) -> float:
@@ -197,10 +190,7 @@ class LinkChanges:
         self._applied = 0
 
     def check(self, message: LinkChange) -> None:
-        """Check a change.
-
-        Raises: MessageError: it is invalid, or not the next one.
-        """
+        """Check a change. Raises: MessageError: it is invalid, or not the next one."""
         if message.number > self._applied + 1:
             raise MessageError("future", f"change {message.number} of the links after {self._applied}")
         link_change(message.source, message.target, message.settings, self._samples_s)

@@ -73,10 +73,7 @@ Problems = Iterator[tuple[str, str, object]]
 
 
 def check_relations(scenario: Scenario, source: str) -> None:
-    """Check the fields of a scenario against each other.
-
-    Raises: ScenarioError: with the first problem.
-    """
+    """Check the fields of a scenario against each other. Raises: ScenarioError: with the first problem."""
     for check in (_needs, _ownership, _links, _controller, _clock, _faults, _plant, _phases, _obstacles):
         for field, expected, got in check(scenario):
             raise ScenarioError(source, field, f"expected {expected}, got {got}")

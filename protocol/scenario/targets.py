@@ -57,25 +57,23 @@ def exceeded(
     tilt_deg = min(math.degrees(MOST_TILT), settings.tilt.limit_deg if settings.tilt else math.inf)
     places = rho - lengths[:, None] * view.e_P
     apart = [np.linalg.norm(places[:, i] - places[:, j], axis=1).min() for i, j in combinations(left, 2)]
-    lowest: list[tuple[str, str, float, float]] = [
-        ("a thrust of at least", " N", limits.thrust_N[0], inputs[..., 0].min()),
-        ("a share of the rod tension at hover of at least", "", LEAST_TENSION, pulled.min()),
-    ]
-    if settings.tension is not None:
-        lowest.append(("a rod tension of at least", " N", settings.tension.minimum_N, flown.tensions.min()))
-    if settings.separation is not None and apart:
-        lowest.append(("a distance of UAVs of at least", " m", settings.separation.minimum_m, min(apart)))
-    highest: list[tuple[str, str, float, float]] = [
-        ("a thrust of at most", " N", limits.thrust_N[1], inputs[..., 0].max()),
-        ("a UAV tilt of at most", " deg", tilt_deg, math.degrees(np.abs(view.Theta[:, left]).max())),
-    ]
     what, unit = ("a commanded rate", " rad/s") if system.commands_rates else ("a moment", " N m")
     largest = zip(settings.upper(1)[1:], np.abs(inputs[..., 1:]).max(axis=(0, 1)), strict=True)
-    highest += [(f"{what} about axis {axis} of at most", unit, *both) for axis, both in enumerate(largest, start=1)]
-    for sign, limit_list in ((1.0, highest), (-1.0, lowest)):
-        for what, unit, limit, got in limit_list:
-            if not sign * got <= sign * limit:
-                return f"expected {what} {limit:.4g}{unit} along the reference, got {got:.4g}{unit}"
+    # Sign of the side on which a limit is kept, what it is on, its unit, the limit, and what is furthest there.
+    found: list[tuple[float, str, str, float, float]] = [
+        (1.0, "a thrust of at most", " N", limits.thrust_N[1], inputs[..., 0].max()),
+        (1.0, "a UAV tilt of at most", " deg", tilt_deg, math.degrees(np.abs(view.Theta[:, left]).max())),
+        *((1.0, f"{what} about axis {axis} of at most", unit, *both) for axis, both in enumerate(largest, start=1)),
+        (-1.0, "a thrust of at least", " N", limits.thrust_N[0], inputs[..., 0].min()),
+        (-1.0, "a share of the rod tension at hover of at least", "", LEAST_TENSION, pulled.min()),
+    ]
+    if settings.tension is not None:
+        found.append((-1.0, "a rod tension of at least", " N", settings.tension.minimum_N, flown.tensions.min()))
+    if settings.separation is not None and apart:
+        found.append((-1.0, "a distance of UAVs of at least", " m", settings.separation.minimum_m, min(apart)))
+    for sign, what, unit, limit, got in found:
+        if not sign * got <= sign * limit:
+            return f"expected {what} {limit:.4g}{unit} along the reference, got {got:.4g}{unit}"
     return None
 
 
@@ -114,10 +112,7 @@ class TargetError(MessageError):
 
 
 def asked(given: Mapping[str, Any]) -> TargetSection:
-    """Return what a request asks for.
-
-    Raises: TargetError: it is not valid, whatever the run.
-    """
+    """Return what a request asks for. Raises: TargetError: it is not valid, whatever the run."""
     try:
         return validated(TargetSection, dict(given))
     except ScenarioError as error:
@@ -171,20 +166,14 @@ def scripted(setup: "Setup") -> list[tuple[int, TargetSection]]:
 
 
 def check_scripted(setup: "Setup") -> None:
-    """Check that the targets of a scenario can be flown one after the other.
-
-    Raises: TargetError: one cannot.
-    """
+    """Check that the targets of a scenario can be flown one after the other. Raises: TargetError: one cannot."""
     out = Outbox(COORDINATOR, 0)
     for number, (tick, section) in enumerate(scripted(setup), start=1):
         setup = headed(setup, out.stamp(messages.Target, number=number, **planned(setup, section, tick)))
 
 
 def planned(setup: "Setup", section: TargetSection, tick: int) -> dict[str, Any]:
-    """Return the numbers of the message for a target from a tick on.
-
-    Raises: TargetError: it cannot be flown.
-    """
+    """Return the numbers of the message for a target from a tick on. Raises: TargetError: it cannot be flown."""
     points, period_s = np.array(section.points_m), setup.settings.sampling_period_s
     since_s = tick * period_s
     _check_places(setup, points, since_s)
@@ -261,7 +250,9 @@ def _way(setup: "Setup", further: Array, section: TargetSection) -> Curve:
         times_s = [time_s - section.times_s[0] for time_s in section.times_s[1:]]
         way = _spline(further, times_s[-1], min(_RAMP_S, times_s[-1] / 2.0), times_s)
     else:
-        way = _at_speed(further, section.speed_mps or SPEED_MPS)
+        length_m = _spline(further, 2.0 * _RAMP_S, _RAMP_S, None).fastest()
+        duration_s = max(length_m / (section.speed_mps or SPEED_MPS) + _RAMP_S, 2.0 * _RAMP_S)
+        way = _spline(further, duration_s, _RAMP_S, None)
     period_s = setup.settings.sampling_period_s
     path = way.path(_instants(way.duration_s, period_s))
     wrong = exceeded(path, setup.system, setup.hover, setup.settings)
@@ -276,11 +267,6 @@ def _way(setup: "Setup", further: Array, section: TargetSection) -> Curve:
     if section.speed_mps is not None:
         raise TargetError(f"speed_mps: {wrong}; feasible with {section.speed_mps / factor:.3f} m/s")
     return way
-
-
-def _at_speed(further: Array, speed_mps: float) -> Curve:
-    length_m = _spline(further, 2.0 * _RAMP_S, _RAMP_S, None).fastest()
-    return _spline(further, max(length_m / speed_mps + _RAMP_S, 2.0 * _RAMP_S), _RAMP_S, None)
 
 
 def _spline(further: Array, duration_s: float, ramp_s: float, times_s: list[float] | None) -> Curve:
