@@ -43,10 +43,6 @@ class Inventory(Section):
     insecure: bool = False
     host: Annotated[list[Host], Field(min_length=1)]
 
-    def of(self, process: str) -> Host:
-        """Return the host that runs a process."""
-        return next(host for host in self.host if process in host.runs)
-
     @property
     def routers(self) -> list[Host]:
         """Hosts that run a router, in order."""
@@ -91,18 +87,19 @@ def placements(inventory: Inventory, processes: Sequence[str], scheme: str) -> l
     found = []
     ports = {name: inventory.base_port + place for place, name in enumerate([*processes, RECORDER])}
     earlier: list[str] = []  # endpoints of the processes before
-    for position, host in enumerate(inventory.routers):
-        at = endpoint(host.listen or host.address, inventory.base_port)
-        others = [endpoint(other.address, inventory.base_port) for other in inventory.routers[:position]]
-        found.append(Placement(ROUTER, host, Endpoints(listen=[at], connect=others, mode="router")))
+    routers: list[str] = []
+    for at in inventory.routers:
+        listen = [endpoint(at.listen or at.address, inventory.base_port)]
+        found.append(Placement(ROUTER, at, Endpoints(listen=listen, connect=list(routers), mode="router")))
+        routers.append(endpoint(at.address, inventory.base_port))
     for name in [*processes, RECORDER]:
-        if not any(name in host.runs for host in inventory.host):
+        host = next((host for host in inventory.host if name in host.runs), None)
+        if host is None:
             continue  # the recorder is optional
-        host = inventory.of(name)
         router = inventory.router_of(host)
         if router is not None:
-            at = endpoint(router.address, inventory.base_port)
-            found.append(Placement(name, host, Endpoints(listen=[], connect=[at], mode="client")))
+            connect = [endpoint(router.address, inventory.base_port)]
+            found.append(Placement(name, host, Endpoints(listen=[], connect=connect, mode="client")))
             continue
         listen = [] if name == RECORDER else [endpoint(host.listen or host.address, ports[name])]
         found.append(Placement(name, host, Endpoints(listen=listen, connect=list(earlier))))

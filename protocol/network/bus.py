@@ -16,7 +16,7 @@ import zenoh
 
 from protocol.admission.gate import Gate, Sample
 from protocol.network.endpoints import Endpoints
-from protocol.network.health import Offset, usage
+from protocol.network.health import clock_offset, usage
 from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import RECORDER, WATCHER, Keys
@@ -79,7 +79,7 @@ class Bus:
     ) -> None:
         self.arrived_ns = 0  # wall-clock time of arrival of the last event that `next` returned, ns since 1970
         self.before_wait: Callable[[], None] = lambda: None  # called when no message of a bundle is left to be read
-        self.offset: Offset | None = None  # lead of the coordinator's wall clock, once this process has joined
+        self.offset: tuple[float, float] | None = None  # lead of the coordinator's wall clock, and its uncertainty, s
         self.alive: dict[str, int] = {}  # incarnations of the processes that are up, by name
         self.gate = gate  # has the bundle that the last event came in
         self.name, self.incarnation, self._digest = name, incarnation, digest
@@ -160,7 +160,7 @@ class Bus:
                 if isinstance(item, zenoh.Sample) and self._keys.is_ready(str(item.key_expr), COORDINATOR):
                     ask_s = 0.0
         if self.name != COORDINATOR:
-            self.offset = Offset.measured(lambda: self.ask(COORDINATOR, "health", timeout_s=1.0))
+            self.offset = clock_offset(lambda: self.ask(COORDINATOR, "health", timeout_s=1.0))
         self._declare_token(self._keys.ready(self.name, self.incarnation))
         for stamped in early:
             self._inbox.put(stamped)
@@ -320,8 +320,8 @@ class Bus:
                 "protocol": VERSION,
                 "tick": self.gate.tick,
                 "refused": self.gate.rejections.total,
-                "clock_offset_s": self.offset and self.offset.ahead_s,
-                "clock_uncertainty_s": self.offset and self.offset.uncertainty_s,
+                "clock_offset_s": self.offset and self.offset[0],
+                "clock_uncertainty_s": self.offset and self.offset[1],
                 **usage(),
             }
             reply({**health, "asked_ns": at_ns, "answered_ns": time.time_ns()})

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import psutil
@@ -11,29 +10,22 @@ import psutil
 _EXCHANGES = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Offset:
-    """Offset of another host's wall clock, for comparing logs of several hosts; no run compares two clocks."""
+def clock_offset(ask: Callable[[], Mapping[str, Any] | None]) -> tuple[float, float] | None:
+    """Return how much the clock of a process is ahead of this one, and a bound of the error, s; None without an answer.
 
-    ahead_s: float  # how much the other clock is ahead, s
-    uncertainty_s: float  # bound of the error, s: half of the exchange's travel time
-
-    @staticmethod
-    def measured(ask: Callable[[], Mapping[str, Any] | None]) -> "Offset | None":
-        """Measure the offset as NTP does, by the four times of an exchange; return None without an answer.
-
-        Source: RFC 5905, section 8.
-        """
-        found = []
-        for _ in range(_EXCHANGES):
-            sent_ns = time.time_ns()
-            answer = ask()
-            received_ns = time.time_ns()
-            if answer is None or "answered_ns" not in answer:
-                break
-            there_ns, back_ns = answer["asked_ns"] - sent_ns, received_ns - answer["answered_ns"]
-            found.append(Offset((there_ns - back_ns) / 2e9, max(0, there_ns + back_ns) / 2e9))
-        return min(found, key=lambda offset: offset.uncertainty_s, default=None)
+    Measured as NTP does, by the four times of an exchange, for comparing logs of several hosts; no run compares two
+    clocks. Source: RFC 5905, section 8.
+    """
+    found = []
+    for _ in range(_EXCHANGES):
+        sent_ns = time.time_ns()
+        answer = ask()
+        received_ns = time.time_ns()
+        if answer is None or "answered_ns" not in answer:
+            break
+        there_ns, back_ns = answer["asked_ns"] - sent_ns, received_ns - answer["answered_ns"]
+        found.append((max(0, there_ns + back_ns) / 2e9, (there_ns - back_ns) / 2e9))
+    return min(found)[::-1] if found else None
 
 
 def usage(process: int | None = None) -> dict[str, float | int | None]:

@@ -263,10 +263,8 @@ def run_node(
         bus.before_wait = settle
         interruption = bus.join(expected, place.join_timeout_s, lambda text: journal.log("waiting", text=text))
         if interruption is None:
-            clock: dict[str, float] = {}
-            if bus.offset is not None:
-                clock["clock_offset_ms"] = round(1e3 * bus.offset.ahead_s, 3)
-                clock["clock_uncertainty_ms"] = round(1e3 * bus.offset.uncertainty_s, 3)
+            names = ("clock_offset_ms", "clock_uncertainty_ms")
+            clock = {name: round(1e3 * time_s, 3) for name, time_s in zip(names, bus.offset or (), strict=False)}
             journal.log("joined", peers=len(expected), **clock)
             interruption = _drive(node, bus, exchange, setup.faults)
         if interruption is not None and node.finished is None:

@@ -14,23 +14,14 @@ from protocol.scenario.files import anchored
 from protocol.scenario.relations import check_relations
 from protocol.scenario.schema import Scenario
 
-__all__ = ["ScenarioError", "find_scenario", "find_vehicle", "read_scenario", "read_tree", "validate", "with_settings"]
+__all__ = ["ScenarioError", "find_scenario", "read_scenario", "read_tree", "validate", "with_settings"]
 
 
-def find_scenario(name: str) -> Path:
-    """Return the file of a scenario: a path, or the name of one that comes with the package.
+def find_scenario(name: str, package: str = "scenarios") -> Path:
+    """Return the file of a scenario, or of what else is in a package: a path, or the name of one that comes with it.
 
-    Raises: ScenarioError: no scenario has the name, the text lists the names.
+    Raises: ScenarioError: no file has the name, the text lists the names.
     """
-    return _find(name, "scenarios", "a scenario file")
-
-
-def find_vehicle(name: str) -> Path:
-    """Return the file of a vehicle, as `find_scenario`."""
-    return _find(name, "vehicles", "a vehicle file")
-
-
-def _find(name: str, package: str, kind: str) -> Path:
     path = Path(name)
     if os.path.exists(name) or path.suffix == ".toml" or "/" in name:  # noqa: PTH110 - false for impossible names
         return path
@@ -40,7 +31,7 @@ def _find(name: str, package: str, kind: str) -> Path:
     if name not in known:
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-        raise ScenarioError(name, "", f"expected {kind} or the name of a ready one; {hint}")
+        raise ScenarioError(name, "", f"expected a {package[:-1]} file or the name of a ready one; {hint}")
     return folder / f"{name}.toml"
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from model.parameters import table_1
 from mpc.settings import Key, Positive, Section
 from protocol.scenario.errors import validated
-from protocol.scenario.file import find_vehicle, read_tree, validate
+from protocol.scenario.file import find_scenario, read_tree, validate
 from protocol.scenario.files import anchored
 from protocol.scenario.schema import Inertia, PayloadSection, Scenario, SystemSection, UavSection
 from protocol.wire.names import MAX_UAVS
@@ -50,7 +50,7 @@ def read_vehicle(name: str) -> Vehicle:
 
     Raises: ScenarioError: naming file, field, expected, got.
     """
-    path = find_vehicle(name)
+    path = find_scenario(name, "vehicles")
     return validated(Vehicle, read_tree(path), str(path))
 
 
