@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from itertools import combinations
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -27,8 +27,8 @@ from protocol.wire.message import MessageError
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox
 
-if TYPE_CHECKING:
-    from protocol.scenario.setup import Setup
+# A `protocol.scenario.setup.Setup`, which imports this module.
+Run = Any
 
 # Largest slowing tried, and relative accuracy of the one found.
 _SLOWEST = 64.0
@@ -130,13 +130,13 @@ def target_of(message: messages.Target, period_s: float) -> Target:
     return Target(since_s=message.tick * period_s, point_I=first, approach=approach, way=way)
 
 
-def headed(setup: "Setup", message: messages.Target) -> "Setup":
+def headed(setup: Run, message: messages.Target) -> Run:
     """Return a run with the target in a message."""
     key = (message.number, message.tick, message.points.tobytes(), message.approach_s, message.way_s)
     return setup.headed(target_of(message, setup.settings.sampling_period_s), key)
 
 
-def with_targets(setup: "Setup", found: Iterable[messages.Target]) -> "Setup":
+def with_targets(setup: Run, found: Iterable[messages.Target]) -> Run:
     """Return a run with the targets of its log, each once, in the order of their numbers."""
     for message in found:
         if message.number == len(setup.maneuver.targets) + 1:
@@ -144,7 +144,7 @@ def with_targets(setup: "Setup", found: Iterable[messages.Target]) -> "Setup":
     return setup
 
 
-def check_target(setup: "Setup", message: messages.Target) -> None:
+def check_target(setup: Run, message: messages.Target) -> None:
     """Raise MessageError for a target that is neither the next one of a run nor one that is repeated."""
     known = len(setup.maneuver.targets)
     if message.number > known + 1:
@@ -158,21 +158,21 @@ def target_in_words(message: messages.Target) -> str:
     return f"target ({x:g}, {y:g}, {z:g}) m{further}"
 
 
-def scripted(setup: "Setup") -> list[tuple[int, TargetSection]]:
+def scripted(setup: Run) -> list[tuple[int, TargetSection]]:
     """Return the targets of a scenario with their ticks, in the order of time."""
     period_s, sections = setup.settings.sampling_period_s, setup.scenario.maneuver.target
     found = [(math.ceil(section.at_s / period_s - _SLACK), section) for section in sections]
     return sorted(found, key=itemgetter(0))
 
 
-def check_scripted(setup: "Setup") -> None:
+def check_scripted(setup: Run) -> None:
     """Check that the targets of a scenario can be flown one after the other. Raises: TargetError: one cannot."""
     out = Outbox(COORDINATOR, 0)
     for number, (tick, section) in enumerate(scripted(setup), start=1):
         setup = headed(setup, out.stamp(messages.Target, number=number, **planned(setup, section, tick)))
 
 
-def planned(setup: "Setup", section: TargetSection, tick: int) -> dict[str, Any]:
+def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
     """Return the numbers of the message for a target from a tick on. Raises: TargetError: it cannot be flown."""
     points, period_s = np.array(section.points_m), setup.settings.sampling_period_s
     since_s = tick * period_s
@@ -204,7 +204,7 @@ def planned(setup: "Setup", section: TargetSection, tick: int) -> dict[str, Any]
     }
 
 
-def _check_places(setup: "Setup", points: Array, since_s: float) -> None:
+def _check_places(setup: Run, points: Array, since_s: float) -> None:
     """Check that points are in reach and above the ground, and that the payload flies.
 
     Without a ground in the plant, none may be below z = 0 unless the payload has been as low.
@@ -222,7 +222,7 @@ def _check_places(setup: "Setup", points: Array, since_s: float) -> None:
         raise TargetError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")
 
 
-def _approach(setup: "Setup", point_I: Array, since_s: float, speed_mps: float) -> Curve:
+def _approach(setup: Run, point_I: Array, since_s: float, speed_mps: float) -> Curve:
     """Return the approach of a target: the fastest of those tried that keeps the limits."""
     maneuver, flat = setup.maneuver, setup.scenario.maneuver.reference == "flat"
     here_I, end_I = maneuver.path(np.array([since_s, maneuver.duration_s]))[0]
@@ -244,7 +244,7 @@ def _approach(setup: "Setup", point_I: Array, since_s: float, speed_mps: float) 
     raise TargetError(f"points_m: {wrong}")
 
 
-def _way(setup: "Setup", further: Array, section: TargetSection) -> Curve:
+def _way(setup: Run, further: Array, section: TargetSection) -> Curve:
     """Return the curve through way points relative to the target."""
     if section.times_s is not None:
         times_s = [time_s - section.times_s[0] for time_s in section.times_s[1:]]
@@ -277,6 +277,6 @@ def _instants(duration_s: float, period_s: float) -> Array:
     return np.linspace(0.0, duration_s, max(2, math.ceil(duration_s / period_s)) + 1)
 
 
-def _last_s(setup: "Setup") -> float:
+def _last_s(setup: Run) -> float:
     """Return the time of the last sampling instant."""
-    return (setup.ticks - 1) * setup.settings.sampling_period_s
+    return float((setup.ticks - 1) * setup.settings.sampling_period_s)
