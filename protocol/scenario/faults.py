@@ -13,8 +13,6 @@ from typing import Literal
 from protocol.scenario.schema import Scenario
 from protocol.wire.messages import Measurement, Message, Tick
 
-Action = Literal["kill", "stop", "continue", "start", "motor_off", "release", "degrade"]
-
 # Faults that the plant applies to its UAVs.
 OF_UAVS = ("motor_off", "release", "degrade")
 
@@ -28,7 +26,7 @@ class Fault:
     """
 
     tick: int
-    do: Action
+    do: Literal["kill", "stop", "continue", "start", "motor_off", "release", "degrade"]
     target: str  # process name; for faults of UAVs the name of a UAV, such as "uav3"
     efficiency: float = 1.0  # of the motors, for "degrade"
 

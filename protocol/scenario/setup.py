@@ -32,7 +32,7 @@ from protocol.scenario.faults import Fault, scripted, uav_faults
 from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
 from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
-from protocol.scenario.targets import TargetError, check_scripted, exceeded, least_slowing
+from protocol.scenario.targets import ON_GROUND_M, TargetError, check_scripted, exceeded, least_slowing
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.run_shape import RunShape
 
@@ -41,8 +41,6 @@ Problems = Iterator[tuple[str, str]]
 
 # Width of the walls beside a gap, m: no path comes near their ends.
 _WALL_M = 1e5
-# How far a payload that takes off or lands may be from the ground, m.
-_ON_GROUND_M = 1e-3
 
 # Size of a message without its arrays, with the longest texts and lists it may have.
 _FRAME_BYTES = 16 * 1024
@@ -69,6 +67,7 @@ class Setup:
     settings: ControllerSettings  # the same for every agent
     owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
     samples_s: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # measured delays of the links, by file
+    ahead: Ahead | None = field(default=None, init=False)  # part of the reference that the newest target changes
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
@@ -138,11 +137,6 @@ class Setup:
     def X_ref(self) -> Array:
         """Reference states at the same instants, (K, n)."""
         return self.reference.followed(self._instants_s())[1]
-
-    @cached_property
-    def ahead(self) -> Ahead | None:
-        """The part of the reference that the newest target changes; None without a target."""
-        return None
 
     def headed(self, target: Target, key: Hashable) -> Self:
         """Return this run with a target, which `key` distinguishes from others; the reference before it is the same."""
@@ -281,7 +275,7 @@ class Setup:
         resting_m = resting_height(self.system, ground_m)
         at = f"z = {resting_m:g} m, where the payload stands on the ground"
         height_m = float(self.maneuver.start_I[2])
-        if height_m > resting_m + _ON_GROUND_M:
+        if height_m > resting_m + ON_GROUND_M:
             yield "maneuver.start_m", f"expected a start above {at}, got {height_m:g}"
         for number, phase in enumerate(self.maneuver.phases, start=1):
             before_m, height_m = height_m, height_m + float(phase.displacement_I[2])
@@ -290,9 +284,9 @@ class Setup:
                 along = phase.curve.path(np.linspace(0.0, phase.duration_s, 1001), 1)
                 lowest_m = before_m + float(along[0, :, 2].max())
             for what, got_m, wrong in (
-                ("a take-off from", before_m, phase.kind == "take_off" and abs(before_m - resting_m) > _ON_GROUND_M),
-                ("a landing at", height_m, phase.kind == "land" and abs(height_m - resting_m) > _ON_GROUND_M),
-                ("a path above", lowest_m, lowest_m > resting_m + _ON_GROUND_M),
+                ("a take-off from", before_m, phase.kind == "take_off" and abs(before_m - resting_m) > ON_GROUND_M),
+                ("a landing at", height_m, phase.kind == "land" and abs(height_m - resting_m) > ON_GROUND_M),
+                ("a path above", lowest_m, lowest_m > resting_m + ON_GROUND_M),
             ):
                 if wrong:
                     yield f"maneuver.phase.{number}", f"expected {what} {at}, got {got_m:g}"

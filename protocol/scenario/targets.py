@@ -100,7 +100,8 @@ def least_slowing(
 SPEED_MPS, _RAMP_S, _LONGER, _LONGEST = 1.0, 2.0, 1.25, 64.0
 # Targets of one run: a process that joins receives all of them.
 MOST = 1000
-_ON_GROUND_M = 1e-3
+# How far a payload that takes off or lands may be from the ground, m.
+ON_GROUND_M = 1e-3
 _SLACK = 1e-9
 
 
@@ -218,7 +219,7 @@ def _check_places(setup: Run, points: Array, since_s: float) -> None:
     if points[:, 2].max() > lowest_m + _SLACK:
         raise TargetError(f"points_m: expected z of at most {lowest_m:g} m, {why}, got {points[:, 2].max():g}")
     phase = setup.maneuver.phase_at(since_s)
-    if ground_m is not None and (phase.kind in ("take_off", "land") or flown[1, 2] > lowest_m - _ON_GROUND_M):
+    if ground_m is not None and (phase.kind in ("take_off", "land") or flown[1, 2] > lowest_m - ON_GROUND_M):
         raise TargetError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")
 
 
