@@ -56,8 +56,7 @@ class LinkSection(Section):
     reorder: Annotated[Probability, _key("plans held back", "%", "--reorder", "reordering {:g} %")] = 0.0
     """probability that a message is held back by `reorder_s`"""
     reorder_s: Annotated[
-        NotNegative,
-        _key("extra delay of plans held back", "ms", "--reorder-s", "{:g} s more for reordered messages"),
+        NotNegative, _key("extra delay of plans held back", "ms", "--reorder-s", "{:g} s more for reordered messages")
     ] = 0.0
     """extra delay of a message that is held back"""
     rate_hz: Annotated[

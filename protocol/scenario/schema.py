@@ -295,9 +295,7 @@ class AgentsSection(Section):
     ] = None
     """UAVs of each agent: agent 1 owns the first list, and so on; each UAV once. If omitted: one agent for each UAV"""
     controller: Annotated[
-        str,
-        or_class("mpc"),
-        Key(type="mpc, package.module:Class", label="controller", short="controller"),
+        str, or_class("mpc"), Key(type="mpc, package.module:Class", label="controller", short="controller")
     ] = "mpc"
     """controller of every agent: that of this project, or [your own class](bring-your-own.md#your-own-controller)"""
 
@@ -350,8 +348,7 @@ class FaultSection(Section):
     detached from its rod, and its motors stop; degrade: the motors of a UAV produce only a share of thrust and moments
     from then on"""
     target: Annotated[
-        str,
-        Key(type="coordinator, plant, agent1, agent2, ...; uav1, uav2, ... for motor_off, release and degrade"),
+        str, Key(type="coordinator, plant, agent1, agent2, ...; uav1, uav2, ... for motor_off, release and degrade")
     ]
     """affected process or UAV"""
     efficiency: Annotated[float, Interval(gt=0.0, le=1.0)] | None = None
