@@ -25,48 +25,34 @@ _FAULTS = {
     "degrade": (("running",), "running"),
 }
 
-# Values of keys that one value of another key needs: that key and value, then the values of others.
+# Key and value, then a key and the value that they need.
+_OWN = "package.module:Class"  # any class of the user, which has neither corrections nor proposals and gets states
 _NEEDS = (
-    ("controller.terminal", "riccati", {"controller.weights.penalised_input": "deviation"}),
-    (
-        "controller.share",
-        "on_change",
-        {
-            "controller.prediction": "closed_loop",
-            "controller.received_plans": "by_age",
-            "controller.received_states": "predicted",
-            "controller.negotiation_iterations": 1,
-        },
-    ),
-    (
-        "controller.estimator",
-        "kalman",
-        {
-            "plant.sensors": "vehicle",
-            "controller.prediction": "closed_loop",
-            "controller.received_states": "predicted",
-            "controller.share": "always",
-        },
-    ),
-    ("controller.estimator", "measured", {"plant.sensors": "state"}),
-    ("clock.mode", "realtime", {"controller.negotiation_iterations": 1, "plant.inner_loop": "model"}),
-    ("plant.engine", "rods", {"plant.ground_m": None, "plant.mujoco": MujocoSection()}),
-    ("plant.inner_loop", "betaflight", {"controller.inputs": "rates"}),
-    (
-        "maneuver.reference",
-        "flat",
-        {
-            "controller.prediction": "closed_loop",
-            "controller.linearisation": "along",
-            "controller.terminal": "riccati",
-            "controller.preview": True,
-            "controller.motor_lag_s": 0.0,
-            "controller.constraint": (),
-        },
-    ),
+    ("controller.terminal", "riccati", "controller.weights.penalised_input", "deviation"),
+    ("controller.share", "on_change", "controller.prediction", "closed_loop"),
+    ("controller.share", "on_change", "controller.received_plans", "by_age"),
+    ("controller.share", "on_change", "controller.received_states", "predicted"),
+    ("controller.share", "on_change", "controller.negotiation_iterations", 1),
+    ("controller.estimator", "measured", "plant.sensors", "state"),
+    ("controller.estimator", "kalman", "plant.sensors", "vehicle"),
+    ("controller.estimator", "kalman", "controller.prediction", "closed_loop"),
+    ("controller.estimator", "kalman", "controller.received_states", "predicted"),
+    ("controller.estimator", "kalman", "controller.share", "always"),
+    ("agents.controller", _OWN, "controller.share", "always"),
+    ("agents.controller", _OWN, "controller.negotiation_iterations", 1),
+    ("agents.controller", _OWN, "plant.sensors", "state"),
+    ("clock.mode", "realtime", "controller.negotiation_iterations", 1),
+    ("clock.mode", "realtime", "plant.inner_loop", "model"),
+    ("plant.engine", "rods", "plant.ground_m", None),
+    ("plant.engine", "rods", "plant.mujoco", MujocoSection()),
+    ("plant.inner_loop", "betaflight", "controller.inputs", "rates"),
+    ("maneuver.reference", "flat", "controller.prediction", "closed_loop"),
+    ("maneuver.reference", "flat", "controller.linearisation", "along"),
+    ("maneuver.reference", "flat", "controller.terminal", "riccati"),
+    ("maneuver.reference", "flat", "controller.preview", True),
+    ("maneuver.reference", "flat", "controller.motor_lag_s", 0.0),
+    ("maneuver.reference", "flat", "controller.constraint", ()),
 )
-# The same for a class as `agents.controller`, which has neither corrections nor proposals and gets states.
-_OWN_CONTROLLER = {"controller.share": "always", "controller.negotiation_iterations": 1, "plant.sensors": "state"}
 
 # Field, what was expected there, and what came.
 Problems = Iterator[tuple[str, str, object]]
@@ -80,15 +66,11 @@ def check_relations(scenario: Scenario, source: str) -> None:
 
 
 def _needs(scenario: Scenario) -> Problems:
-    needs = [(f"{key} = {value!r}", needed) for key, value, needed in _NEEDS if attrgetter(key)(scenario) == value]
-    if scenario.agents.controller != "mpc":
-        needs.append(("a class as agents.controller", _OWN_CONTROLLER))
-    for cause, needed in needs:
-        for key, value in needed.items():
-            got = attrgetter(key)(scenario)
-            if got != value:
-                expected = repr(value) if isinstance(value, str | int | float) else "no value"
-                yield key, f"{expected} with {cause}", f"{got!r:.60}"
+    for cause, value, key, needed in _NEEDS:
+        given, got = attrgetter(cause)(scenario), attrgetter(key)(scenario)
+        if (given == value or (value == _OWN and given != "mpc")) and got != needed:
+            expected = repr(needed) if isinstance(needed, str | int | float) else "no value"
+            yield key, f"{expected} with {cause} = {value!r}", f"{got!r:.60}"
 
 
 def _ownership(scenario: Scenario) -> Problems:
