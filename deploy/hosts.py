@@ -1,15 +1,17 @@
 """Inventory of hosts and their processes, and from it the endpoints of every process of a run."""
 
-import difflib
-import tomllib
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
+from mpc.settings import Section
 from protocol.network.endpoints import DEFAULT_BASE_PORT, Endpoints
+from protocol.scenario.errors import ScenarioError, validated
+from protocol.scenario.file import read_tree
 from protocol.wire.keys import RECORDER, ROUTER
 
 
@@ -17,15 +19,11 @@ class InventoryError(ValueError):
     """An invalid inventory: `file: field: expected ..., got ...`."""
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,40}$")]
 Address = Annotated[str, Field(pattern=r"^[A-Za-z0-9.:_-]{1,253}$")]
 
 
-class Host(_Section):
+class Host(Section):
     """One host."""
 
     name: Name  # of its folder
@@ -37,17 +35,13 @@ class Host(_Section):
     priority: Annotated[int, Field(ge=0, le=50)] = 0  # SCHED_FIFO priority of its processes, 0 for none
 
 
-class Inventory(_Section):
+class Inventory(Section):
     """A deployment; docs/deploy.md describes each key."""
 
     run: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,80}$")]
     base_port: Annotated[int, Field(ge=1024, le=65_000)] = DEFAULT_BASE_PORT
     insecure: bool = False
     host: Annotated[list[Host], Field(min_length=1)]
-
-    def of(self, process: str) -> Host:
-        """Return the host that runs a process."""
-        return next(host for host in self.host if process in host.runs)
 
     @property
     def routers(self) -> list[Host]:
@@ -71,25 +65,16 @@ class Placement:
 
 
 def read_inventory(path: Path, processes: Sequence[str]) -> Inventory:
-    """Read and check an inventory.
+    """Read and check an inventory; each of the processes named has to run on one host.
 
-    Args:
-        path: TOML file.
-        processes: Names of the run's processes; each has to run on one host.
     Raises: InventoryError: naming file, field, expected and got.
     """
     try:
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
-        inventory = Inventory.model_validate(tree)
-    except OSError as error:
-        raise InventoryError(f"{path}: cannot be read ({error.strerror})") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InventoryError(f"{path}: not valid TOML: {error}") from error
-    except ValidationError as error:
-        problem = error.errors()[0]
-        field = ".".join(str(part + 1) if isinstance(part, int) else part for part in problem["loc"])
-        raise InventoryError(f"{path}: {field}: {problem['msg']}, got {problem['input']!r}"[:300]) from error
-    _check(inventory, str(path), processes)
+        inventory = validated(Inventory, read_tree(path), str(path))
+    except ScenarioError as error:
+        raise InventoryError(str(error)) from error
+    for field, problem in _problems(inventory, processes):
+        raise InventoryError(f"{path}: {field}: {problem}")
     return inventory
 
 
@@ -102,18 +87,19 @@ def placements(inventory: Inventory, processes: Sequence[str], scheme: str) -> l
     found = []
     ports = {name: inventory.base_port + place for place, name in enumerate([*processes, RECORDER])}
     earlier: list[str] = []  # endpoints of the processes before
-    for position, host in enumerate(inventory.routers):
-        at = endpoint(host.listen or host.address, inventory.base_port)
-        others = [endpoint(other.address, inventory.base_port) for other in inventory.routers[:position]]
-        found.append(Placement(ROUTER, host, Endpoints(listen=[at], connect=others, mode="router")))
+    routers: list[str] = []
+    for at in inventory.routers:
+        listen = [endpoint(at.listen or at.address, inventory.base_port)]
+        found.append(Placement(ROUTER, at, Endpoints(listen=listen, connect=list(routers), mode="router")))
+        routers.append(endpoint(at.address, inventory.base_port))
     for name in [*processes, RECORDER]:
-        if not any(name in host.runs for host in inventory.host):
+        host = next((host for host in inventory.host if name in host.runs), None)
+        if host is None:
             continue  # the recorder is optional
-        host = inventory.of(name)
         router = inventory.router_of(host)
         if router is not None:
-            at = endpoint(router.address, inventory.base_port)
-            found.append(Placement(name, host, Endpoints(listen=[], connect=[at], mode="client")))
+            connect = [endpoint(router.address, inventory.base_port)]
+            found.append(Placement(name, host, Endpoints(listen=[], connect=connect, mode="client")))
             continue
         listen = [] if name == RECORDER else [endpoint(host.listen or host.address, ports[name])]
         found.append(Placement(name, host, Endpoints(listen=listen, connect=list(earlier))))
@@ -121,31 +107,24 @@ def placements(inventory: Inventory, processes: Sequence[str], scheme: str) -> l
     return found
 
 
-def _check(inventory: Inventory, source: str, processes: Sequence[str]) -> None:
-    """Check the relations between hosts and processes."""
-    known = [*processes, RECORDER, ROUTER]
-    seen: dict[str, str] = {}
-    names = [host.name for host in inventory.host]
+def _problems(inventory: Inventory, processes: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield field, and expected and got, of hosts and processes that do not fit."""
+    known, names = [*processes, RECORDER, ROUTER], Counter(host.name for host in inventory.host)
+    runs = Counter(process for host in inventory.host for process in host.runs)
+    routers = [host.name for host in inventory.routers]
     for i, host in enumerate(inventory.host, start=1):
-        if names.count(host.name) > 1:
-            raise InventoryError(f"{source}: host.{i}.name: expected each host once, got {host.name!r} again")
+        if names[host.name] > 1:
+            yield f"host.{i}.name", f"expected each host once, got {host.name!r} again"
         for process in host.runs:
             if process not in known:
-                near = difflib.get_close_matches(process, known, n=1)
-                hint = f"; did you mean {near[0]!r}?" if near else ""
-                raise InventoryError(
-                    f"{source}: host.{i}.runs: expected one of {', '.join(known)}, got {process!r}{hint}"
-                )
-            if process in seen and process != ROUTER:
-                raise InventoryError(f"{source}: host.{i}.runs: {process} runs on {seen[process]} already")
-            seen[process] = host.name
-        unknown = sorted(set(host.cpus) - set(host.runs))
-        if unknown:
-            raise InventoryError(f"{source}: host.{i}.cpus: expected one of {', '.join(host.runs)}, got {unknown[0]!r}")
-        routers = [other.name for other in inventory.routers]
+                yield f"host.{i}.runs", f"expected one of {', '.join(known)}, got {process!r}"
+            if runs[process] > 1 and process != ROUTER:
+                yield f"host.{i}.runs", f"expected each process on one host, got {process} on {runs[process]}"
+        for process in set(host.cpus) - set(host.runs):
+            yield f"host.{i}.cpus", f"expected one of {', '.join(host.runs)}, got {process!r}"
         if host.router is not None and host.router not in routers:
             expected = f"expected a host that runs a router ({', '.join(routers) or 'none does'})"
-            raise InventoryError(f"{source}: host.{i}.router: {expected}, got {host.router!r}")
-    missing = [process for process in processes if process not in seen]
-    if missing:
-        raise InventoryError(f"{source}: host: expected a host that runs {missing[0]}, got none")
+            yield f"host.{i}.router", f"{expected}, got {host.router!r}"
+    for process in processes:
+        if not runs[process]:
+            yield "host", f"expected a host that runs {process}, got none"

@@ -1,4 +1,4 @@
-"""Keys of a deployment: an authority and a certificate for each name, or passwords.
+"""Keys of a deployment: an authority and a certificate for each name.
 
 The folder holds all keys and is not copied to hosts; `transport deploy render` gives each host its own part.
 """
@@ -6,17 +6,17 @@ The folder holds all keys and is not copied to hosts; `transport deploy render` 
 import ipaddress
 import os
 import secrets
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import cast
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from protocol.network.security import AUTHORITY, USERS
+from protocol.network.security import AUTHORITY
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER
 
 # The authority's own key, needed to sign further certificates; no host has it.
@@ -30,7 +30,6 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 # Clocks of hosts may differ: a certificate is valid from some time before it was made.
 _BEFORE = timedelta(days=2)
-_PASSWORD_BYTES = 24
 
 
 class KeysError(ValueError):
@@ -43,110 +42,67 @@ def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days
     Keys are ECDSA on P-256, which every TLS library accepts. Existing files are kept. Addresses are those of the
     process, and host names; new certificates are valid for `days`.
 
-    Raises: KeysError: the folder cannot be written to, or holds half of a pair.
+    Raises: KeysError: the folder cannot be written to, or holds half of an authority.
     """
-    with _writing(folder):
-        authority, key = _authority(folder, days)
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        file = folder / AUTHORITY
+        if file.exists():
+            known = x509.load_pem_x509_certificate(file.read_bytes())
+            key = serialization.load_pem_private_key((folder / AUTHORITY_KEY).read_bytes(), password=None)
+            authority = known, cast(ec.EllipticCurvePrivateKey, key)
+        else:
+            authority = _issued(file, f"payload-transport authority {secrets.token_hex(4)}", days)
         for name, reached in addresses.items():
-            file = folder / f"{name}.pem"
-            if file.exists():
-                continue
-            own = ec.generate_private_key(ec.SECP256R1())
-            names = [_general_name(address) for address in dict.fromkeys(reached)]
-            usages = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
-            certificate = (
-                _builder(name, authority.subject, own.public_key(), days)
-                .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-                .add_extension(x509.SubjectAlternativeName(names), critical=False)
-                .add_extension(usages, critical=False)
-                .add_extension(_key_usage(signs=False), critical=True)
-                .sign(key, hashes.SHA256())
-            )
-            _write_key(folder / f"{name}.key", own)
-            file.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
-
-
-def make_passwords(folder: Path, names: Iterable[str]) -> None:
-    """Make a password for each name that has none, and the list of passwords for the router.
-
-    Raises: KeysError: the folder cannot be written to.
-    """
-    with _writing(folder):
-        for name in names:
-            file = folder / f"{name}.password"
-            if not file.exists():
-                _write_private(file, f"{secrets.token_urlsafe(_PASSWORD_BYTES)}\n".encode())
-        files = sorted(folder.glob("*.password"))
-        lines = [f"{file.stem}:{file.read_text(encoding='utf-8').strip()}\n" for file in files]
-        (folder / USERS).unlink(missing_ok=True)
-        _write_private(folder / USERS, "".join(lines).encode())
+            if not (folder / f"{name}.pem").exists():
+                _issued(folder / f"{name}.pem", name, days, authority, reached)
+    except OSError as error:
+        raise KeysError(f"--out: cannot use {error.filename or folder} ({error.strerror})") from error
+    except ValueError as error:
+        raise KeysError(f"--out: expected an authority in {folder}, got {error}") from error
 
 
 def files_of(folder: Path, name: str) -> list[Path]:
-    """Return the files of a folder of keys that the host of a name needs.
-
-    Raises: KeysError: a file is missing.
-    """
-    if (folder / AUTHORITY).exists():
-        wanted = [folder / AUTHORITY, folder / f"{name}.pem", folder / f"{name}.key"]
-    else:
-        wanted = [folder / f"{name}.password", *([folder / USERS] if name == ROUTER else [])]
+    """Return the files of a folder of keys that the host of a name needs. Raises: KeysError: a file is missing."""
+    wanted = [folder / AUTHORITY, folder / f"{name}.pem", folder / f"{name}.key"]
     for file in wanted:
         if not file.is_file():
             raise KeysError(f"--keys: expected the file {file}, got none (transport deploy keys)")
     return wanted
 
 
-@contextmanager
-def _writing(folder: Path) -> Iterator[None]:
-    """Make the folder, and name it in errors of writing to it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        yield
-    except OSError as error:
-        raise KeysError(f"--out: cannot write {error.filename or folder} ({error.strerror})") from error
-
-
-def _authority(folder: Path, days: int) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
-    file, key_file = folder / AUTHORITY, folder / AUTHORITY_KEY
-    if file.exists() != key_file.exists():
-        present, missing = (file, key_file) if file.exists() else (key_file, file)
-        raise KeysError(f"--out: expected {missing.name} beside {present}, got {present.name} alone")
-    if file.exists():
-        try:
-            known = x509.load_pem_x509_certificate(file.read_bytes())
-            key = serialization.load_pem_private_key(key_file.read_bytes(), password=None)
-        except ValueError as error:
-            raise KeysError(f"--out: expected an authority in {file} and {key_file.name}, got {error}") from error
-        if not isinstance(key, ec.EllipticCurvePrivateKey):
-            raise KeysError(f"--out: expected an elliptic curve key in {key_file}, got {type(key).__name__}")
-        return known, key
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = f"payload-transport authority {secrets.token_hex(4)}"
-    certificate = (
-        _builder(name, None, key.public_key(), days)
-        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(_key_usage(signs=True), critical=True)
-        .sign(key, hashes.SHA256())
-    )
-    _write_key(key_file, key)
-    file.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
-    return certificate, key
-
-
-def _builder(
-    name: str, issuer: x509.Name | None, public: ec.EllipticCurvePublicKey, days: int
-) -> x509.CertificateBuilder:
-    subject, now = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)]), datetime.now(UTC)
-    return (
+def _issued(
+    file: Path,
+    name: str,
+    days: int,
+    issuer: tuple[x509.Certificate, ec.EllipticCurvePrivateKey] | None = None,
+    addresses: Sequence[str] = (),
+) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+    """Write a new key and its certificate, which an issuer signs, or that of a new authority; return both."""
+    key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    builder = (
         x509.CertificateBuilder()
         .subject_name(subject)
-        .issuer_name(subject if issuer is None else issuer)
-        .public_key(public)
+        .issuer_name(issuer[0].subject if issuer else subject)
+        .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - _BEFORE)
         .not_valid_after(now + timedelta(days=days))
+        .add_extension(x509.BasicConstraints(ca=issuer is None, path_length=None if issuer else 0), critical=True)
+        .add_extension(_key_usage(signs=issuer is None), critical=True)
     )
+    if issuer:
+        names = x509.SubjectAlternativeName([_general_name(address) for address in dict.fromkeys(addresses)])
+        usages = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
+        builder = builder.add_extension(names, critical=False).add_extension(usages, critical=False)
+    certificate = builder.sign(issuer[1] if issuer else key, hashes.SHA256())
+    form, unencrypted = serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    # Only its owner can read the key, from the first byte on.
+    with os.fdopen(os.open(file.with_suffix(".key"), os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
+        stream.write(key.private_bytes(serialization.Encoding.PEM, form, unencrypted))
+    file.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    return certificate, key
 
 
 def _key_usage(*, signs: bool) -> x509.KeyUsage:
@@ -168,16 +124,3 @@ def _general_name(address: str) -> x509.GeneralName:
         return x509.IPAddress(ipaddress.ip_address(address))
     except ValueError:
         return x509.DNSName(address)
-
-
-def _write_key(file: Path, key: ec.EllipticCurvePrivateKey) -> None:
-    text = key.private_bytes(
-        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-    )
-    _write_private(file, text)
-
-
-def _write_private(file: Path, content: bytes) -> None:
-    """Write a file that only its owner can read, from the first byte on."""
-    with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
-        stream.write(content)

@@ -12,12 +12,12 @@ from typing import Any
 
 import tomli_w
 
-from deploy.hosts import Host, Inventory, Placement, placements
+from deploy.hosts import Inventory, Placement, placements
 from deploy.keys import files_of
 from protocol.network.endpoints import process_names
 from protocol.network.parent import ENVIRONMENT
 from protocol.network.process import PATIENCE_S
-from protocol.network.security import AUTHORITY, Security
+from protocol.network.security import Security
 from protocol.network.session import configuration
 from protocol.scenario.files import write_delays
 from protocol.scenario.setup import Setup
@@ -50,14 +50,23 @@ def render(setup: Setup, inventory: Inventory, keys: Path | None, out: Path, *, 
         raise RenderError("--keys: expected a folder of keys, or insecure = true in the inventory, got neither")
     if out.exists():
         raise RenderError(f"--out: expected a folder that does not exist yet, got {out}")
-    scheme = "tls" if keys is not None and (keys / AUTHORITY).exists() else "tcp"
-    if keys is not None and scheme == "tcp" and not inventory.routers:
-        raise RenderError("--keys: expected a host that runs a router with passwords, which only a router can check")
-    placed = placements(inventory, process_names(setup.scenario), scheme)
-    wanted = {host.name: _keys(keys, host, placed) for host in inventory.host}
+    placed = placements(inventory, process_names(setup.scenario), "tcp" if keys is None else "tls")
+    names, wanted = (*process_names(setup.scenario), RECORDER), dict[str, list[Path]]()
+    if keys is not None:
+        security = Security(keys.resolve(), names)
+        placed = [replace(entry, endpoints=replace(entry.endpoints, security=security)) for entry in placed]
+        for host in inventory.host:
+            # Beside the coordinator are operator and watcher.
+            holders = [*host.runs, *([OPERATOR, WATCHER] if COORDINATOR in host.runs else [])]
+            wanted[host.name] = [file for name in holders for file in files_of(keys, name)]
     for host in inventory.host:
-        etc = (out / host.name).resolve() if in_place else ETC
-        _host(setup, inventory, host, placed, wanted[host.name], keys, out / host.name, etc)
+        folder = out / host.name
+        etc, own = folder.resolve() if in_place else ETC, [entry for entry in placed if entry.host == host]
+        _host(setup, inventory, own, folder, etc)
+        if keys is not None:
+            (folder / "keys").mkdir(mode=0o700)
+            for file in wanted[host.name]:
+                shutil.copy(file, folder / "keys" / file.name)
     return [out / host.name for host in inventory.host]
 
 
@@ -67,6 +76,9 @@ def unit(placement: Placement, inventory: Inventory, after: Sequence[str], etc: 
     `etc` is the folder of its scenario.
     """
     host, name = placement.host, placement.process
+    scheduling = [f"CPUAffinity={' '.join(map(str, host.cpus[name]))}"] if name in host.cpus else []
+    if host.priority:
+        scheduling += ["CPUSchedulingPolicy=fifo", f"CPUSchedulingPriority={host.priority}"]
     return Template((_TEMPLATES / "process.service").read_text(encoding="utf-8")).substitute(
         name=name,
         run=inventory.run,
@@ -74,7 +86,7 @@ def unit(placement: Placement, inventory: Inventory, after: Sequence[str], etc: 
         environment="\n".join(f'Environment="{key}={value}"' for key, value in ENVIRONMENT.items()),
         command=shlex.join(command(placement, inventory, etc=etc)),
         restart="on-failure" if name.startswith(_RESTARTED) else "no",
-        scheduling=_scheduling(host, name),
+        scheduling="\n".join(scheduling),
     )
 
 
@@ -97,76 +109,34 @@ def command(placement: Placement, inventory: Inventory, program: Path = PROGRAM,
     return line
 
 
-def _host(
-    setup: Setup,
-    inventory: Inventory,
-    host: Host,
-    placed: Sequence[Placement],
-    keys: Sequence[Path],
-    source: Path | None,
-    folder: Path,
-    etc: Path,
-) -> None:
-    own = [placement for placement in placed if placement.host == host]
+def _host(setup: Setup, inventory: Inventory, own: Sequence[Placement], folder: Path, etc: Path) -> None:
+    """Write the folder of a host, which is `etc` there, with its own processes; but for the keys."""
     (folder / "systemd").mkdir(parents=True)
+    host, security, running = own[0].host, own[0].endpoints.security, [placement.process for placement in own]
     router = next((placement.endpoints.connect[0] for placement in own if placement.endpoints.mode == "client"), None)
-    tree = setup.scenario.tree()
     network: dict[str, Any] = {"host": host.listen or host.address, "base_port": inventory.base_port}
     network |= {"router": router} if router else {}
-    network |= {"keys": str(etc / "keys")} if keys else {"insecure": True}
-    (folder / "scenario.toml").write_text(tomli_w.dumps({**tree, "network": network}), encoding="utf-8")
-    write_delays(setup.samples_s, folder)
-    running = [placement.process for placement in own]
-    for placement in own:
-        # Started last, the coordinator is stopped first, so that all processes on its host receive the end of the run.
-        after = [name for name in running if name != COORDINATOR] if placement.process == COORDINATOR else []
-        text = unit(placement, inventory, after, etc)
-        (folder / "systemd" / f"transport-{placement.process}.service").write_text(text, encoding="utf-8")
-    _write_configurations(setup, inventory, own, source, folder, etc)
-    if keys:
-        (folder / "keys").mkdir(mode=0o700)
-        for file in keys:
-            shutil.copy(file, folder / "keys" / file.name)
-    services = " ".join(f"transport-{name}.service" for name in running)
-    script = Template((_TEMPLATES / "install.sh").read_text(encoding="utf-8"))
-    (folder / "install.sh").write_text(
-        script.substitute(host=host.name, etc=ETC, program=PROGRAM, services=services), encoding="utf-8"
+    network |= {"keys": str(etc / "keys")} if security else {"insecure": True}
+    (folder / "scenario.toml").write_text(
+        tomli_w.dumps({**setup.scenario.tree(), "network": network}), encoding="utf-8"
     )
-    (folder / "install.sh").chmod(0o755)
-
-
-def _write_configurations(
-    setup: Setup, inventory: Inventory, own: Sequence[Placement], source: Path | None, folder: Path, etc: Path
-) -> None:
-    """Write Zenoh's configuration of each process, for other programs: zenohd as router, a foreign agent."""
+    write_delays(setup.samples_s, folder)
     (folder / "zenoh").mkdir(mode=0o700)
-    names = (*process_names(setup.scenario), RECORDER)
-    security = None if source is None else Security(source.resolve(), names)
-    patience_s = PATIENCE_S[setup.scenario.clock.mode]
     for placement in own:
-        name, place = placement.process, replace(placement.endpoints, security=security)
-        keys = Keys.below("transport/*") if name == ROUTER else Keys(inventory.run)
-        text = json.dumps(configuration(place, patience_s, name, keys), indent=1, ensure_ascii=False)
-        if source is not None:
-            text = text.replace(str(source.resolve()), str(etc / "keys"))
-        file = folder / "zenoh" / f"{name}.json5"
-        file.touch(mode=0o600)  # it may contain a password
-        file.write_text(f"{text}\n", encoding="utf-8")
-
-
-def _keys(keys: Path | None, host: Host, placed: Sequence[Placement]) -> list[Path]:
-    """Return the key files of a host: of its processes, and beside the coordinator of operator and watcher."""
-    if keys is None:
-        return []
-    names = [placement.process for placement in placed if placement.host == host]
-    names += [OPERATOR, WATCHER] if COORDINATOR in names else []
-    return list(dict.fromkeys(file for name in names for file in files_of(keys, name)))
-
-
-def _scheduling(host: Host, name: str) -> str:
-    lines = []
-    if name in host.cpus:
-        lines.append(f"CPUAffinity={' '.join(map(str, host.cpus[name]))}")
-    if host.priority:
-        lines += ["CPUSchedulingPolicy=fifo", f"CPUSchedulingPriority={host.priority}"]
-    return "\n".join(lines)
+        name = placement.process
+        # Started last, the coordinator is stopped first, so that all processes on its host receive the end of the run.
+        after = [other for other in running if other != COORDINATOR] if name == COORDINATOR else []
+        text = unit(placement, inventory, after, etc)
+        (folder / "systemd" / f"transport-{name}.service").write_text(text, encoding="utf-8")
+        # For other programs: zenohd as router, a foreign agent.
+        prefix = Keys.below("transport/*") if name == ROUTER else Keys(inventory.run)
+        found = configuration(placement.endpoints, PATIENCE_S[setup.scenario.clock.mode], name, prefix)
+        text = json.dumps(found, indent=1, ensure_ascii=False)
+        if security is not None:
+            text = text.replace(str(security.folder), str(etc / "keys"))
+        (folder / "zenoh" / f"{name}.json5").write_text(f"{text}\n", encoding="utf-8")
+    script = Template((_TEMPLATES / "install.sh").read_text(encoding="utf-8")).substitute(
+        host=host.name, etc=ETC, program=PROGRAM, services=" ".join(f"transport-{name}.service" for name in running)
+    )
+    (folder / "install.sh").write_text(script, encoding="utf-8")
+    (folder / "install.sh").chmod(0o755)

@@ -5,6 +5,7 @@ that calls `next`; Zenoh's threads only put them in.
 """
 
 import json
+import math
 import queue
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -15,132 +16,17 @@ import zenoh
 
 from protocol.admission.gate import Gate, Sample
 from protocol.network.endpoints import Endpoints
-from protocol.network.health import Offset, usage
+from protocol.network.health import clock_offset, usage
 from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
 from protocol.wire.keys import RECORDER, WATCHER, Keys
 from protocol.wire.messages import Event, Message, MessageError, Presence, Request
-from protocol.wire.names import COORDINATOR, PLANT
+from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
 # How often a process that joins a run that has begun asks for the processes that still take part.
 ASK_EVERY_S = 0.5
 # Interval between two signs of life of a process that waits for others, s.
 WAITING_S = 5.0
-
-
-def absent(missing: Collection[str], left: Collection[str]) -> str:
-    """Return which of the missing processes gave no sign, or else which have left.
-
-    A process that has left was there and gave up waiting for the others itself: it is not the one to look for.
-    """
-    silent = sorted(set(missing) - set(left))
-    return f"no sign of {', '.join(silent)}" if silent else f"{', '.join(sorted(missing))} came and left"
-
-
-def waiting_for(missing: Collection[str], left: Collection[str], left_s: float) -> str:
-    """Return a sentence about the processes that one waits for, as in `absent`, and the time left, s."""
-    names = sorted(set(missing) - set(left)) or sorted(missing)
-    return f"waiting for {', '.join(names)}; gives up in {max(0.0, left_s):.0f} s"
-
-
-class Peers:
-    """The processes of a run that are up, by their liveliness tokens.
-
-    The gate learns of each new incarnation of a process, and counts bad tokens.
-
-    Attributes:
-        alive: Incarnations of the processes that are up, by name.
-        left: Processes that were up, and are not any more.
-    """
-
-    def __init__(self, name: str, incarnation: int, digest: str, keys: Keys, gate: Gate) -> None:
-        self.alive: dict[str, int] = {}
-        self.left: set[str] = set()
-        self._name, self._incarnation, self._digest = name, incarnation, digest
-        self._keys, self._gate = keys, gate
-
-    def check(self, key: str) -> None:
-        """Check the token of another process while this one joins.
-
-        Raises: BusError: the token shows another scenario, protocol version, or a process with this one's name.
-        """
-        try:
-            token = self._keys.token(key)
-        except MessageError:
-            return  # counted by `note`
-        if token.name == self._name and token.incarnation != self._incarnation:
-            raise BusError(f"{self._name} is already running in this run (incarnation {token.incarnation})")
-        if token.digest is not None and token.version != VERSION:
-            raise BusError(
-                f"{token.name} speaks version {token.version} of the protocol, {self._name} version {VERSION}: "
-                f"install the same release on all hosts"
-            )
-        if token.digest != self._digest:
-            raise BusError(
-                f"{token.name} runs another scenario (digest {token.digest}, here {self._digest}): "
-                f"start all from the same file"
-            )
-
-    def note(self, key: str, *, here: bool) -> Presence | None:
-        """Take note of a token that has appeared or disappeared.
-
-        Returns: The event for the node, or None: a process takes part from its "ready" token on, not from "alive" on.
-        """
-        try:
-            token = self._keys.token(key)
-        except MessageError as error:
-            if here:
-                self._gate.refuse(self._keys.end(key), error)
-            return None
-        if token.digest is None:
-            return Presence(token.name, token.incarnation, alive=True) if here else None
-        if token.digest != self._digest or token.version != VERSION:
-            return None  # a process of another scenario finds out by itself that it does not belong here
-        if here:
-            self.alive[token.name] = token.incarnation
-            self.left.discard(token.name)
-            self._gate.announce(token.name, token.incarnation)
-            return None
-        if self.alive.get(token.name) == token.incarnation:
-            del self.alive[token.name]
-            self.left.add(token.name)
-        return Presence(token.name, token.incarnation, alive=False)
-
-
-class Expected:
-    """The processes that a joining process waits for.
-
-    A run that has begun goes on without processes that are gone for good; the coordinator knows which take part.
-    `status` asks it for the status of the run, and returns None without an answer.
-
-    Attributes:
-        has_begun: Whether the run has begun: `update` is then to be called every `ASK_EVERY_S`.
-    """
-
-    def __init__(self, name: str, expected: Collection[str], status: Callable[[], Mapping[str, Any] | None]) -> None:
-        self.has_begun = False
-        self._name, self._names, self._status = name, set(expected) - {name}, status
-        self._has_asked = name == COORDINATOR  # it needs no answer
-
-    def missing(self, alive: Collection[str]) -> set[str]:
-        """Return the processes still to come.
-
-        When all are up, the coordinator is asked once: the run may have begun, and may have observers besides.
-        """
-        if not self._has_asked and self._names <= set(alive):
-            self._has_asked = True
-            self.update()
-        return self._names - set(alive)
-
-    def update(self) -> None:
-        """Ask the coordinator; in a run that has begun wait only for the processes that take part, and observers."""
-        status = self._status()
-        if status is None or status.get("tick", -1) < 0:
-            return
-        self.has_begun = True
-        # Observers, so that the record misses nothing this process sends.
-        team = {COORDINATOR, PLANT, *(f"agent{agent}" for agent in status["members"])} & self._names
-        self._names = (team | set(status.get("observers", ()))) - {self._name}
 
 
 # How long a process waits at the end of the run for those that leave before it: a busy host may take seconds to read.
@@ -170,20 +56,8 @@ _Item = zenoh.Sample | zenoh.Query | Interrupted | Request
 class Bus:
     """Connection of one process to the network of one run.
 
-    Args:
-        name: Process name: "coordinator", "plant", "agent1", "recorder".
-        digest: Fingerprint of the scenario; processes with different ones refuse each other.
-        relayed: Whether plans, reports and measurements come in bundles; None if that is not known.
-        serves: Whether its node answers requests; every process answers for its health.
-        patience_s: How long sending may wait for a peer that does not read before the link to it is closed.
-        gather_s: How long an arrival may wait for more: one wake-up for many messages costs less processor time.
-        reach_s: How long a client looks for its router.
-
-    Attributes:
-        arrived_ns: Wall-clock time of arrival of the last event that `next` returned, ns since 1970.
-        gate: The checks of all messages; it has the bundle that the last event came in.
-        before_wait: Function that `next` calls when no message of a bundle is left to be read.
-        offset: By how much the coordinator's wall clock is ahead of this one, once this process has joined.
+    Processes with different digests of the scenario refuse each other. Sending waits for a peer that does not read for
+    `patience_s` before the link to it is closed; a client looks for its router for `reach_s`.
 
     Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
@@ -197,24 +71,25 @@ class Bus:
         digest: str,
         endpoints: Endpoints,
         gate: Gate,
-        relayed: bool | None = None,
-        serves: bool = False,
+        relayed: bool | None = None,  # whether plans, reports and measurements come in bundles, if that is known
+        serves: bool = False,  # whether its node answers requests; every process answers for its health
         patience_s: float = 1.0,
-        gather_s: float = 0.0,
+        gather_s: float = 0.0,  # how long an arrival may wait for more: one wake-up for many messages costs less
         reach_s: float = 30.0,
     ) -> None:
-        self.arrived_ns = 0
-        self.before_wait: Callable[[], None] = lambda: None
-        self.offset: Offset | None = None
-        self._gather_s, self._serves = gather_s, serves
+        self.arrived_ns = 0  # wall-clock time of arrival of the last event that `next` returned, ns since 1970
+        self.before_wait: Callable[[], None] = lambda: None  # called when no message of a bundle is left to be read
+        self.offset: tuple[float, float] | None = None  # lead of the coordinator's wall clock, and its uncertainty, s
+        self.alive: dict[str, int] = {}  # incarnations of the processes that are up, by name
+        self.gate = gate  # has the bundle that the last event came in
         self.name, self.incarnation, self._digest = name, incarnation, digest
         self._keys, self._endpoints = Keys(run), endpoints
-        self.gate = gate
+        self._gather_s, self._serves = gather_s, serves
+        self._left: set[str] = set()  # processes that were up, and are not any more
         self._accepted: Iterator[Message | Sample] = iter(())  # in the bytes that arrived last
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
-        self.peers = Peers(name, incarnation, digest, self._keys, gate)
         log_errors(to_output=name not in (RECORDER, WATCHER))
         self._session = open_session(endpoints, patience_s, name, self._keys, reach_s)
         # Subscribers before the token: a process that sees the token may send at once, and nothing is lost. Their
@@ -247,27 +122,31 @@ class Bus:
         Raises: BusError: a process did not appear, runs another scenario, or has this name already.
         """
         self._declare_token(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
-        deadline = time.monotonic() + timeout_s
-        sign_s = time.monotonic() + WAITING_S
+        deadline, sign_s = time.monotonic() + timeout_s, time.monotonic() + WAITING_S
+        awaited = set(expected) - {self.name}
+        # When all are up, or the coordinator is ready, which has seen all, it is asked whether the run has begun.
+        asks, ask_s = self.name != COORDINATOR, math.inf
         early: list[tuple[int, _Item]] = []
-        awaited = Expected(self.name, expected, lambda: self.ask(COORDINATOR, "status", timeout_s=1.0))
-        while missing := awaited.missing(self.peers.alive):
+        while True:
             now_s = time.monotonic()
+            if now_s >= ask_s or (asks and awaited <= self.alive.keys()):
+                asks = False
+                awaited, ask_s = self._taking_part(expected) or awaited, now_s + ASK_EVERY_S
+            missing = awaited - self.alive.keys()
+            if not missing:
+                break
             if now_s >= sign_s:
                 sign_s += WAITING_S
-                on_wait(waiting_for(missing, self.peers.left, deadline - now_s))
+                on_wait(f"waiting for {self._absent(missing)}; gives up in {max(0.0, deadline - now_s):.0f} s")
             try:
-                wake_s = min(deadline, sign_s, now_s + ASK_EVERY_S) if awaited.has_begun else min(deadline, sign_s)
-                at_ns, item = self._inbox.get(timeout=max(0.0, wake_s - now_s))
+                at_ns, item = self._inbox.get(timeout=max(0.0, min(deadline, sign_s, ask_s) - now_s))
             except queue.Empty:
                 if time.monotonic() < deadline:
-                    if awaited.has_begun:
-                        awaited.update()
                     continue
-                called = ", ".join(self._endpoints.connect) or "none: others connect to it"
                 raise BusError(
-                    f"{self.name}: {absent(missing, self.peers.left)} within {timeout_s:g} s; "
-                    f"listening on {', '.join(self._endpoints.listen) or 'nothing'}, connecting to {called}"
+                    f"{self.name}: no sign of {self._absent(missing)} within {timeout_s:g} s; "
+                    f"listening on {', '.join(self._endpoints.listen) or 'nothing'}, "
+                    f"connecting to {', '.join(self._endpoints.connect) or 'none: others connect to it'}"
                 ) from None
             if isinstance(item, Interrupted):
                 return item
@@ -275,21 +154,69 @@ class Bus:
                 request = self._request(item, at_ns)
                 early += [(at_ns, request)] if request is not None else []
             elif isinstance(item, zenoh.Sample) and str(item.key_expr).startswith(f"{self._keys.prefix}/alive/"):
-                here = item.kind == zenoh.SampleKind.PUT
-                if here:
-                    self.peers.check(str(item.key_expr))
-                self.peers.note(str(item.key_expr), here=here)
+                self._note(item, joins=True)
             else:
                 early.append((at_ns, item))
                 if isinstance(item, zenoh.Sample) and self._keys.is_ready(str(item.key_expr), COORDINATOR):
-                    awaited.has_begun = True  # the coordinator is ready once it has seen all processes
-                    awaited.update()
+                    ask_s = 0.0
         if self.name != COORDINATOR:
-            self.offset = Offset.measured(lambda: self.ask(COORDINATOR, "health", timeout_s=1.0))
+            self.offset = clock_offset(lambda: self.ask(COORDINATOR, "health", timeout_s=1.0))
         self._declare_token(self._keys.ready(self.name, self.incarnation))
         for stamped in early:
             self._inbox.put(stamped)
         return None
+
+    def _absent(self, missing: Collection[str]) -> str:
+        """Return the missing processes; those that have left, which gave up waiting themselves, only if no other is."""
+        return ", ".join(sorted(set(missing) - self._left)) or f"{', '.join(sorted(missing))} (came and left)"
+
+    def _note(self, sample: zenoh.Sample, *, joins: bool = False) -> Presence | None:
+        """Take note of a token that has appeared or disappeared; return the event for the node.
+
+        A process takes part from its "ready" token on, not from "alive" on. The gate learns of new incarnations.
+
+        Raises: BusError: while this process joins, another one has its name, or another scenario or protocol version.
+        """
+        key, here = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+        try:
+            token = self._keys.token(key)
+        except MessageError as error:
+            if here:
+                self.gate.refuse(self._keys.end(key), error)
+            return None
+        if token.digest is None:
+            return Presence(token.name, token.incarnation, alive=True) if here else None
+        if joins and here:
+            if token.name == self.name and token.incarnation != self.incarnation:
+                raise BusError(f"{self.name} is already running in this run (incarnation {token.incarnation})")
+            if token.version != VERSION:
+                spoken = f"{token.name} speaks version {token.version} of the protocol, {self.name} version {VERSION}"
+                raise BusError(f"{spoken}: install the same release on all hosts")
+            if token.digest != self._digest:
+                digests = f"digest {token.digest}, here {self._digest}"
+                raise BusError(f"{token.name} runs another scenario ({digests}): start all from the same file")
+        if token.digest != self._digest or token.version != VERSION:
+            return None  # a process of another scenario finds out by itself that it does not belong here
+        if here:
+            self.alive[token.name] = token.incarnation
+            self._left.discard(token.name)
+            self.gate.announce(token.name, token.incarnation)
+            return None
+        if self.alive.get(token.name) == token.incarnation:
+            del self.alive[token.name]
+            self._left.add(token.name)
+        return Presence(token.name, token.incarnation, alive=False)
+
+    def _taking_part(self, expected: Collection[str]) -> set[str] | None:
+        """Return the others that take part in a run that has begun, and its observers; None if it has not.
+
+        Such a run goes on without processes that are gone for good; with its observers the record misses nothing.
+        """
+        status = self.ask(COORDINATOR, "status", timeout_s=1.0)
+        if status is None or status.get("tick", -1) < 0:
+            return None
+        team = {COORDINATOR, PLANT, *map(agent_name, status["members"])} & set(expected)
+        return (team | set(status.get("observers", ()))) - {self.name}
 
     def renew(self, incarnation: int) -> None:
         """Announce a new incarnation of this process, which is ready at once."""
@@ -308,11 +235,11 @@ class Bus:
         return fetch_answer(self._session, self._keys.request(name, what), given or {}, timeout_s)
 
     def publish(self, message: Message) -> None:
-        """Send a message to its subscribers; block rather than drop it when a peer is slow."""
+        """Send a message to its subscribers."""
         self.put(self._keys.of(message), encode(message))
 
     def put(self, key: str, data: bytes) -> None:
-        """Send an encoded message under its key, as `publish` does."""
+        """Send an encoded message under its key; block rather than drop it when a peer is slow."""
         publisher = self._publishers.get(key)
         if publisher is None:
             publisher = self._publishers[key] = self._session.declare_publisher(
@@ -348,7 +275,7 @@ class Bus:
         """
         self.put(self._keys.left(self.name), b"")
         deadline = time.monotonic() + LINGER_S
-        while {RECORDER, *after} & set(self.peers.alive) and time.monotonic() < deadline:
+        while {RECORDER, *after} & set(self.alive) and time.monotonic() < deadline:
             if isinstance(self.next(max(0.0, deadline - time.monotonic())), Interrupted):
                 return
 
@@ -380,8 +307,8 @@ class Bus:
         try:
             given = json.loads(query.payload.to_string()) if query.payload is not None else {}
             if not isinstance(given, dict) or "/" in what or "*" in what:
-                raise MessageError("malformed", "expected a JSON object under the key of one request")
-        except (ValueError, RecursionError, MessageError, zenoh.ZError) as error:
+                raise ValueError("expected a JSON object under the key of one request")
+        except (ValueError, RecursionError, zenoh.ZError) as error:
             self.gate.refuse(self._keys.end(key), MessageError("malformed", f"not a request ({type(error).__name__})"))
             query.reply_err(json.dumps({"error": "expected a JSON object under the key of one request"}))
             query.drop()  # type: ignore[no-untyped-call]
@@ -393,16 +320,16 @@ class Bus:
                 "protocol": VERSION,
                 "tick": self.gate.tick,
                 "refused": self.gate.rejections.total,
-                "clock_offset_s": None if self.offset is None else self.offset.ahead_s,
-                "clock_uncertainty_s": None if self.offset is None else self.offset.uncertainty_s,
+                "clock_offset_s": self.offset and self.offset[0],
+                "clock_uncertainty_s": self.offset and self.offset[1],
                 **usage(),
             }
             reply({**health, "asked_ns": at_ns, "answered_ns": time.time_ns()})
-            return None
-        if not self._serves:
+        elif self._serves:
+            return Request(what, given, reply)
+        else:
             reply({"error": f"what: expected health, the only request that {self.name} answers, got {what[:40]!r}"})
-            return None
-        return Request(what, given, reply)
+        return None
 
     def _put(self, item: _Item) -> None:
         self._inbox.put((time.time_ns(), item))
@@ -414,7 +341,7 @@ class Bus:
             return self._request(item, self.arrived_ns)
         key = str(item.key_expr)
         if self._keys.is_token(key):
-            return self.peers.note(key, here=item.kind == zenoh.SampleKind.PUT)
+            return self._note(item)
         name = key.removeprefix(self._keys.left(""))
         if name != key:
             return Left(name)

@@ -23,6 +23,23 @@ class Endpoints:
     mode: Literal["peer", "client", "router"] = "peer"
     security: Security | None = None  # None: every process that can connect may send everything
 
+    def checked(self, name: str, scenario: Scenario) -> "Endpoints":
+        """Return these endpoints, if a process with a name can use them.
+
+        Raises: SecurityError: keys that it cannot use, or unencrypted ones where other hosts can connect, unless the
+            scenario says `insecure`.
+        """
+        if self.security is not None:
+            self.security.check(name)
+            scheme = f"{self.security.scheme}/"
+            if wrong := [at for at in (*self.listen, *self.connect) if not at.startswith(scheme)]:
+                raise SecurityError(f"network.keys: expected {scheme}... with these keys, got {wrong[0]}")
+        at = exposed(self.listen)
+        if at is not None and not scenario.network.insecure:
+            expected = "expected a loopback address, or network.keys, or network.insecure = true to be open to all"
+            raise SecurityError(f"network.host: {expected}, got {at}")
+        return self
+
 
 def process_names(scenario: Scenario) -> list[str]:
     """Return the names of a run's processes in the order of their ports."""
@@ -35,50 +52,29 @@ def security_of(scenario: Scenario) -> Security | None:
     return None if keys is None else Security(Path(keys).resolve(), (*process_names(scenario), RECORDER))
 
 
-def mesh(
-    names: Sequence[str], host: str, ports: Sequence[int], security: Security | None = None
-) -> dict[str, Endpoints]:
-    """Return the endpoints of a mesh: each process listens on its port and connects to those listed before it."""
-    scheme = "tcp" if security is None else security.scheme
-    addresses = [f"{scheme}/{host}:{port}" for port in ports]
-    return {
-        name: Endpoints(listen=[addresses[i]], connect=addresses[:i], security=security) for i, name in enumerate(names)
-    }
+def mesh(scenario: Scenario, names: Sequence[str], ports: Sequence[int]) -> dict[str, Endpoints]:
+    """Return the endpoints of processes with a port each: clients of the scenario's router, or a mesh on its host.
 
+    In a mesh each process listens on its port and connects to those listed before it.
 
-def endpoints_of_all(
-    names: Sequence[str], scenario: Scenario, ports: Sequence[int], *, check: bool = True
-) -> dict[str, Endpoints]:
-    """Return the endpoints of a scenario's processes, with a port each: a mesh on its host, or clients of its router.
-
-    `check` if all of them start on this host: then each must have its keys, and listen where it may.
-
-    Raises: SecurityError: keys that one of them cannot use, or an endpoint that is open to all.
+    Raises: SecurityError: the folder of keys has none.
     """
     network, security = scenario.network, security_of(scenario)
-    if network.router is None:
-        found = mesh(names, network.host, ports, security)
-    else:
+    if network.router is not None:
         client = Endpoints(listen=[], connect=[network.router], mode="client", security=security)
-        found = dict.fromkeys(names, client)
-    if security is not None and network.router is not None and not network.router.startswith(security.scheme):
-        expected = f"expected {security.scheme}/... with the keys in {security.folder}, got {network.router}"
-        raise SecurityError(f"network.router: {expected}")
-    for name, endpoints in found.items() if check else ():
-        if security is not None:
-            security.check(name, mode=endpoints.mode)
-        refuse_exposed(endpoints, scenario)
-    return found
+        return dict.fromkeys(names, client)
+    scheme = "tcp" if security is None else security.scheme
+    at = [f"{scheme}/{network.host}:{port}" for port in ports]
+    return {name: Endpoints(listen=[at[i]], connect=at[:i], security=security) for i, name in enumerate(names)}
 
 
 def default_mesh(scenario: Scenario) -> dict[str, Endpoints]:
     """Return the endpoints of processes that are started by hand: consecutive ports from the base port.
 
-    Raises: SecurityError: keys that cannot be used.
+    Raises: SecurityError: the folder of keys has none.
     """
-    names = process_names(scenario)
-    base = scenario.network.base_port or DEFAULT_BASE_PORT
-    return endpoints_of_all(names, scenario, range(base, base + len(names)), check=False)
+    names, base = process_names(scenario), scenario.network.base_port or DEFAULT_BASE_PORT
+    return mesh(scenario, names, range(base, base + len(names)))
 
 
 def endpoints_of(
@@ -91,32 +87,12 @@ def endpoints_of(
     Raises: SecurityError: keys that it cannot use, or an endpoint that is open to all.
     """
     usual = default_mesh(scenario)
-    if name in usual:
-        found = usual[name]
-    elif scenario.network.router is not None:
-        found = usual[COORDINATOR]
-    else:
-        everywhere = [at for endpoints in usual.values() for at in endpoints.listen]
-        found = Endpoints(listen=[], connect=everywhere, security=security_of(scenario))
+    everywhere = [at for endpoints in usual.values() for at in endpoints.listen]
+    found = usual.get(name) or replace(usual[COORDINATOR], listen=[])
+    if name not in usual and everywhere:
+        found = replace(found, connect=everywhere)
     if listen is not None or connect is not None:
         listens = found.listen if listen is None else listen
         calls = found.connect if connect is None and listen is None else connect or []
         found = replace(found, listen=listens, connect=calls, mode="peer" if listens else found.mode)
-    if found.security is not None:
-        found.security.check(name, mode=found.mode)
-        wrong = [at for at in (*found.listen, *found.connect) if not at.startswith(f"{found.security.scheme}/")]
-        if wrong:
-            raise SecurityError(f"network.keys: expected {found.security.scheme}/... with these keys, got {wrong[0]}")
-    refuse_exposed(found, scenario)
-    return found
-
-
-def refuse_exposed(endpoints: Endpoints, scenario: Scenario) -> None:
-    """Refuse to listen unencrypted where other hosts can connect, unless the scenario says `insecure`.
-
-    Raises: SecurityError: naming the endpoint.
-    """
-    at = exposed(endpoints.listen)
-    if at is not None and not scenario.network.insecure:
-        expected = "expected a loopback address, or network.keys, or network.insecure = true to be open to all"
-        raise SecurityError(f"network.host: {expected}, got {at}")
+    return found.checked(name, scenario)

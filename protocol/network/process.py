@@ -52,26 +52,37 @@ Put = Callable[[str, bytes], None]
 def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put) -> "Exchange":
     """Return the exchange of a process."""
     if not setup.scenario.clock.relayed or name == RECORDER:
-        return Exchange(keys, put)
+        return Exchange(name, incarnation, keys, put)
     return {COORDINATOR: _Coordinator, PLANT: _Plant}.get(name, _Agent)(name, incarnation, keys, put)
 
 
 class Exchange:
-    """Sends the messages of one process; in real time, each alone and at once.
+    """Sends the messages of one process: in real time each alone and at once, in lockstep also in bundles.
 
     In lockstep the coordinator waits for the plans of tick k before it opens tick k + 1, so that it can send them with
     it. An agent then has one message to send and two to receive in a tick, whatever the size of the team.
     """
 
-    def __init__(self, keys: Keys, put: Put) -> None:
+    bundled: tuple[type[Message], ...] = ()  # kinds of messages that are kept for a bundle
+
+    def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
         self._keys, self._put = keys, put
+        self._out = Outbox(name, incarnation)  # bundles have sequence numbers of their own
+        self._kept: list[tuple[str, bytes]] = []  # keys without the prefix of the run, encoded messages
+        self._tick = 0  # of the newest message kept
 
     def received(self, event: Event, bundle: Bundle | None) -> None:
         """Note an event that the node has accepted, and the bundle it came in."""
 
     def send(self, message: Message) -> None:
-        """Send a message, or keep it for a bundle."""
-        self._put(self._keys.of(message), encode(message))
+        """Send a message, or keep it for a bundle; proposals of a negotiation are sent at once."""
+        if isinstance(message, self.bundled) and not getattr(message, "negotiation", 0):
+            if message.incarnation != self._out.incarnation:
+                self._out = Outbox(message.sender, message.incarnation)
+            self._kept.append((self._keys.end(self._keys.of(message)), encode(message)))
+            self._tick = message.tick
+        else:
+            self._put(self._keys.of(message), encode(message))
 
     def flush(self) -> None:
         """Send the bundle of the messages kept, whatever it waits for: before a process ends."""
@@ -80,47 +91,28 @@ class Exchange:
         """Send the bundle if it need not wait any longer: when all messages received together are handled."""
         self.flush()
 
-
-class _Bundled(Exchange):
-    """Exchange of a process that sends bundles."""
-
-    def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
-        super().__init__(keys, put)
-        self._out = Outbox(name, incarnation)  # bundles have sequence numbers of their own
-        self._kept: list[tuple[str, bytes]] = []  # keys without the prefix of the run, encoded messages
-        self._tick = 0  # of the newest message kept
-
-    def _keep(self, message: Message) -> None:
-        """Keep a message for the next bundle."""
-        self._kept.append((self._keys.end(self._keys.of(message)), encode(message)))
-        self._tick = message.tick
-
     def _send_bundle(self, kind: type[Bundle], entries: list[tuple[str, bytes]], **fields: int) -> None:
         """Send messages, as they are kept, in a bundle; forget those kept."""
         keys, parts = zip(*entries, strict=True)
-        super().send(self._out.stamp(kind, tick=self._tick, keys=keys, parts=parts, **fields))
+        bundle = self._out.stamp(kind, tick=self._tick, keys=keys, parts=parts, **fields)
+        self._put(self._keys.of(bundle), encode(bundle))
         self._kept = []
 
 
-class _Agent(_Bundled):
-    """Sends plan and report of a tick to the coordinator alone; proposals of a negotiation to all, at once."""
+class _Agent(Exchange):
+    """Sends plan and report of a tick to the coordinator alone."""
 
-    def send(self, message: Message) -> None:
-        if isinstance(message, StepReport) or (isinstance(message, Plan) and message.negotiation == 0):
-            if message.incarnation != self._out.incarnation:
-                self._out = Outbox(message.sender, message.incarnation)
-            self._keep(message)
-        else:
-            super().send(message)
+    bundled = (Plan, StepReport)
 
     def flush(self) -> None:
         if self._kept:
-            agent = int(self._out.sender.removeprefix(AGENT))
-            self._send_bundle(Answer, self._kept, agent=agent)
+            self._send_bundle(Answer, self._kept, agent=int(self._out.sender.removeprefix(AGENT)))
 
 
-class _Plant(_Bundled):
+class _Plant(Exchange):
     """Sends the agents their measurements with the relayed plans; state and measurements to the record afterwards."""
+
+    bundled = (Measurement, PlantState, ActualInputs)
 
     def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
         super().__init__(name, incarnation, keys, put)
@@ -130,12 +122,6 @@ class _Plant(_Bundled):
         if isinstance(event, Plan) and event.shared and bundle is not None:
             key = self._keys.end(self._keys.of(event))
             self._shared.append((key, bundle.parts[bundle.keys.index(key)]))
-
-    def send(self, message: Message) -> None:
-        if isinstance(message, Measurement | PlantState | ActualInputs):
-            self._keep(message)
-        else:
-            super().send(message)
 
     def flush(self) -> None:
         recorded = self._kept
@@ -147,8 +133,10 @@ class _Plant(_Bundled):
             self._send_bundle(Record, recorded)
 
 
-class _Coordinator(_Bundled):
+class _Coordinator(Exchange):
     """Relays the answers of a tick with the next one; at once if all are here and no tick follows yet."""
+
+    bundled = (Tick,)
 
     def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
         super().__init__(name, incarnation, keys, put)
@@ -159,35 +147,28 @@ class _Coordinator(_Bundled):
         if isinstance(event, Plan) and isinstance(bundle, Answer):
             self._awaited.discard(event.agent)
             self._answers[event.agent] = bundle
+            self._tick = bundle.tick
 
     def send(self, message: Message) -> None:
-        if isinstance(message, Tick):
-            self._awaited = set(message.members)
-            self._relay(message)
-            return
         if isinstance(message, Roster):
             self._awaited &= set(message.agents)
         if isinstance(message, Control):
             self.flush()
         super().send(message)
+        if isinstance(message, Tick):
+            self._awaited = set(message.members)
+            self.flush()
 
     def flush(self) -> None:
-        if self._answers:
-            self._relay(None)
+        answers = [answer for _, answer in sorted(self._answers.items())]
+        entries = [entry for answer in answers for entry in zip(answer.keys, answer.parts, strict=True)]
+        if entries or self._kept:
+            self._answers = {}
+            self._send_bundle(Relay, [*entries, *self._kept])
 
     def settle(self) -> None:
         if not self._awaited:
             self.flush()
-
-    def _relay(self, tick: Tick | None) -> None:
-        answers = [answer for _, answer in sorted(self._answers.items())]
-        self._answers = {}
-        self._kept = [entry for answer in answers for entry in zip(answer.keys, answer.parts, strict=True)]
-        if tick is not None:
-            self._keep(tick)
-        else:
-            self._tick = answers[-1].tick
-        self._send_bundle(Relay, self._kept)
 
 
 # Handled events between garbage collections.
@@ -267,10 +248,9 @@ def run_node(
         ) as bus,
     ):
         _watch_signals(bus)
-        open_to_all = exposed(place.endpoints.listen)
-        if open_to_all is not None:
+        if open_to_all := exposed(place.endpoints.listen):
             journal.log("insecure", at=open_to_all, means="any host with access can read and send all messages")
-        if place.endpoints.security is None and place.endpoints.listen and open_to_all is None:
+        elif place.endpoints.security is None and place.endpoints.listen:
             journal.log("open", means="any process on this host can read and send all messages (docs/deploy.md)")
         journal.log("listening", cpu_s=time.process_time(), at=", ".join(place.endpoints.listen))
         exchange = exchange_of(setup, node.name, place.incarnation, Keys(place.run), bus.put)
@@ -283,10 +263,8 @@ def run_node(
         bus.before_wait = settle
         interruption = bus.join(expected, place.join_timeout_s, lambda text: journal.log("waiting", text=text))
         if interruption is None:
-            clock: dict[str, float] = {}
-            if bus.offset is not None:
-                clock["clock_offset_ms"] = round(1e3 * bus.offset.ahead_s, 3)
-                clock["clock_uncertainty_ms"] = round(1e3 * bus.offset.uncertainty_s, 3)
+            names = ("clock_offset_ms", "clock_uncertainty_ms")
+            clock = {name: round(1e3 * time_s, 3) for name, time_s in zip(names, bus.offset or (), strict=False)}
             journal.log("joined", peers=len(expected), **clock)
             interruption = _drive(node, bus, exchange, setup.faults)
         if interruption is not None and node.finished is None:

@@ -6,7 +6,6 @@ rmw_zenoh_cpp, https://github.com/ros2/rmw_zenoh.
 
 import hashlib
 import struct
-import threading
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -18,24 +17,16 @@ from protocol.network.session import open_session
 from protocol.wire.keys import Keys
 
 _NODE = "transport"
-# Size of an attachment: sequence number, time, length of the GID and GID; of the largest message that is read.
-_ATTACHMENT_BYTES, _MOST_BYTES = 33, 4096
 _QOS = "::,10:,:,:,,"  # all as by default: reliable, volatile, keep the last 10
 # How long a router that does not read delays this process, and how long one is looked for, s.
 _PATIENCE_S, _REACH_S = 1.0, 5.0
 
 
 class RosNode:
-    """Node with publishers and subscribers, in one ROS domain.
+    """Node in one ROS domain, with publishers of topics and subscribers of those heard.
 
-    Args:
-        router: Zenoh endpoint of the router.
-        domain: ROS domain.
-        topics: Type, such as "geometry_msgs/msg/PoseStamped", and its RIHS01 hash, by topic with its leading slash.
-        heard: The same of topics to subscribe to.
-
-    Attributes:
-        dropped: Number of received messages that nobody reads, by reason.
+    A topic with its leading slash has a type, such as "geometry_msgs/msg/PoseStamped", and its RIHS01 hash. `dropped`
+    counts received messages that are not read, by reason.
 
     Raises: BusError: no router accepts the connection.
     """
@@ -45,7 +36,6 @@ class RosNode:
     ) -> None:
         self.dropped = Counter[str]()
         self._newest: dict[str, bytes] = {}  # by topic
-        self._receiving = threading.Lock()
         endpoints = Endpoints(listen=[], connect=[router], mode="client", security=None)
         self._session = open_session(endpoints, _PATIENCE_S, _NODE, Keys(_NODE), _REACH_S)
         tokens = self._session.liveliness()
@@ -78,18 +68,15 @@ class RosNode:
 
     def take(self, topic: str) -> bytes | None:
         """Return the newest message of a subscribed topic in CDR, once; None without one."""
-        with self._receiving:
-            return self._newest.pop(topic, None)
+        return self._newest.pop(topic, None)
 
     def _receive(self, topic: str, sample: Any) -> None:
-        """Keep the newest sample of a topic, of bounded size; on a thread of the session."""
-        data, attachment = bytes(sample.payload), sample.attachment
-        with self._receiving:
-            if attachment is None or len(bytes(attachment)) < _ATTACHMENT_BYTES or len(data) > _MOST_BYTES:
-                self.dropped["not of ROS 2, or too large"] += 1
-                return
-            self.dropped["replaced by a newer one"] += topic in self._newest
-            self._newest[topic] = data
+        """Keep the newest sample of a topic; on a thread of the session."""
+        if sample.attachment is None:
+            self.dropped["not of ROS 2"] += 1
+            return
+        self.dropped["replaced by a newer one"] += topic in self._newest
+        self._newest[topic] = bytes(sample.payload)
 
     def close(self) -> None:
         """Leave the network; the tokens go with the session."""

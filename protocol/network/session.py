@@ -12,7 +12,6 @@ from typing import Any
 import zenoh
 
 from protocol.network.endpoints import Endpoints
-from protocol.network.health import limit_problem
 from protocol.network.security import Security, SecurityError
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
@@ -32,8 +31,6 @@ class BusError(RuntimeError):
     """The network cannot be used: the text says what was tried and what to do."""
 
 
-# Open files of a session, with a margin for those of the process.
-_OPEN_FILES = 64
 _first_user = 0  # process id of the process that opened the first session
 
 
@@ -41,19 +38,13 @@ class UnreachableError(BusError):
     """No endpoint that a client may connect to accepts it."""
 
 
-def check_usable(open_files: int = _OPEN_FILES) -> None:
-    """Check that this process can open a session.
-
-    Raises: BusError: it was forked from a process that has opened one, or its limits are too low.
-    """
+def check_usable() -> None:
+    """Raise BusError in a process that was forked from one that has opened a session."""
     if _first_user not in (0, os.getpid()):
         raise BusError(
             "this process was forked from one that has used the network, whose threads do not survive a fork: start it "
             "by 'spawn' (multiprocessing.get_context('spawn')), or run in memory"
         )
-    problem = limit_problem(open_files)
-    if problem:
-        raise BusError(problem)
 
 
 def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
@@ -75,12 +66,16 @@ def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys,
         try:
             return zenoh.open(zenoh.Config.from_json5(text))
         except zenoh.ZError as error:
-            if endpoints.mode != "client":
-                raise BusError(_listen_problem(endpoints, str(error))) from error
-            if time.monotonic() > deadline:
+            if endpoints.mode == "client" and time.monotonic() <= deadline:
+                continue
+            if endpoints.mode == "client":
                 where = ", ".join(endpoints.connect)
-                text = f"{name}: no router accepts a connection at {where} within {reach_s:g} s"
-                raise UnreachableError(text) from error
+                problem = f"{name}: no router accepts a connection at {where} within {reach_s:g} s"
+                raise UnreachableError(problem) from error
+            problem = "address already in use; choose another base port, or end the process that has it"
+            if "in use" not in str(error):  # Zenoh's texts name files of its source
+                problem = f"cannot listen ({_SOURCE_FILE.sub('', str(error))[:200].strip()})"
+            raise BusError(f"{', '.join(endpoints.listen)}: {problem}") from error
 
 
 def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
@@ -111,20 +106,8 @@ def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }
     if endpoints.security is not None:
-        secure = endpoints.security.configuration(name, keys.prefix, mode=endpoints.mode)
-        transport = secure["transport"]
-        found["transport"]["link"] |= transport.pop("link", {})
-        found["transport"] |= transport
-        found |= {key: value for key, value in secure.items() if key != "transport"}
+        endpoints.security.configure(found, name, keys.prefix)
     return found
-
-
-def _listen_problem(endpoints: Endpoints, detail: str) -> str:
-    where = ", ".join(endpoints.listen)
-    if "in use" in detail:
-        return f"{where}: address already in use; choose another base port, or end the process that has it"
-    # Zenoh's texts name files of its source.
-    return f"{where}: cannot listen ({_SOURCE_FILE.sub('', detail)[:200].strip()})"
 
 
 def ask(
@@ -136,16 +119,11 @@ def ask(
     timeout_s: float = 5.0,
     security: Security | None = None,
 ) -> Mapping[str, Any]:
-    """Send a request to a process from outside its run (docs/protocol.md); return the answer.
+    """Send a request, with its kind and arguments, to a process from outside its run (docs/protocol.md).
 
-    Args:
-        run: Name of the run.
-        connect: Endpoints of its processes, or of their router.
-        name: Process to ask.
-        what: Kind of request.
-        given: Arguments of the request.
-        timeout_s: How long to look for the process, and how long to wait for its answer.
-        security: Keys of an operator or, for requests that change nothing, a watcher.
+    Connects to endpoints of the run's processes, or of their router. The timeout is that of finding the process, and
+    that of its answer. The keys are those of an operator or, for requests that change nothing, a watcher.
+
     Raises: BusError: there is no such process, or it does not answer.
     """
     keys = Keys(run)

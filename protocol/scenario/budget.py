@@ -17,7 +17,6 @@ MB = 1e6
 # Limits without --allow-large.
 MOST_TICKS = 1_000_000
 MOST_PLANT_STEPS = 10_000
-MOST_PROCESS_BYTES = 1_000 * MB
 MOST_TOTAL_BYTES = 8_000 * MB
 MOST_LOG_BYTES = 4_000 * MB
 # A large QP takes several times as long while many constraints are active, as in the first step: beyond this limit some
@@ -28,7 +27,7 @@ ADMITTED = "--allow-large admits more"
 
 _FLOAT = 8  # bytes
 # Interpreter and packages; and the functions of a model, per UAV.
-BASE_BYTES, _MODEL_BYTES = 60 * MB, 1 * MB
+_BASE_BYTES, _MODEL_BYTES = 60 * MB, 1 * MB
 # Bytes of the log over bytes of its messages: compression.
 _COMPRESSED = 0.65
 # Bytes in the memory of the report per tick and agent: Python objects of plans and step reports.
@@ -43,10 +42,7 @@ class Budget:
     plant_steps: int  # integration steps per sampling period before any is halved
     variables: int  # of the largest agent's QP
     rows: int  # of that QP, without the user's constraints on inputs
-    relay_bytes: float  # largest message: all plans and reports of a tick
-    agent_bytes: float  # memory of the largest agent
-    process_bytes: float  # memory of the largest process: an agent, the plant, or the report after the run
-    total_bytes: float  # memory of all processes
+    total_bytes: float  # memory of all processes, the report after the run among them
     worker_bytes: float  # memory of one process that simulates the whole run, as in a sweep
     log_bytes: float  # size of run.mcap
     step_s: float  # processor time of one step of the largest agent while few constraints are active
@@ -55,55 +51,56 @@ class Budget:
         """Return the estimate in one line."""
         return (
             f"{self.ticks} ticks, {self.plant_steps} integration steps per period, "
-            f"QP of {self.variables} variables and {self.rows} rows, "
-            f"{self.process_bytes / MB:.0f} MB per process, {self.total_bytes / MB:.0f} MB in total, "
+            f"QP of {self.variables} variables and {self.rows} rows, {self.total_bytes / MB:.0f} MB of memory, "
             f"log of {self.log_bytes / MB:.3g} MB, {1e3 * self.step_s:.2g} ms of processor time per step"
         )
 
 
 def estimate(scenario: Scenario) -> Budget:
     """Return the budget of a run, from sizes alone: nothing is built."""
-    controller, N, M = scenario.controller, len(scenario.system.uav), len(scenario.owned)
-    horizon, own = controller.horizon, max(map(len, scenario.owned))
+    controller, plant, N, M = scenario.controller, scenario.plant, len(scenario.system.uav), len(scenario.owned)
+    horizon, own, ticks = controller.horizon, max(map(len, scenario.owned)), ticks_of(scenario)
     n, outputs = PAYLOAD + PER_UAV * N, INPUTS * N + 9
     states = n + (INPUTS * N if controller.motor_lag_s else 0)  # with motor lag the actual inputs are states
-    ticks = ticks_of(scenario)
-    variables, rows = _program(scenario, own)
-    has_corrections = controller.prediction == "closed_loop"
 
-    # Arrays, and what is beside them.
-    plan = _FLOAT * own * (INPUTS * horizon * (1 + has_corrections) + PER_UAV) + 100.0
-    report = 260.0 + 10.0 * M
-    measurement = _FLOAT * (PAYLOAD + (PER_UAV + INPUTS) * own) + 60.0 + 3.0 * M
-    plant_state = _FLOAT * (n + INPUTS * N) + 60.0
-    tick_bytes = M * (plan * controller.negotiation_iterations + report + measurement) + plant_state
-    if _are_motors_recorded(scenario):
-        tick_bytes += (_FLOAT * INPUTS + 1.0) * N + 60.0
+    # The QP, as `mpc.rows.Rows` makes it.
+    user, pairs = len(controller.constraint), N * (N - 1) // 2 - (N - own) * (N - own - 1) // 2
+    # Rows per step of what is softened by a slack; constraints of the user have at most a slack each.
+    softened = [
+        pairs if controller.separation is not None else 0,
+        4 * own if controller.tilt is not None else 0,
+        own if controller.tension is not None else 0,
+    ]
+    variables = INPUTS * own * horizon + sum(map(bool, softened)) + user
+    rows = INPUTS * own * (horizon - 1) + horizon * (sum(softened) + user)
 
-    instants = ticks + horizon + 2
+    # Messages of a tick: arrays, and what is beside them.
+    plan = _FLOAT * own * (INPUTS * horizon * (1 + (controller.prediction == "closed_loop")) + PER_UAV) + 100.0
+    measurement = _FLOAT * (PAYLOAD + (PER_UAV + INPUTS) * own)
+    of_agent = plan * controller.negotiation_iterations + measurement + 320.0 + 13.0 * M
+    tick_bytes = M * of_agent + _FLOAT * (n + INPUTS * N) + 60.0
+    is_degraded = any(event.do == "degrade" for event in scenario.faults.event)
+    if plant.motors.lag_s or plant.motors.thrust_step_N or plant.motors.rotors or is_degraded:
+        tick_bytes += (_FLOAT * INPUTS + 1.0) * N + 60.0  # the log has the actual inputs
+
     # Reference, with intermediate results; the preview and its recursion.
-    path_bytes = _FLOAT * instants * (3.5 * outputs + (7.0 * states if controller.preview else 0.0))
+    path_bytes = _FLOAT * (ticks + horizon + 2) * (3.5 * outputs + (7.0 * states if controller.preview else 0.0))
     # Rows and their template; Hessian, its factor and copies; regulator and linear model.
     matrix_bytes = _FLOAT * (2.0 * rows * variables + 3.0 * variables**2 + 6.0 * states**2 + 2.0 * states * variables)
-    base_bytes = BASE_BYTES + _MODEL_BYTES * N
-    agent_bytes = base_bytes + path_bytes + matrix_bytes
+    base_bytes = _BASE_BYTES + _MODEL_BYTES * N
     report_bytes = base_bytes + ticks * (M * _REPORTED_BYTES + 6.0 * _FLOAT * n)
-    plant = scenario.plant
-    step_s = min(plant.step_s, plant.mujoco.step_s) if plant.engine == "mujoco" else plant.step_s
-    rest_bytes = 4 * base_bytes  # plant, coordinator, recorder, fork server
+    plant_step_s = plant.mujoco.step_s if plant.engine == "mujoco" else plant.step_s
+    step_s = 6e-4 + 7e-8 * states**2 + 1.5e-8 * rows * variables + 3.4e-11 * variables**3
     return Budget(
         ticks=ticks,
-        plant_steps=_plant_steps(scenario, step_s),
+        plant_steps=math.ceil(controller.sampling_period_s / plant_step_s - 1e-9),
         variables=variables,
         rows=rows,
-        relay_bytes=M * (plan + report + 60.0) + 200.0,
-        agent_bytes=agent_bytes,
-        process_bytes=max(agent_bytes, report_bytes),
-        total_bytes=M * agent_bytes + rest_bytes + (report_bytes - base_bytes),
-        worker_bytes=base_bytes + M * (agent_bytes - base_bytes) + ticks * tick_bytes + (report_bytes - base_bytes),
+        # Plant, coordinator and recorder besides.
+        total_bytes=(M + 3) * base_bytes + M * (path_bytes + matrix_bytes) + report_bytes,
+        worker_bytes=M * (path_bytes + matrix_bytes) + ticks * tick_bytes + report_bytes,
         log_bytes=_COMPRESSED * ticks * tick_bytes,
-        step_s=controller.negotiation_iterations
-        * (6e-4 + 7e-8 * states**2 + 1.5e-8 * rows * variables + 3.4e-11 * variables**3),
+        step_s=controller.negotiation_iterations * step_s,
     )
 
 
@@ -121,12 +118,10 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
     """
     found = estimate(scenario)
     size = "maneuver.phase" if found.ticks > 20 * found.variables else "controller.horizon"
-    is_mujoco = found.plant_steps > _plant_steps(scenario, scenario.plant.step_s)
-    steps = "plant.mujoco.step_s" if is_mujoco else "plant.step_s"
+    steps = "plant.mujoco.step_s" if scenario.plant.engine == "mujoco" else "plant.step_s"
     for field, got, most, unit, shown in (
         ("maneuver.phase", found.ticks, MOST_TICKS, "sampling periods", ",d"),
         (steps, found.plant_steps, MOST_PLANT_STEPS, "integration steps per sampling period", ",d"),
-        (size, found.process_bytes / MB, MOST_PROCESS_BYTES / MB, "MB of memory per process", ",.0f"),
         (size, found.total_bytes / MB, MOST_TOTAL_BYTES / MB, "MB of memory in total", ",.0f"),
         ("maneuver.phase", found.log_bytes / MB, MOST_LOG_BYTES / MB, "MB of log", ",.0f"),
         ("controller.horizon", found.step_s, MOST_STEP_S, "s of processor time per step", ",.3g"),
@@ -139,32 +134,5 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
 
 def most_workers(scenarios: Iterable[Scenario]) -> int:
     """Return how many processes that each simulate one of these runs fit into the memory of a run, at least one."""
-    largest = max((estimate(scenario).worker_bytes for scenario in scenarios), default=BASE_BYTES)
+    largest = max((estimate(scenario).worker_bytes for scenario in scenarios), default=_BASE_BYTES)
     return max(1, int(MOST_TOTAL_BYTES // largest))
-
-
-def _are_motors_recorded(scenario: Scenario) -> bool:
-    """Return whether the log has the actual inputs: the motors are not ideal, as `plant.motors.Motors` decides."""
-    motors, events = scenario.plant.motors, scenario.faults.event
-    fails = any(event.do == "degrade" for event in events)
-    return bool(motors.lag_s or motors.thrust_step_N or motors.rotors or fails)
-
-
-def _plant_steps(scenario: Scenario, step_s: float) -> int:
-    return math.ceil(scenario.controller.sampling_period_s / step_s - 1e-9)
-
-
-def _program(scenario: Scenario, own: int) -> tuple[int, int]:
-    """Return variables and rows of the QP of an agent with that many UAVs, as `mpc.rows.Rows` makes them."""
-    controller, N = scenario.controller, len(scenario.system.uav)
-    horizon = controller.horizon
-    decisions, slacks, rows = INPUTS * own * horizon, 0, INPUTS * own * (horizon - 1)
-    pairs = N * (N - 1) // 2 - (N - own) * (N - own - 1) // 2
-    if controller.separation is not None and pairs:
-        slacks, rows = slacks + 1, rows + pairs * horizon
-    if controller.tilt is not None:
-        slacks, rows = slacks + 1, rows + 4 * own * horizon
-    if controller.tension is not None:
-        slacks, rows = slacks + 1, rows + own * horizon
-    # Constraints of the user: at most a slack each, and a row per step.
-    return decisions + slacks + len(controller.constraint), rows + horizon * len(controller.constraint)

@@ -1,8 +1,9 @@
 """Errors of scenarios: one line with file, field, what was expected and what came, also from pydantic's problems."""
 
 import difflib
-from collections.abc import Callable, Iterable, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -10,11 +11,11 @@ from model.arrays import ShapeError
 from model.parameters import ParameterError
 from mpc.feedback import FeedbackError
 from mpc.settings import SettingsError
-from protocol.scenario.keys import names_of, section_in
-from protocol.scenario.schema import Scenario
+from protocol.scenario.keys import names_of, out_of_range, section_in
 from protocol.wire.errors import TransportError
 
 T = TypeVar("T")
+S = TypeVar("S", bound=BaseModel)
 
 
 class ScenarioError(TransportError, ValueError):
@@ -73,59 +74,55 @@ def _short(text: str) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-def first_problem(error: ValidationError, source: str, root: type[BaseModel] = Scenario) -> ScenarioError:
-    """Return the first problem that pydantic found in a section `root`, as one line in the project's words."""
-    # Unknown keys first: a mistyped key is also a missing one, and the typo tells more.
-    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
-    problem = problems[0]
-    *above, last = problem["loc"]
-    # Pydantic names the branch of a union it tried; an unknown key may be called anything and comes last.
-    known_last = problem["type"] == "extra_forbidden" or not _is_union_branch(last)
-    location = [part for part in above if not _is_union_branch(part)] + ([last] if known_last else [])
-    field = ".".join(str(part + 1) if isinstance(part, int) else part for part in location)
-    kind, context, value = problem["type"], problem.get("ctx", {}), problem["input"]
-    if kind == "extra_forbidden":
-        known = _known_keys(root, location[:-1])
-        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-        return ScenarioError(source, field, f"unknown key; {hint}")
-    if kind == "missing":
-        return ScenarioError(source, field, "expected a value, got nothing")
-    message = problem["msg"]
-    expected = f"expected {_WORDS[kind].format(**context)}" if kind in _WORDS else message[0].lower() + message[1:]
-    shown = list(value) if isinstance(value, tuple) else value  # lists of numbers become tuples
-    return ScenarioError(source, field, f"{expected}, got {_short(repr(shown))}")
+def validated(section: type[S], tree: Any, source: str = "", folder: Path | None = None) -> S:
+    """Return a section made from plain data; the paths of its files are relative to a folder.
+
+    Raises: ScenarioError: with the first problem; unknown keys come first, as a mistyped key is also a missing one.
+    """
+    try:
+        found = section.model_validate(tree, context=folder)
+    except ValidationError as error:
+        problem = min(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
+        raise ScenarioError(source, *_problem(problem, section)) from error
+    for field, text in out_of_range(found):
+        raise ScenarioError(source, field, text)
+    return found
 
 
+# Words instead of pydantic's.
 _WORDS = {
     "greater_than": "a number > {gt}",
     "greater_than_equal": "a number >= {ge}",
     "less_than": "a number < {lt}",
     "less_than_equal": "a number <= {le}",
-    "too_short": "at least {min_length} list entries",
-    "too_long": "at most {max_length} list entries",
-    "literal_error": "{expected}",
-    "string_pattern_mismatch": "text matching {pattern}",
-    "int_type": "an integer",
-    "int_from_float": "an integer",
-    "float_type": "a number",
-    "finite_number": "a finite number",
-    "string_type": "text",
-    "bool_type": "true or false",
-    "list_type": "a list",
-    "tuple_type": "a list",
     "model_type": "a section",
-    "dict_type": "a section",
 }
 
 
-def _is_union_branch(part: int | str) -> bool:
-    """Return whether a part of an error's location is not a key but a type that was tried."""
-    return isinstance(part, str) and (part in ("float", "constrained-float", "int", "str") or "[" in part)
-
-
-def _known_keys(section: type[BaseModel], location: Iterable[int | str]) -> list[str]:
-    for part in location:
-        if not isinstance(part, int):
-            section = section_in(section.model_fields[part].annotation) or Scenario
-    return list(names_of(section))
+def _problem(problem: Any, section: type[BaseModel]) -> tuple[str, str]:
+    """Return the field of one of pydantic's problems, and the problem in the project's words."""
+    kind, message, value = problem["type"], problem["msg"], problem["input"]
+    last = problem["loc"][-1] if problem["loc"] else ""
+    field: list[str] = []
+    for part in problem["loc"]:  # pydantic also names the branch of a union that it tried, which is no key
+        names = names_of(section)
+        if part in names:
+            section = section_in(section.model_fields[names[part]].annotation) or section
+        if isinstance(part, int):
+            field.append(str(part + 1))
+        elif part in names or (kind == "extra_forbidden" and part is last):
+            field.append(part)
+    if kind == "extra_forbidden":
+        known = names_of(section)
+        near = difflib.get_close_matches(str(last), known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+        return ".".join(field), f"unknown key; {hint}"
+    if kind == "missing":
+        return ".".join(field), "expected a value, got nothing"
+    if kind == "value_error":  # of a validator, whose text says all
+        return ".".join(field), str(problem["ctx"]["error"])
+    if kind in _WORDS:
+        message = f"expected {_WORDS[kind].format(**problem.get('ctx', {}))}"
+    expected = message.replace("Input should be", "expected")
+    shown = list(value) if isinstance(value, tuple) else value  # lists of numbers become tuples
+    return ".".join(field), f"{expected[0].lower()}{expected[1:]}, got {_short(repr(shown))}"

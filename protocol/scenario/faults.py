@@ -13,8 +13,6 @@ from typing import Literal
 from protocol.scenario.schema import Scenario
 from protocol.wire.messages import Measurement, Message, Tick
 
-Action = Literal["kill", "stop", "continue", "start", "motor_off", "release", "degrade"]
-
 # Faults that the plant applies to its UAVs.
 OF_UAVS = ("motor_off", "release", "degrade")
 
@@ -28,9 +26,18 @@ class Fault:
     """
 
     tick: int
-    do: Action
+    do: Literal["kill", "stop", "continue", "start", "motor_off", "release", "degrade"]
     target: str  # process name; for faults of UAVs the name of a UAV, such as "uav3"
     efficiency: float = 1.0  # of the motors, for "degrade"
+
+    @property
+    def uav(self) -> int:
+        """Return the UAV that is the target, 0-based."""
+        return int(self.target.removeprefix("uav")) - 1
+
+
+# Fault of a UAV: tick, kind, UAV (0-based).
+UavFault = tuple[int, Literal["motor_off", "release"], int]
 
 
 def uav_name(uav: int) -> str:
@@ -38,25 +45,14 @@ def uav_name(uav: int) -> str:
     return f"uav{uav + 1}"
 
 
-# Fault of a UAV: tick, kind, UAV (0-based).
-UavFault = tuple[int, Literal["motor_off", "release"], int]
-
-
 def uav_faults(faults: Sequence[Fault]) -> tuple[UavFault, ...]:
     """Return the failures of UAVs in the order of time."""
-    return tuple(
-        (fault.tick, fault.do, _uav(fault)) for fault in faults if fault.do == "motor_off" or fault.do == "release"
-    )
+    return tuple((f.tick, f.do, f.uav) for f in faults if f.do == "motor_off" or f.do == "release")
 
 
 def degradations(faults: Sequence[Fault]) -> tuple[tuple[int, int, float], ...]:
     """Return ticks, UAVs, 0-based, and efficiencies of degraded motors, in the order of time."""
-    return tuple((fault.tick, _uav(fault), fault.efficiency) for fault in faults if fault.do == "degrade")
-
-
-def _uav(fault: Fault) -> int:
-    """Return the target of a fault of a UAV, 0-based."""
-    return int(fault.target.removeprefix("uav")) - 1
+    return tuple((fault.tick, fault.uav, fault.efficiency) for fault in faults if fault.do == "degrade")
 
 
 def scripted(scenario: Scenario) -> tuple[Fault, ...]:
@@ -66,25 +62,23 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
     down: dict[str, int] = {}  # processes that do not run, and since which tick
     for event in sorted(scenario.faults.event, key=lambda event: event.at_s):
         tick, target = math.ceil(event.at_s / period_s - 1e-9), event.target
-        match event.do:
-            case "restart" | "continue":
-                if target not in down:
-                    found.append(Fault(tick, "kill", target))
-                # A process is back at the next tick at the earliest.
-                tick = max(tick, down.pop(target, tick) + 1)
-                found.append(Fault(tick, "start" if event.do == "restart" else "continue", target))
-            case do:
-                found.append(Fault(tick, do, target, event.efficiency or 1.0))
-                if do not in OF_UAVS:
-                    down.setdefault(target, tick)
+        if event.do == "restart" or event.do == "continue":
+            if target not in down:
+                found.append(Fault(tick, "kill", target))
+            # A process is back at the next tick at the earliest.
+            tick = max(tick, down.pop(target, tick) + 1)
+            found.append(Fault(tick, "start" if event.do == "restart" else "continue", target))
+        else:
+            found.append(Fault(tick, event.do, target, event.efficiency or 1.0))
+            if event.do not in OF_UAVS:
+                down.setdefault(target, tick)
     return tuple(sorted(found, key=lambda fault: fault.tick))
 
 
 def due(faults: Sequence[Fault], name: str, message: Message) -> Literal["kill", "stop"] | None:
     """Return the fault a process is to inject into itself on a message received or about to be sent, if any."""
-    if not faults or not isinstance(message, Measurement | Tick):
-        return None
-    for fault in faults:
-        if fault.target == name and fault.tick == message.tick and fault.do in ("kill", "stop"):
-            return "kill" if fault.do == "kill" else "stop"
+    if isinstance(message, Measurement | Tick):
+        for fault in faults:
+            if fault.target == name and fault.tick == message.tick and (fault.do == "kill" or fault.do == "stop"):
+                return fault.do
     return None

@@ -2,41 +2,28 @@
 
 import difflib
 import importlib.resources
+import os
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from protocol.scenario.budget import check_budget
-from protocol.scenario.errors import ScenarioError, first_problem, key_of, option
-from protocol.scenario.files import TableError, anchored, path_problem, read_text, with_paths
+from protocol.scenario.errors import ScenarioError, key_of, option, validated
+from protocol.scenario.files import anchored
 from protocol.scenario.relations import check_relations
 from protocol.scenario.schema import Scenario
 
-__all__ = ["ScenarioError", "find_scenario", "find_vehicle", "read_scenario", "read_tree", "validate", "with_settings"]
+__all__ = ["ScenarioError", "find_scenario", "read_scenario", "read_tree", "validate", "with_settings"]
 
 
-def find_scenario(name: str) -> Path:
-    """Return the file of a scenario: a path, or the name of one that comes with the package.
+def find_scenario(name: str, package: str = "scenarios") -> Path:
+    """Return the file of a scenario, or of what else is in a package: a path, or the name of one that comes with it.
 
-    Raises: ScenarioError: no scenario has the name, the text lists the names; or no file can have it.
+    Raises: ScenarioError: no file has the name, the text lists the names.
     """
-    return _find(name, "scenarios", "a scenario file")
-
-
-def find_vehicle(name: str) -> Path:
-    """Return the file of a vehicle, as `find_scenario`."""
-    return _find(name, "vehicles", "a vehicle file")
-
-
-def _find(name: str, package: str, kind: str) -> Path:
     path = Path(name)
-    problem = path_problem(path)
-    if problem:
-        raise ScenarioError(name, "", f"cannot be read ({problem})")
-    if path.exists() or path.suffix == ".toml" or "/" in name:
+    if os.path.exists(name) or path.suffix == ".toml" or "/" in name:  # noqa: PTH110 - false for impossible names
         return path
     # Both packages lie side by side, in the source folder and where they are installed.
     folder = Path(str(importlib.resources.files("scenarios"))).parent / package
@@ -44,7 +31,7 @@ def _find(name: str, package: str, kind: str) -> Path:
     if name not in known:
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-        raise ScenarioError(name, "", f"expected {kind} or the name of a ready one; {hint}")
+        raise ScenarioError(name, "", f"expected a {package[:-1]} file or the name of a ready one; {hint}")
     return folder / f"{name}.toml"
 
 
@@ -62,19 +49,15 @@ def read_scenario(path: Path, settings: Sequence[str] = (), *, allow_large: bool
 
 
 def read_tree(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file.
-
-    Raises: ScenarioError: it cannot be read.
-    """
-    source = str(path)
+    """Return the content of a TOML file. Raises: ScenarioError: it cannot be read."""
     try:
-        return tomllib.loads(read_text(path, regular=False))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        raise ScenarioError(source, "", "no such file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(source, "", f"cannot be read ({error})") from error
+        raise ScenarioError(str(path), "", "no such file") from error
+    except OSError as error:
+        raise ScenarioError(str(path), "", f"cannot be read ({error})") from error
     except (ValueError, RecursionError) as error:  # also of integers of thousands of digits, and of deep nesting
-        raise ScenarioError(source, "", f"not valid TOML: {error}") from error
+        raise ScenarioError(str(path), "", f"not valid TOML: {error}") from error
 
 
 def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str, *, allow_large: bool = False) -> Scenario:
@@ -98,15 +81,7 @@ def validate(tree: dict[str, Any], source: str) -> Scenario:
 
     Files of its maneuver are read here; their paths are relative to the folder of `source`, the scenario's file.
     """
-    try:
-        tree = with_paths(tree, Path(source).parent)
-    except TableError as error:
-        number, _, problem = str(error).partition(" ")
-        raise ScenarioError(source, f"maneuver.phase.{number}.file", problem) from error
-    try:
-        scenario = Scenario.model_validate(tree)
-    except ValidationError as error:
-        raise first_problem(error, source) from error
+    scenario = validated(Scenario, tree, source, Path(source).parent)
     check_relations(scenario, source)
     return scenario
 
@@ -122,22 +97,13 @@ def _apply(tree: dict[str, Any], setting: str, folder: Path) -> None:
     except (ValueError, RecursionError) as error:
         raise ScenarioError(option(setting), "", f"not valid TOML: {error}") from error
     *parents, last = key.split(".")
-    value = anchored(value, Path.cwd(), folder, last)
     node: Any = tree
     for part in parents:
-        node = _child(node, part, setting)
-    if isinstance(node, list):
-        index = _index(node, last, setting)
-        node[index] = value
-    else:
-        node[last] = value
-
-
-def _child(node: Any, part: str, setting: str) -> Any:
-    child = node[_index(node, part, setting)] if isinstance(node, list) else node.setdefault(part, {})
-    if not isinstance(child, dict | list):
-        raise ScenarioError(option(setting), "", f"expected {part!r} to be a section, got the value {child!r}")
-    return child
+        child = node[_index(node, part, setting)] if isinstance(node, list) else node.setdefault(part, {})
+        if not isinstance(child, dict | list):
+            raise ScenarioError(option(setting), "", f"expected {part!r} to be a section, got the value {child!r}")
+        node = child
+    node[_index(node, last, setting) if isinstance(node, list) else last] = anchored(value, Path.cwd(), folder, last)
 
 
 def _index(node: list[Any], part: str, setting: str) -> int:

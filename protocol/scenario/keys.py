@@ -9,6 +9,7 @@ import ast
 import inspect
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
+from math import inf
 from typing import Any, get_args
 
 from pydantic import BaseModel
@@ -106,26 +107,17 @@ def meanings(section: type[BaseModel]) -> dict[str, str]:
     return {key: found[name] for key, name in names_of(section).items() if name in found}
 
 
-def out_of_range(section: BaseModel, place: str = "") -> Iterator[tuple[str, str]]:
-    """Yield field, and expected and got, of each number of a section beyond its range.
-
-    List entries count from 1. `place` is the section's own field, empty for the whole scenario.
-    """
-    for key, name in names_of(type(section)).items():
-        if name in section.model_fields_set:
-            _, *by_ending = UNITS[ending_of(key)]
-            within = key_of(type(section).model_fields[name]).within or by_ending
-            yield from _checked(getattr(section, name), f"{place}.{key}" if place else key, *within)
-
-
-def _checked(value: object, place: str, smallest: float, largest: float) -> Iterator[tuple[str, str]]:
+def out_of_range(value: object, place: str = "", within: tuple[float, float] = (0.0, inf)) -> Iterator[tuple[str, str]]:
+    """Yield field, and expected and got, of each number given in a section or list that is beyond its range."""
     if isinstance(value, BaseModel):
-        yield from out_of_range(value, place)
+        for key, name in names_of(type(value)).items():
+            if name in value.model_fields_set:
+                _, *by_ending = UNITS[ending_of(key)]
+                limits = key_of(type(value).model_fields[name]).within or (by_ending[0], by_ending[1])
+                yield from out_of_range(getattr(value, name), f"{place}.{key}".lstrip("."), limits)
     elif isinstance(value, list | tuple):
         for number, entry in enumerate(value, start=1):
-            yield from _checked(entry, f"{place}.{number}", smallest, largest)
-    elif isinstance(value, float):
-        if abs(value) > largest:
-            yield place, f"expected a magnitude of at most {largest:g}, got {value:g}"
-        elif 0.0 < abs(value) < smallest:
-            yield place, f"expected a magnitude of at least {smallest:g}, got {value:g}"
+            yield from out_of_range(entry, f"{place}.{number}", within)
+    elif isinstance(value, float) and value != 0.0 and not within[0] <= abs(value) <= within[1]:
+        bound = f"most {within[1]:g}" if abs(value) > within[1] else f"least {within[0]:g}"
+        yield place, f"expected a magnitude of at {bound}, got {value:g}"

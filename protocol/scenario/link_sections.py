@@ -1,16 +1,21 @@
 """Sections of the links: impairments, exceptions for single links, partitions, changes during a run."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Interval
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from mpc.settings import Key, NotNegative, Positive, Section
 from protocol.wire.names import PLANT
 
 Probability = Annotated[float, Interval(ge=0.0, le=1.0)]
 
-_PROCESS, _MS = "agent1, agent2, ..., plant", "ms"
+_PROCESS = "agent1, agent2, ..., plant"
+
+
+def _key(label: str, shown: str, option: str, words: str, short: str = "") -> Key:
+    """Return the properties of an impairment: axis label and unit, option of `transport link set`, and words."""
+    return Key(label=label, shown=shown, option=option, words=words, short=short)
 
 
 class GilbertElliottSection(Section):
@@ -30,13 +35,9 @@ class LinkSection(Section):
     The default of each key means a link without that impairment.
     """
 
-    delay_s: Annotated[
-        NotNegative, Key(label="delay of plans", shown=_MS, short="delay_s", option="--delay", words="delay {:g} s")
-    ] = 0.0
+    delay_s: Annotated[NotNegative, _key("delay of plans", "ms", "--delay", "delay {:g} s", "delay_s")] = 0.0
     """fixed part of the delay"""
-    jitter_s: Annotated[
-        NotNegative, Key(label="jitter of plans", shown=_MS, short="jitter_s", option="--jitter", words="jitter {:g} s")
-    ] = 0.0
+    jitter_s: Annotated[NotNegative, _key("jitter of plans", "ms", "--jitter", "jitter {:g} s", "jitter_s")] = 0.0
     """scale of the random part of the delay: width (uniform, centred on `delay_s`), standard deviation (normal,
     lognormal), mean (exponential); delays below 0 become 0"""
     distribution: Annotated[
@@ -47,35 +48,28 @@ class LinkSection(Section):
     samples: str | None = None
     """file of measured delays in s, separated by blanks or commas, in or below the scenario's folder (in `--set`:
     relative to the current folder), or by its absolute path; for empirical"""
-    loss: Annotated[
-        Probability, Key(label="loss of plans", shown="%", short="loss", option="--loss", words="loss {:g} %")
-    ] = 0.0
+    loss: Annotated[Probability, _key("loss of plans", "%", "--loss", "loss {:g} %", "loss")] = 0.0
     """probability that a message is lost, independent for each message"""
     gilbert_elliott: GilbertElliottSection | None = None
-    duplicate: Annotated[
-        Probability, Key(label="duplicated plans", shown="%", option="--duplicate", words="duplication {:g} %")
-    ] = 0.0
+    duplicate: Annotated[Probability, _key("duplicated plans", "%", "--duplicate", "duplication {:g} %")] = 0.0
     """probability that a message arrives a second time, with a separate delay"""
-    reorder: Annotated[
-        Probability, Key(label="plans held back", shown="%", option="--reorder", words="reordering {:g} %")
-    ] = 0.0
+    reorder: Annotated[Probability, _key("plans held back", "%", "--reorder", "reordering {:g} %")] = 0.0
     """probability that a message is held back by `reorder_s`"""
     reorder_s: Annotated[
-        NotNegative,
-        Key(
-            label="extra delay of plans held back",
-            shown=_MS,
-            option="--reorder-s",
-            words="{:g} s more for reordered messages",
-        ),
+        NotNegative, _key("extra delay of plans held back", "ms", "--reorder-s", "{:g} s more for reordered messages")
     ] = 0.0
     """extra delay of a message that is held back"""
     rate_hz: Annotated[
-        Positive | None,
-        Key(label="plans per second on a link", option="--rate", words="at most {:g} messages per second"),
+        Positive | None, _key("plans per second on a link", "", "--rate", "at most {:g} messages per second")
     ] = None
     """messages per second of scenario time that the link carries, evenly spread; those beyond are dropped. There is
     one per tick: half of 1 / T_s drops every other"""
+
+    @model_validator(mode="after")
+    def _has_samples(self) -> Self:
+        if self.distribution == "empirical" and self.samples is None:
+            raise ValueError("samples: expected a file of measured delays, got nothing")
+        return self
 
     @property
     def perfect(self) -> bool:

@@ -8,7 +8,6 @@ order anything arrives.
 import hashlib
 import json
 import math
-from bisect import bisect_right
 from collections.abc import Collection, Iterable, Mapping
 from operator import itemgetter
 from typing import Any
@@ -16,20 +15,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator, Philox
-from pydantic import ValidationError
 
 from model.arrays import Array
-from protocol.scenario.errors import first_problem
-from protocol.scenario.keys import UNITS, key_of, out_of_range
+from protocol.scenario.errors import ScenarioError, validated
+from protocol.scenario.keys import UNITS, key_of
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
-from protocol.wire.messages import LinkChange, MessageError
+from protocol.wire.messages import LinkChange, Measurement, MessageError, Plan
 from protocol.wire.names import PLANT
 
 Key = npt.NDArray[np.uint64]
 
 
 def draw_key(*purpose: object) -> Key:
-    """Return the key of an independent stream of random numbers for the seed of a run and a purpose, (2,) uint64."""
+    """Return the key of an independent stream of random numbers, for the seed of a run and a purpose, (2,) uint64."""
     digest = hashlib.sha256("/".join(map(str, purpose)).encode()).digest()
     return np.frombuffer(digest[:16], dtype="<u8")
 
@@ -65,13 +63,8 @@ class LinkError(MessageError):
 class Link:
     """One directed link of a run: decides which messages arrive, and when.
 
-    Args:
-        links: The links of the scenario: its general keys or the last override of this link, partitions, changes.
-        sender, receiver: Process names.
-        kind: Message kind.
-        seed: Of the run.
-        period_s: Sampling period, s.
-        samples_s: Measured delays by file name, for the distribution "empirical".
+    Of the scenario's links it has the general keys or the last override, partitions and changes. Given are also the
+    run's seed, the sampling period, s, and measured delays, s, by file name.
     """
 
     def __init__(
@@ -80,10 +73,9 @@ class Link:
         sender: str,
         receiver: str,
         *,
-        kind: str,
         seed: int,
         period_s: float,
-        samples_s: Mapping[str, tuple[float, ...]] | None = None,
+        samples_s: Mapping[str, tuple[float, ...]],
     ) -> None:
         self.sender, self.receiver = sender, receiver
         chosen: LinkSection = links
@@ -95,11 +87,11 @@ class Link:
         # First tick, impairments from then on, and whether they are none: asked for with every message.
         self._sections = [(0, chosen, chosen.perfect)]
         self._changes: list[tuple[int, dict[str, Any]]] = []  # first tick, keys given
-        self._period_s, self._samples_s = period_s, samples_s or {}
+        self._period_s, self._samples_s = period_s, samples_s
         # A partition concerns the plant only if it names it.
         cuts = [p for p in links.partition if PLANT in p.between or PLANT not in (sender, receiver)]
         self._partitions = [(p.start_s, p.end_s) for p in cuts if (sender in p.between) != (receiver in p.between)]
-        self._key = draw_key(seed, sender, receiver, kind)
+        self._key = draw_key(seed, sender, receiver, (Measurement if sender == PLANT else Plan).kind)
         self._bad: list[bool] = []  # Gilbert-Elliott state by tick
         for change in sorted(links.change, key=lambda change: change.at_s):
             self.change(math.ceil(change.at_s / period_s - _SLACK), change)
@@ -111,11 +103,9 @@ class Link:
         """
         if change.covers(self.sender, self.receiver):
             given = {key: getattr(change, key) for key in change.model_fields_set & LinkSection.model_fields.keys()}
-            at = bisect_right(self._changes, tick, key=itemgetter(0))
-            self._changes.insert(at, (tick, given))
-            # Sections before it stay as they are; usually it is the latest.
-            del self._sections[1 + at :]
-            for start, keys in self._changes[at:]:
+            self._changes = sorted([*self._changes, (tick, given)], key=itemgetter(0))
+            del self._sections[1:]
+            for start, keys in self._changes:
                 section = self._sections[-1][1].model_copy(update=keys)
                 self._sections.append((start, section, section.perfect))
 
@@ -126,9 +116,7 @@ class Link:
     def delays(self, tick: int, negotiation: int = 0) -> list[float]:
         """Return the delays with which the message of a tick arrives, s: none if it is lost, two if duplicated.
 
-        Args:
-            tick: The message's.
-            negotiation: 0 for the message a tick ends with; 1, 2, ... for those exchanged within it before.
+        Messages of the negotiation within the tick, before the one it ends with, are numbered from 1.
         """
         section, perfect = self._in_force(tick)
         sent_s = tick * self._period_s
@@ -136,9 +124,11 @@ class Link:
             return []
         if perfect:
             return [0.0]
-        if section.rate_hz is not None and not self._within_rate(tick, section.rate_hz):
-            return []
-        draw = self._draw(tick, stream=_MESSAGE + negotiation)
+        if section.rate_hz is not None and tick > 0:
+            per_tick = section.rate_hz * self._period_s  # the messages that the rate leaves room for are evenly spread
+            if math.floor(tick * per_tick + _SLACK) == math.floor((tick - 1) * per_tick + _SLACK):
+                return []
+        draw = generator(self._key, tick, _MESSAGE + negotiation).random(_DRAWS)
         if draw[_LOSS] < section.loss:
             return []
         if self._in_burst(tick) and section.gilbert_elliott and draw[_BURST] < section.gilbert_elliott.loss:
@@ -153,9 +143,7 @@ class Link:
     def usable_ticks(self, tick: int, after: int = 1) -> list[int]:
         """Return the ticks from which the message of a tick can be used: the first at or after its arrival.
 
-        Args:
-            tick: The message's.
-            after: Ticks that a message needs over a perfect link: 1 for what is used at the next tick.
+        Over a perfect link it needs `after` ticks: 1 for what is used at the next tick.
         """
         if not self._partitions and self._in_force(tick)[1]:
             return [tick + after]
@@ -164,24 +152,15 @@ class Link:
     def _in_force(self, tick: int) -> tuple[LinkSection, bool]:
         return next((section, perfect) for start, section, perfect in reversed(self._sections) if start <= tick)
 
-    def _within_rate(self, tick: int, rate_hz: float) -> bool:
-        """Return whether the rate leaves room for the message of a tick, the messages carried being evenly spread."""
-        per_tick = rate_hz * self._period_s
-        return tick == 0 or math.floor(tick * per_tick + _SLACK) > math.floor((tick - 1) * per_tick + _SLACK)
-
-    def _draw(self, tick: int, stream: int) -> Array:
-        """Return the uniform numbers in [0, 1) of a tick, (`_DRAWS`,)."""
-        return generator(self._key, tick, stream).random(_DRAWS)
-
     def _in_burst(self, tick: int) -> bool:
         """Return whether the Gilbert-Elliott chain, which starts in the good state, is in the bad one at a tick."""
-        while len(self._bad) <= tick:
-            k, was_bad = len(self._bad), bool(self._bad) and self._bad[-1]
-            bursts = self.impairments(k).gilbert_elliott
-            if was_bad:
-                self._bad.append(bursts is not None and self._draw(k, stream=_CHAIN)[0] >= bursts.leave)
+        for k in range(len(self._bad), tick + 1):
+            was_bad, bursts = k > 0 and self._bad[-1], self.impairments(k).gilbert_elliott
+            if bursts is None or not (was_bad or bursts.enter):
+                self._bad.append(False)
             else:
-                self._bad.append(bool(bursts and bursts.enter and self._draw(k, stream=_CHAIN)[0] < bursts.enter))
+                draw = generator(self._key, k, _CHAIN).random()
+                self._bad.append(draw >= bursts.leave if was_bad else draw < bursts.enter)
         return self._bad[tick]
 
     def _delay(self, section: LinkSection, uniform: Array) -> float:
@@ -211,29 +190,18 @@ class LinkChanges:
         self._applied = 0
 
     def check(self, message: LinkChange) -> None:
-        """Check a change.
-
-        Raises: MessageError: it is invalid, or not the next one.
-        """
+        """Check a change. Raises: MessageError: it is invalid, or not the next one."""
         if message.number > self._applied + 1:
             raise MessageError("future", f"change {message.number} of the links after {self._applied}")
-        told_change(message, self._samples_s)
+        link_change(message.source, message.target, message.settings, self._samples_s)
 
     def apply(self, message: LinkChange) -> None:
         """Apply a change, unless it was repeated for a process that has just joined."""
         if message.number == self._applied + 1:
-            change = told_change(message, self._samples_s)
+            change = link_change(message.source, message.target, message.settings, self._samples_s)
             self._applied += 1
             for link in self._links:
                 link.change(message.tick, change)
-
-
-def told_change(message: LinkChange, samples_s: Mapping[str, tuple[float, ...]]) -> LinkOverrideSection:
-    """Return the change of links in a message of the coordinator; measured delays are given by file name.
-
-    Raises: LinkError: it cannot be applied.
-    """
-    return link_change(message.source, message.target, message.settings, samples_s)
 
 
 def link_change(source: str, target: str, settings: str, samples: Collection[str] | None = None) -> LinkOverrideSection:
@@ -251,15 +219,9 @@ def link_change(source: str, target: str, settings: str, samples: Collection[str
         raise LinkError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
     ends = {key: name for key, name in (("from", source), ("to", target)) if name}
     try:
-        change = LinkOverrideSection.model_validate({**given, **ends})
-    except ValidationError as error:
-        raise LinkError(str(first_problem(error, "", LinkOverrideSection))) from error
-    for field, problem in out_of_range(change):
-        raise LinkError(f"{field}: {problem}")
-    if (change.samples is not None) != (change.distribution == "empirical"):
-        raise LinkError(
-            f"samples: expected a file with distribution empirical and with no other, got {change.samples!r}"
-        )
+        change = validated(LinkOverrideSection, {**given, **ends})
+    except ScenarioError as error:
+        raise LinkError(str(error)) from error
     if change.samples is not None and samples is not None and change.samples not in samples:
         known = ", ".join(sorted(samples)) or "none"
         raise LinkError(f"samples: expected a file that the scenario names ({known}), got {change.samples!r}")
@@ -278,10 +240,7 @@ def words_of(change: LinkChange) -> str:
 def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> str:
     """Return a change of links in words, such as "links from agent1 to agent2: delay 0.2 s, loss 30 %".
 
-    Args:
-        source: Name of the sender, empty for any agent.
-        target: Name of the receiver, empty for any agent.
-        settings: Valid keys and values of a link; all of `PERFECT` are a cleared link.
+    Empty names are any agents; all of `PERFECT` as settings are a cleared link.
     """
     ends = (f" from {source}" if source else "") + (f" to {target}" if target else "")
     links = f"links{ends or ' between agents'}"
@@ -291,7 +250,6 @@ def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> st
 
 
 def _words(key: str, value: Any) -> str:
-    """Return a key of a link and its new value in words."""
     template = key_of(LinkSection.model_fields[key]).words
     if key == "gilbert_elliott":
         if value is None or not value["enter"]:
@@ -299,6 +257,4 @@ def _words(key: str, value: Any) -> str:
         return f"burst loss, entered with {100.0 * value['enter']:g} % and left with {100.0 * value['leave']:g} %"
     if value is None:
         return f"no {key}"
-    if template:
-        return template.format(100.0 * value if "%" in template else value)
-    return f"{key} {value}"
+    return template.format(100.0 * value if "%" in template else value) if template else f"{key} {value}"

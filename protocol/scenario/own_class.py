@@ -7,49 +7,55 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
-from contextvars import ContextVar
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
+from pydantic import AfterValidator
 
 from model.arrays import Array
 
 # Longest text of an error that is passed on, characters: it travels in messages, with the name of the class.
 _LONGEST_TEXT = 400
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
-# Hashes of the files of imported classes.
+# Hashes of the files of imported modules, as they were imported.
 _DIGESTS: dict[str, str] = {}
-
-_is_called = ContextVar("_is_called", default=False)  # whether the code of a class of the user runs, in this thread
-_hooks: list[str] = []  # the audit events that are refused, once the hook is installed
 
 
 class OwnClassError(ValueError):
     """A class of the user that cannot be used, or that has failed; one line."""
 
 
-def is_class_name(value: str) -> bool:
-    """Return whether a text has the form "package.module:Class"."""
-    return _NAME.fullmatch(value) is not None
+def or_class(*names: str) -> AfterValidator:
+    """Return a check that a text is one of some names or has the form "package.module:Class"."""
+
+    def check(value: str) -> str:
+        if value not in names and not _NAME.fullmatch(value):
+            raise ValueError(f"expected {', '.join(map(repr, names))} or 'package.module:Class', got {value!r}")
+        return value
+
+    return AfterValidator(check)
 
 
 def own_class(name: str) -> Any:
     """Return the user's class "package.module:Class", which may lie in the current folder.
 
-    The folder is on the path during this import only, and last: a file there hides no package.
+    The folder is on the path during this import only, and last: a file there hides no package. A module whose file has
+    changed is imported again: the recorded version must be that of the code that runs.
 
     Raises: OwnClassError: it is not found, or its import fails.
     """
-    _refuse_forks()
     module_name, _, attribute = name.partition(":")
     folder = str(Path.cwd())
     sys.path.append(folder)
     importlib.invalidate_caches()  # the file may be newer than this process
     try:
         with told("its import"):
-            module = _newest(importlib.import_module(module_name))
+            module = importlib.import_module(module_name)
+            digest = _digest(module_name)
+            if _DIGESTS.setdefault(module_name, digest) != digest and module_name != "__main__":
+                module = importlib.reload(module)
+                _DIGESTS[module_name] = digest
     except OwnClassError as error:
         missing = error.__cause__.name if isinstance(error.__cause__, ModuleNotFoundError) else None
         if missing is not None and f"{module_name}.".startswith(f"{missing}."):
@@ -61,17 +67,21 @@ def own_class(name: str) -> Any:
     found = getattr(module, attribute, None)
     if not callable(found):
         where = getattr(module, "__file__", None) or module_name
-        raise OwnClassError(f"expected a class {attribute!r} in {where}, got {_kind(found)}")
+        got = "none" if found is None else f"an object of type {type(found).__name__}"
+        raise OwnClassError(f"expected a class {attribute!r} in {where}, got {got}")
     return found
 
 
 def version_of(make: Any) -> str:
     """Return the version of a class: what it has as `version`, or a hash of its file; empty if there is neither."""
     given = getattr(make, "version", None)
-    if given is not None:
-        return str(given)
-    file = getattr(sys.modules.get(make.__module__), "__file__", None)
-    return _digest(Path(file)) if file else ""
+    return _digest(make.__module__) if given is None else str(given)
+
+
+def _digest(module: str) -> str:
+    """Return a hash of the file of an imported module; empty without one."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12] if file else ""
 
 
 def made(make: Callable[..., Any], methods: Sequence[str], *arguments: object) -> Any:
@@ -106,67 +116,23 @@ def told(what: str) -> Iterator[None]:
 
     Raises: OwnClassError: the code has raised anything but KeyboardInterrupt.
     """
-    _is_called.set(True)
     try:
         with redirect_stdout(sys.stderr):
             yield
     except (OwnClassError, KeyboardInterrupt):
         raise
     except BaseException as error:
-        raise OwnClassError(f"{what} raised {_line(error)}{_place(error)}") from error
-    finally:
-        _is_called.set(False)
-
-
-def _digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()[:12]
-
-
-def _refuse_forks() -> None:
-    """Refuse forks by the code of a class in this process: a copy would go on as this process."""
-
-    def refuse(event: str, _: object) -> None:
-        if event in _hooks and _is_called.get():
-            text = "a class of yours must not fork its process; use subprocess, or the start method 'spawn'"
-            raise RuntimeError(text)
-
-    if not _hooks:
-        _hooks.extend(("os.fork", "os.forkpty"))
-        sys.addaudithook(refuse)  # for ever
-
-
-def _newest(module: ModuleType) -> ModuleType:
-    """Import a module again if its file has changed since: the recorded version must be that of the code that runs."""
-    file = getattr(module, "__file__", None)
-    if file is None or not Path(file).is_file() or module.__name__ == "__main__":
-        return module
-    digest = _digest(Path(file))
-    if _DIGESTS.setdefault(file, digest) != digest:
-        module = importlib.reload(module)
-        _DIGESTS[file] = digest
-    return module
-
-
-def _kind(found: object) -> str:
-    return "none" if found is None else f"an object of type {type(found).__name__}"
-
-
-def _line(error: BaseException) -> str:
-    """Return type and text of an exception as a line of printable characters that a message can hold."""
-    text = " ".join(f"{type(error).__name__}: {error}".splitlines())
-    shown = text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]}..."
-    return "".join(c if c.isprintable() else "?" for c in shown)
+        text = " ".join(f"{type(error).__name__}: {error}".splitlines())
+        shown = text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]}..."
+        line = "".join(c if c.isprintable() else "?" for c in shown)  # a message can hold it
+        raise OwnClassError(f"{what} raised {line}{_place(error)}") from error
 
 
 def _place(error: BaseException) -> str:
     """Return file and line of the class's own code where an exception came from; empty if that is elsewhere."""
     frames = traceback.extract_tb(error.__traceback__)
-    calling = {frame.filename for frame in frames[:2]}  # `told`, and the function that calls the class within it
+    others = {frame.filename for frame in frames[:2]}  # `told`, and the function that calls the class within it
     for frame in reversed(frames):
-        if (
-            frame.filename not in calling
-            and "site-packages" not in frame.filename
-            and not frame.filename.startswith("<")
-        ):
+        if frame.filename not in others and not re.match(r"<|.*site-packages", frame.filename):
             return f" ({Path(frame.filename).name}:{frame.lineno})"
     return ""

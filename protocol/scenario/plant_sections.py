@@ -3,19 +3,11 @@
 from typing import Annotated, Literal
 
 from annotated_types import Interval
-from pydantic import AfterValidator
-from pydantic_core import PydanticCustomError
 
 from mpc.settings import Key, NotNegative, NotNegativeVector, Positive, Range, Section, Vector
-from protocol.scenario.own_class import is_class_name
+from protocol.scenario.own_class import or_class
 
 _NOISE = (1e-12, 1e4)
-
-
-def _engine(value: str) -> str:
-    if value in ("rods", "mujoco") or is_class_name(value):
-        return value
-    raise PydanticCustomError("engine", "expected 'rods', 'mujoco' or 'package.module:Class'")
 
 
 MassFactor = Annotated[float, Interval(gt=0.0, le=100.0)]
@@ -24,9 +16,8 @@ MassFactor = Annotated[float, Interval(gt=0.0, le=100.0)]
 class MujocoSection(Section):
     """Bodies and integration of the engine "mujoco"."""
 
-    step_s: Annotated[Positive, Key(type="number > 0, <= 0.01")] = 0.005
-    """longest integration step, at most T_s; a period is divided into equal steps. Contacts need steps of at most 0.01
-    s"""
+    step_s: Annotated[float, Interval(gt=0.0, le=0.01)] = 0.005
+    """longest integration step; a period is divided into equal steps. Contacts need steps of at most 0.01 s"""
     rod_mass_kg: Annotated[float, Interval(ge=1e-4, le=100.0)] = 0.001
     """mass of each rod, homogeneous and thin, unknown to the controllers. MuJoCo needs bodies with a mass: the default
     is so small that the path of the payload is that of massless rods within a millimetre"""
@@ -130,7 +121,7 @@ class NoiseSection(Section):
 class PlantSection(Section):
     """Ground truth: its integration, its difference from the controller's model, limits beyond which a run diverged."""
 
-    engine: Annotated[str, AfterValidator(_engine), Key(type="rods, mujoco, package.module:Class")] = "rods"
+    engine: Annotated[str, or_class("rods", "mujoco"), Key(type="rods, mujoco, package.module:Class")] = "rods"
     """engine that integrates the plant state: the controllers' own equations, the physics engine MuJoCo, or [your own
     class](bring-your-own.md#your-own-engine); [engines.md](engines.md) compares the first two"""
     ground_m: float | None = None
@@ -139,7 +130,7 @@ class PlantSection(Section):
     m"""
     mujoco: MujocoSection = MujocoSection()
     step_s: Annotated[Positive, Key(label="integration step", shown="ms")] = 0.01
-    """longest integration step of rods, at most T_s; a period is divided into equal steps"""
+    """longest integration step of rods; a period is divided into equal steps"""
     tolerance: Annotated[float, Interval(ge=1e-12, le=10.0), Key(unit="SI")] = 1e-9
     """local error above which an integration step of rods is halved, [equations.md](equations.md) (13c)"""
     max_attitude_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 80.0

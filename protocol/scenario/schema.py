@@ -5,55 +5,38 @@ Every process of a run reads the same file. The docstring of a field is its mean
 
 import hashlib
 import json
-from typing import Annotated, Any, Literal, get_args
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from annotated_types import Interval
-from pydantic import AfterValidator, Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from model.curves import Curve, ShapeKind
 from model.maneuver import PhaseKind, Profile
 from model.parameters import GRAVITY
 from mpc.settings import ControllerSettings, Key, NotNegative, Positive, PositiveVector, Section, Vector
+from protocol.scenario.files import TableError, way_of
 from protocol.scenario.link_sections import LinksSection
-from protocol.scenario.own_class import is_class_name
+from protocol.scenario.own_class import or_class
 from protocol.scenario.plant_sections import PlantSection
 from protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS, MAX_POINTS
 from protocol.wire.names import MAX_UAVS
 
 
-def _inertia(value: Any) -> Any:
-    try:
-        shape = np.shape(np.asarray(value, dtype=np.float64))
-    except (TypeError, ValueError):
-        shape = None
-    if shape not in ((3,), (3, 3)):
-        raise PydanticCustomError("shape", "expected 3 principal moments or 3 rows of 3 numbers")
+def _inertia(value: list[Any]) -> list[Any]:
+    if [len(row) if isinstance(row, list) else 1 for row in value] not in ([1, 1, 1], [3, 3, 3]):
+        raise ValueError(f"expected 3 principal moments or 3 rows of 3 numbers, got {value}")
     return value
-
-
-def _relaxation(value: float | str) -> float | str:
-    if value == "auto" or (isinstance(value, float | int) and 0.0 < value <= 1.0):
-        return value
-    raise PydanticCustomError("relaxation", "expected a number in (0, 1] or 'auto'")
-
-
-def _own_controller(value: str) -> str:
-    if value == "mpc" or is_class_name(value):
-        return value
-    raise PydanticCustomError("controller", "expected 'mpc' or 'package.module:Class'")
 
 
 Inertia = Annotated[list[float] | list[list[float]], AfterValidator(_inertia), Key(type="3 numbers or 3 rows of 3")]
 Relaxation = Annotated[
-    float | str,
-    AfterValidator(_relaxation),
+    Annotated[float, Interval(gt=0.0, le=1.0)] | Literal["auto"],
     Key(type="number > 0, <= 1, or auto", label="relaxation", short="relaxation"),
 ]
 _WAIT_S = (1e-3, 1e6)
-# Largest distance of a path from the origin along any axis, m.
-FURTHEST_M = 1e5
 
 
 class PayloadSection(Section):
@@ -100,7 +83,7 @@ class PhaseSection(Section):
     """name of the phase in progress display and figures"""
     duration_s: Positive
     """duration of the phase"""
-    displacement_m: Annotated[Vector, Key(within=(0.0, 1e6))]  # that of a path from a file: a difference of its rows
+    displacement_m: Annotated[Vector, Key(within=(0.0, 1e5))]  # that of a path from a file: a difference of its rows
     """displacement of the payload over the phase, inertial frame; up is negative z"""
     kind: PhaseKind = "move"
     """a take_off begins and a land ends with the payload standing on the ground, `plant.ground_m`; both are vertical,
@@ -139,21 +122,30 @@ class PhaseSection(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _timed(cls, value: Any) -> Any:
-        """Fill in duration and displacement of a curve; fields that make none are refused by their own checks."""
+    def _timed(cls, value: Any, info: ValidationInfo) -> Any:
+        """Read the file; fill in duration and displacement of a table and a curve where their fields are valid."""
+        if isinstance(value, dict) and isinstance(value.get("file"), str):
+            for key in ("duration_s", "displacement_m", "way"):
+                if key in value:
+                    raise TableError(f"expected no {key} next to `file`, which defines it")
+            way = way_of(Path(info.context or "") / value["file"])
+            value = {key: given for key, given in value.items() if key != "file"} | {"way": way}
         try:
+            if value.get("way"):
+                duration_s, *displacement_m = value["way"][-1]
+                return {"duration_s": duration_s, "displacement_m": displacement_m, **value}
             given = cls.model_construct(**value)
             if given.kind in get_args(ShapeKind):
-                duration_s = value.get("duration_s", 2.0 * given.ramp_s)
                 if given.times_s is not None:
-                    duration_s = given.times_s[-1]
+                    value = {**value, "duration_s": float(given.times_s[-1])}
                 elif given.speed_mps is not None:
                     duration_s = _curve(given, 2.0 * given.ramp_s).fastest() / given.speed_mps + given.ramp_s
+                    value = {**value, "duration_s": float(duration_s)}
+                duration_s = value.get("duration_s", 2.0 * given.ramp_s)
                 end_m = _curve(given, duration_s).path(np.array([duration_s]), 1)[0, 0].tolist()
-                timed = "duration_s" in value or given.times_s is not None or given.speed_mps is not None
-                return {"displacement_m": end_m, **value, **({"duration_s": float(duration_s)} if timed else {})}
+                value = {"displacement_m": end_m, **value}
         except (TypeError, ValueError, AttributeError, IndexError):
-            pass
+            pass  # a wrong field is refused by its own check
         return value
 
     def curve(self) -> Curve | None:
@@ -185,6 +177,17 @@ class TargetSection(Section):
     times_s: Annotated[list[NotNegative] | None, Key(type="list of rising numbers", unit="s")] = None
     """times of the points instead of a speed; they count from that of the first one"""
 
+    @model_validator(mode="after")
+    def _points_differ_and_times_rise(self) -> Self:
+        times_s, count = self.times_s, len(self.points_m)
+        if times_s is not None and (
+            len(times_s) != count or any(b <= a for a, b in pairwise(times_s)) or self.speed_mps is not None
+        ):
+            raise ValueError(f"times_s: expected {count} rising times and no speed_mps, got {times_s}")
+        if any(a == b for a, b in pairwise(self.points_m)):
+            raise ValueError("points_m: expected each way point away from the one before, got the same twice")
+        return self
+
 
 class ScriptedTargetSection(TargetSection):
     """A target that the coordinator announces at an instant, as it does for `transport target`."""
@@ -197,8 +200,7 @@ class ManeuverSection(Section):
     """Path of the payload."""
 
     start_m: Vector = (0.0, 0.0, -10.0)
-    """payload position at t = 0, inertial frame; the run starts there at rest in hover. The path must stay within 100
-    km of the origin"""
+    """payload position at t = 0, inertial frame; the run starts there at rest in hover"""
     reference: Literal["hover", "flat"] = "hover"
     """reference of the controllers: hover moved along the path, or the motion of the whole team that carries the
     payload along it ([equations.md](equations.md#references-that-a-team-can-fly)), which the shared control law follows
@@ -293,9 +295,7 @@ class AgentsSection(Section):
     ] = None
     """UAVs of each agent: agent 1 owns the first list, and so on; each UAV once. If omitted: one agent for each UAV"""
     controller: Annotated[
-        str,
-        AfterValidator(_own_controller),
-        Key(type="mpc, package.module:Class", label="controller", short="controller"),
+        str, or_class("mpc"), Key(type="mpc, package.module:Class", label="controller", short="controller")
     ] = "mpc"
     """controller of every agent: that of this project, or [your own class](bring-your-own.md#your-own-controller)"""
 
@@ -348,8 +348,7 @@ class FaultSection(Section):
     detached from its rod, and its motors stop; degrade: the motors of a UAV produce only a share of thrust and moments
     from then on"""
     target: Annotated[
-        str,
-        Key(type="coordinator, plant, agent1, agent2, ...; uav1, uav2, ... for motor_off, release and degrade"),
+        str, Key(type="coordinator, plant, agent1, agent2, ...; uav1, uav2, ... for motor_off, release and degrade")
     ]
     """affected process or UAV"""
     efficiency: Annotated[float, Interval(gt=0.0, le=1.0)] | None = None
@@ -373,11 +372,11 @@ class NetworkSection(Section):
     base_port: Annotated[int, Interval(ge=1024, le=65_000)] | None = None
     """port of the coordinator, then plant, agent 1, ... If omitted: free ports for `transport run`, 7447 and up for
     processes started by hand"""
-    router: str | None = None
+    router: Annotated[str, Field(pattern=r"^(tcp|tls)/\S+:\d+$")] | None = None
     """address of a router such as `tls/192.0.2.1:7447`: all processes are its clients and none listens
     ([deploy.md](deploy.md#topologies))"""
     keys: Annotated[str, Field(pattern=r"^[^\x00]*$")] | None = None
-    """folder of certificates or passwords, relative to the current folder: TLS and access control on every link
+    """folder of certificates, relative to the current folder: TLS and access control on every link
     ([deploy.md](deploy.md#access-control))"""
     insecure: bool = False
     """true: listen unencrypted on an address that other hosts can reach"""

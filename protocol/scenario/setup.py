@@ -1,7 +1,7 @@
 """Objects of a run, built from its scenario by every process, identically."""
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import combinations
@@ -19,7 +19,7 @@ from model.hover import Hover, hover
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference, Target
 from model.obstacles import Obstacle, Solid, bodies, clearances
-from model.parameters import Payload, System, Uav, resting_height
+from model.parameters import ParameterError, Payload, System, Uav, resting_height
 from model.state import INPUTS, PAYLOAD, REPORTED, REPORTS, SENSED
 from mpc.cost import UserCosts
 from mpc.fail_safe import FailSafe
@@ -31,15 +31,16 @@ from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, scripted, uav_faults
 from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
-from protocol.scenario.schema import FURTHEST_M, ObstacleSection, Scenario, UavSection
-from protocol.scenario.targets import TargetError, check_scripted, exceeded, least_slowing
+from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
+from protocol.scenario.targets import ON_GROUND_M, TargetError, check_scripted, exceeded, least_slowing
 from protocol.wire.codec import MAX_BYTES
-from protocol.wire.messages import Measurement, Plan
-from protocol.wire.names import PLANT
 from protocol.wire.run_shape import RunShape
 
-# How far a payload that takes off or lands may be from the ground, m.
-_ON_GROUND_M = 1e-3
+# Field of a scenario; expected and got.
+Problems = Iterator[tuple[str, str]]
+
+# Width of the walls beside a gap, m: no path comes near their ends.
+_WALL_M = 1e5
 
 # Size of a message without its arrays, with the longest texts and lists it may have.
 _FRAME_BYTES = 16 * 1024
@@ -47,19 +48,12 @@ _FRAME_BYTES = 16 * 1024
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorSheet:
-    """Data sheet of the vehicles' own sensors: position, velocity, attitude, body rates, specific force.
+    """Data sheet of the vehicles' own sensors: position, velocity, attitude, body rates, specific force."""
 
-    Attributes:
-        vehicle: Whether agents have these sensors, not states.
-        noise: Standard deviations, (5,), SI.
-        bias: Standard deviations of the constant errors, (5,), SI.
-        ages: Sampling periods from a quantity to its measurement.
-    """
-
-    vehicle: bool
-    noise: Array
-    bias: Array
-    ages: tuple[int, ...]
+    vehicle: bool  # whether agents have these sensors, not states
+    noise: Array  # standard deviations, (5,), SI
+    bias: Array  # standard deviations of the constant errors, (5,), SI
+    ages: tuple[int, ...]  # sampling periods from a quantity to its measurement
 
 
 @dataclass(frozen=True)
@@ -73,6 +67,7 @@ class Setup:
     settings: ControllerSettings  # the same for every agent
     owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
     samples_s: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # measured delays of the links, by file
+    ahead: Ahead | None = field(default=None, init=False)  # part of the reference that the newest target changes
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
@@ -80,34 +75,25 @@ class Setup:
 
         Raises: ScenarioError: a body, path or setting is impossible; naming file, field, expected, got.
         """
-        body = scenario.system.payload
+        section, inner = scenario.system, scenario.controller
+        body, gains = section.payload, None if inner.inputs == "moments" else 1.0 / np.array(inner.rate_time_constant_s)
         payload = building(source, "system.payload", lambda: Payload(mass=body.mass_kg, inertia=body.inertia_kgm2))
-        uavs = [building(source, f"system.uav.{section.id}", partial(_uav, section)) for section in scenario.system.uav]
-        gravity = scenario.system.gravity_mps2
-        inner = scenario.controller
-        gains = None if inner.inputs == "moments" else 1.0 / np.array(inner.rate_time_constant_s)
+        uavs = [building(source, f"system.uav.{uav.id}", partial(_uav, uav)) for uav in section.uav]
+        gravity = section.gravity_mps2
         system = building(
             source, "system", lambda: System(payload=payload, uavs=uavs, gravity=gravity, rate_gains=gains)
         )
         equilibrium = building(source, "system.uav", lambda: hover(system))
         maneuver = building(source, "maneuver", lambda: _maneuver(scenario))
         settings = building(source, "controller", lambda: _settings(scenario))
-        setup = Setup(
-            scenario=scenario,
-            system=system,
-            hover=equilibrium,
-            maneuver=maneuver,
-            settings=settings,
-            owned=tuple(tuple(uav - 1 for uav in group) for group in scenario.owned),
-            samples_s=_samples(scenario, source),
-        )
+        owned = tuple(tuple(uav - 1 for uav in group) for group in scenario.owned)
+        setup = Setup(scenario, system, equilibrium, maneuver, settings, owned, _samples(scenario, source))
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraint, system))
         building(source, "controller.cost", lambda: UserCosts(settings.cost, setup.model).about(equilibrium.x))
         building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
-        setup._check_ground(source)
-        setup._check_hover_is_possible(source)
-        setup._check_flight(source)
-        setup._check_obstacles(source)
+        for check in (setup._off_ground, setup._off_hover, setup._off_limits, setup._off_obstacles):
+            for key, problem in check():
+                raise ScenarioError(source, key, problem)
         try:
             check_scripted(setup)
         except TargetError as error:
@@ -138,10 +124,9 @@ class Setup:
     @cached_property
     def track(self) -> Track | None:
         """States and inputs along a flat reference at the instants of `X_ref`; None with a hover reference."""
-        reference = self.reference
-        if isinstance(reference, Reference):
+        if isinstance(self.reference, Reference):
             return None
-        return reference.track(len(self._instants_s()), self.settings.sampling_period_s)
+        return self.reference.track(len(self._instants_s()), self.settings.sampling_period_s)
 
     @cached_property
     def Y_ref(self) -> Array:
@@ -153,16 +138,8 @@ class Setup:
         """Reference states at the same instants, (K, n)."""
         return self.reference.followed(self._instants_s())[1]
 
-    @cached_property
-    def ahead(self) -> Ahead | None:
-        """The part of the reference that the newest target changes; None without a target."""
-        return None
-
     def headed(self, target: Target, key: Hashable) -> Self:
-        """Return this run with a target; the reference before it is the same bit for bit.
-
-        `key` distinguishes the target from others.
-        """
+        """Return this run with a target, which `key` distinguishes from others; the reference before it is the same."""
         leads = "X_ref" in self.__dict__  # where controllers are
         known: Self | None = self._headed.get((key, leads))
         if known is None:
@@ -201,14 +178,12 @@ class Setup:
     @cached_property
     def sensors(self) -> SensorSheet:
         """Data sheet of the vehicles' own sensors, which the filters of the agents know."""
-        noise = self.scenario.plant.noise
-        bias, late, of = noise.bias, noise.delay, ("position_m", "velocity_mps", "attitude_rad", "rate_rads")
-        delays_s = (late.position_s, late.velocity_s, late.attitude_s, late.rate_s, late.specific_force_s)
+        noise, period_s = self.scenario.plant.noise, self.settings.sampling_period_s
         return SensorSheet(
             vehicle=self.scenario.plant.sensors == "vehicle",
-            noise=np.array([getattr(noise, key) for key in (*of, "specific_force_mps2")]),
-            bias=np.array([getattr(bias, key) for key in (*of, "specific_force_mps2")]),
-            ages=tuple(round(delay_s / self.settings.sampling_period_s) for delay_s in delays_s),
+            noise=np.array([getattr(noise, key) for key in type(noise.bias).model_fields]),
+            bias=np.array(list(noise.bias.model_dump().values())),
+            ages=tuple(round(delay_s / period_s) for delay_s in noise.delay.model_dump().values()),
         )
 
     @property
@@ -260,7 +235,6 @@ class Setup:
             self.scenario.links,
             sender,
             receiver,
-            kind=Measurement.kind if sender == PLANT else Plan.kind,
             seed=self.scenario.seed,
             period_s=self.settings.sampling_period_s,
             samples_s=self.samples_s,
@@ -279,8 +253,8 @@ class Setup:
 
     def doubts(self) -> list[str]:
         """Return the phases that exceed the vehicles' thrust, one line each: they take longer than planned."""
-        limits, mass = self.settings.limits, self.system.payload.mass + sum(uav.mass for uav in self.system.uavs)
-        weight, (least, most) = mass * self.system.gravity, np.multiply(self.system.N, limits.thrust_N)
+        mass = self.system.payload.mass + sum(uav.mass for uav in self.system.uavs)
+        weight, (least, most) = mass * self.system.gravity, np.multiply(self.system.N, self.settings.limits.thrust_N)
         sideways, up, down = math.sqrt(most**2 - weight**2) / mass, (most - weight) / mass, (weight - least) / mass
         found = []
         for phase in self.maneuver.phases:
@@ -293,17 +267,16 @@ class Setup:
                 found.append(f"phase {phase.name!r}: {asked}; at full thrust it takes {takes_s:.1f} s")
         return found
 
-    def _check_ground(self, source: str) -> None:
-        """Check that take-offs begin and landings end on the ground, and that no path leads below it."""
+    def _off_ground(self) -> Problems:
+        """Yield take-offs that do not begin and landings that do not end on the ground, and paths below it."""
         ground_m = self.scenario.plant.ground_m
         if ground_m is None:
             return  # without take-offs and landings: protocol.scenario.relations
         resting_m = resting_height(self.system, ground_m)
-        where = "where the payload stands on the ground"
+        at = f"z = {resting_m:g} m, where the payload stands on the ground"
         height_m = float(self.maneuver.start_I[2])
-        if height_m > resting_m + _ON_GROUND_M:
-            expected = f"expected z of at most {resting_m:g} m, {where}, got {height_m:g}"
-            raise ScenarioError(source, "maneuver.start_m", expected)
+        if height_m > resting_m + ON_GROUND_M:
+            yield "maneuver.start_m", f"expected a start above {at}, got {height_m:g}"
         for number, phase in enumerate(self.maneuver.phases, start=1):
             before_m, height_m = height_m, height_m + float(phase.displacement_I[2])
             lowest_m = height_m if phase.way is None else before_m + float(phase.way[:, 3].max())
@@ -311,41 +284,39 @@ class Setup:
                 along = phase.curve.path(np.linspace(0.0, phase.duration_s, 1001), 1)
                 lowest_m = before_m + float(along[0, :, 2].max())
             for what, got_m, wrong in (
-                ("a take-off from", before_m, phase.kind == "take_off" and abs(before_m - resting_m) > _ON_GROUND_M),
-                ("a landing at", height_m, phase.kind == "land" and abs(height_m - resting_m) > _ON_GROUND_M),
-                ("a path above", lowest_m, lowest_m > resting_m + _ON_GROUND_M),
+                ("a take-off from", before_m, phase.kind == "take_off" and abs(before_m - resting_m) > ON_GROUND_M),
+                ("a landing at", height_m, phase.kind == "land" and abs(height_m - resting_m) > ON_GROUND_M),
+                ("a path above", lowest_m, lowest_m > resting_m + ON_GROUND_M),
             ):
                 if wrong:
-                    expected = f"expected {what} z = {resting_m:g} m, {where}, got {got_m:g}"
-                    raise ScenarioError(source, f"maneuver.phase.{number}", expected)
+                    yield f"maneuver.phase.{number}", f"expected {what} {at}, got {got_m:g}"
 
-    def _check_flight(self, source: str) -> None:
-        """Check that a flat reference keeps the limits; if not, offer the least slowing with which it does."""
+    def _off_limits(self) -> Problems:
+        """Yield how a flat reference exceeds the limits, and the least slowing with which it does not."""
         if self.scenario.maneuver.reference == "hover":
             return
-        path = building(source, "maneuver.profile", lambda: self.maneuver.jets(self._instants_s()))
-        released: frozenset[int] = frozenset()
-        teams = [("maneuver.phase", 0, released)]
-        for tick, what, uav in uav_faults(self.faults):
-            if what == "release":
-                released |= {uav}
-                teams.append(("faults.event", tick, released))
-        for key, since, gone in teams:
-            system, equilibrium = with_released(self.system, gone), self.hover
-            if gone:
-                equilibrium = building(source, key, partial(failed_hover, self.system, gone, gone))
-            if wrong := exceeded(path[:, since:], system, equilibrium, self.settings, gone):
-                # After slowing, the release may be anywhere on the path.
-                factor = least_slowing(path, system, equilibrium, self.settings, gone)
-                remedy = "" if factor is None else f"; feasible if all phases take {factor:.3f} times as long"
-                raise ScenarioError(source, key, wrong + remedy)
+        releases = [(tick, uav) for tick, what, uav in uav_faults(self.faults) if what == "release"]
+        key = "maneuver.profile"
+        try:
+            path = self.maneuver.jets(self._instants_s())
+            for count in range(len(releases) + 1):
+                key, since = ("faults.event", releases[count - 1][0]) if count else ("maneuver.phase", 0)
+                gone = frozenset(uav for _, uav in releases[:count])
+                team = with_released(self.system, gone), failed_hover(self.system, gone, gone) if gone else self.hover
+                if wrong := exceeded(path[:, since:], *team, self.settings, gone):
+                    # After slowing, the release may be anywhere on the path.
+                    factor = least_slowing(path, *team, self.settings, gone)
+                    remedy = "" if factor is None else f"; feasible if all phases take {factor:.3f} times as long"
+                    yield key, wrong + remedy
+        except ParameterError as error:
+            yield key, str(error)
 
-    def _check_obstacles(self, source: str) -> None:
-        """Check that the reference keeps the margins of all obstacles at the sampling instants."""
+    def _off_obstacles(self) -> Problems:
+        """Yield the obstacle whose margins the reference does not keep at the sampling instants."""
         if blocked := self.blocked(self._instants_s()):
             number, wrong = blocked
             remedy = "move the path or the obstacle, or lean the rods (maneuver.phase.formation)"
-            raise ScenarioError(source, f"obstacle.{number}", f"{wrong}; slowing does not help: {remedy}")
+            yield f"obstacle.{number}", f"{wrong}; slowing does not help: {remedy}"
 
     def blocked(self, times_s: Array) -> tuple[int, str] | None:
         """Return the first obstacle whose margins the reference does not keep, from 1, and got and expected."""
@@ -359,47 +330,42 @@ class Setup:
                 return number, f"{wrong}, got {max(float(clear_m[row, body]), 0.0):.3g} m at {times_s[row]:g} s"
         return None
 
-    def _check_hover_is_possible(self, source: str) -> None:
-        """Check that hover is within the limits on thrust and on the distance of UAVs."""
-        thrusts_N, rotors = self.hover.u[::4], self.scenario.plant.motors.rotors
-        ranges = [(1.0, "controller.limits.thrust_N", self.settings.limits.thrust_N)]
-        ranges += [(0.25, "plant.motors.rotors.thrust_N", rotors.thrust_N)] if rotors else []
-        for share, key, (low, high) in ranges:
-            for uav, thrust in enumerate(share * thrusts_N, start=1):
-                if not low <= thrust <= high:
-                    hover = f"the hover thrust {thrust:.2f} N of UAV{uav}"
-                    quarter = f"a quarter of the hover thrust of UAV{uav}, {thrust:.2f} N"
-                    expected = f"expected a range that contains {hover if share == 1.0 else quarter}"
-                    raise ScenarioError(source, key, f"{expected}, got {[low, high]}")
+    def _off_hover(self) -> Problems:
+        """Yield limits on thrust, tension or the distance of UAVs that hover exceeds."""
+        thrusts_N, rotors, limits = self.hover.u[::4], self.scenario.plant.motors.rotors, self.settings.limits.thrust_N
+        for uav, thrust_N in enumerate(thrusts_N, start=1):
+            if not limits[0] <= thrust_N <= limits[1]:
+                expected = f"expected a range that contains the hover thrust {thrust_N:.2f} N of UAV{uav}"
+                yield "controller.limits.thrust_N", f"{expected}, got {list(limits)}"
+            if rotors and not rotors.thrust_N[0] <= thrust_N / 4.0 <= rotors.thrust_N[1]:
+                expected = f"a quarter of the hover thrust of UAV{uav}, {thrust_N / 4.0:.2f} N"
+                got = f"got {list(rotors.thrust_N)}"
+                yield "plant.motors.rotors.thrust_N", f"expected a range that contains {expected}, {got}"
         tension, least_N = self.settings.tension, float(self.hover.tensions.min())
         if tension is not None and least_N <= tension.minimum_N:
             expected = f"expected less than the {least_N:.2f} N at hover"
-            raise ScenarioError(source, "controller.tension.minimum_N", f"{expected}, got {tension.minimum_N}")
+            yield "controller.tension.minimum_N", f"{expected}, got {tension.minimum_N}"
         separation = self.settings.separation
-        if separation is None or self.system.N < 2:
-            return
         r = self.model.outputs(self.hover.x)[: 3 * self.system.N].reshape(-1, 3)
-        pairs = combinations(range(len(r)), 2)
-        distance, i, j = min((float(np.linalg.norm(r[i] - r[j])), i, j) for i, j in pairs)
-        if distance < separation.minimum_m:
-            expected = f"expected at most the {distance:.3f} m between UAV{i + 1} and UAV{j + 1} at hover"
-            raise ScenarioError(source, "controller.separation.minimum_m", f"{expected}, got {separation.minimum_m}")
+        for i, j in combinations(range(len(r)), 2):
+            distance_m = float(np.linalg.norm(r[i] - r[j]))
+            if separation is not None and distance_m < separation.minimum_m:
+                expected = f"expected at most the {distance_m:.3f} m between UAV{i + 1} and UAV{j + 1} at hover"
+                yield "controller.separation.minimum_m", f"{expected}, got {separation.minimum_m}"
 
 
 def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
     """Return the measured delays by the files that the links name, relative to the scenario's folder."""
-    found: dict[str, tuple[float, ...]] = {}
-    for section in scenario.links.all().values():
-        if section.distribution != "empirical" or section.samples is None:
-            continue
-        if ".." in Path(section.samples).parts:
+    sections = scenario.links.all().values()
+    files = dict.fromkeys(link.samples for link in sections if link.distribution == "empirical" and link.samples)
+    for file in files:
+        if ".." in Path(file).parts:
             expected = "expected an absolute path or one below the scenario's folder"
-            raise ScenarioError(source, "links.samples", f"{expected}, got {section.samples!r}")
-        try:
-            found[section.samples] = delays_of(Path(source).parent / section.samples)
-        except TableError as error:
-            raise ScenarioError(source, "links.samples", str(error)) from error
-    return found
+            raise ScenarioError(source, "links.samples", f"{expected}, got {file!r}")
+    try:
+        return {file: delays_of(Path(source).parent / file) for file in files}
+    except TableError as error:
+        raise ScenarioError(source, "links.samples", str(error)) from error
 
 
 def _uav(section: UavSection) -> Uav:
@@ -435,9 +401,8 @@ def _obstacle(section: ObstacleSection) -> Obstacle:
     elif section.size_m is not None:
         half = np.array(section.size_m) / 2.0
     elif section.width_m is not None:
-        # Walls this wide have no ends that a path, which is within reach of the origin, comes near.
-        half = np.array([section.thickness_m / 2.0, FURTHEST_M, np.inf])
-        shifts_m = [sign * (section.width_m / 2.0 + FURTHEST_M) for sign in (-1.0, 1.0)]
+        half = np.array([section.thickness_m / 2.0, _WALL_M, np.inf])
+        shifts_m = [sign * (section.width_m / 2.0 + _WALL_M) for sign in (-1.0, 1.0)]
     across = np.array([-math.sin(heading_rad), math.cos(heading_rad), 0.0])
     solids = tuple(
         Solid(centre_I=centre_I + shift_m * across, heading_rad=heading_rad, half=half, radius=radius)

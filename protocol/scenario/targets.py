@@ -4,31 +4,31 @@ The coordinator decides the timing once, so that every process makes the same re
 """
 
 import math
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations
 from operator import itemgetter
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from model.arrays import Array
 from model.curves import ORDERS, Curve
 from model.flat import LEAST_TENSION, MOST_TILT, flight, slowed
 from model.hover import Hover
-from model.maneuver import Maneuver, Target
+from model.maneuver import Target
 from model.parameters import System, resting_height
 from model.state import INPUTS, StateView
 from mpc.settings import ControllerSettings
-from protocol.scenario.errors import first_problem
-from protocol.scenario.keys import out_of_range
-from protocol.scenario.schema import FURTHEST_M, Scenario, TargetSection
+from protocol.scenario.errors import ScenarioError, validated
+from protocol.scenario.schema import TargetSection
 from protocol.wire import messages
 from protocol.wire.message import MessageError
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox
+
+# A `protocol.scenario.setup.Setup`, which imports this module.
+Run = Any
 
 # Largest slowing tried, and relative accuracy of the one found.
 _SLOWEST = 64.0
@@ -57,25 +57,23 @@ def exceeded(
     tilt_deg = min(math.degrees(MOST_TILT), settings.tilt.limit_deg if settings.tilt else math.inf)
     places = rho - lengths[:, None] * view.e_P
     apart = [np.linalg.norm(places[:, i] - places[:, j], axis=1).min() for i, j in combinations(left, 2)]
-    lowest: list[tuple[str, str, float, float]] = [
-        ("a thrust of at least", " N", limits.thrust_N[0], inputs[..., 0].min()),
-        ("a share of the rod tension at hover of at least", "", LEAST_TENSION, pulled.min()),
-    ]
-    if settings.tension is not None:
-        lowest.append(("a rod tension of at least", " N", settings.tension.minimum_N, flown.tensions.min()))
-    if settings.separation is not None and apart:
-        lowest.append(("a distance of UAVs of at least", " m", settings.separation.minimum_m, min(apart)))
-    highest: list[tuple[str, str, float, float]] = [
-        ("a thrust of at most", " N", limits.thrust_N[1], inputs[..., 0].max()),
-        ("a UAV tilt of at most", " deg", tilt_deg, math.degrees(np.abs(view.Theta[:, left]).max())),
-    ]
     what, unit = ("a commanded rate", " rad/s") if system.commands_rates else ("a moment", " N m")
     largest = zip(settings.upper(1)[1:], np.abs(inputs[..., 1:]).max(axis=(0, 1)), strict=True)
-    highest += [(f"{what} about axis {axis} of at most", unit, *both) for axis, both in enumerate(largest, start=1)]
-    for sign, limit_list in ((1.0, highest), (-1.0, lowest)):
-        for what, unit, limit, got in limit_list:
-            if not sign * got <= sign * limit:
-                return f"expected {what} {limit:.4g}{unit} along the reference, got {got:.4g}{unit}"
+    # Sign of the side on which a limit is kept, what it is on, its unit, the limit, and what is furthest there.
+    found: list[tuple[float, str, str, float, float]] = [
+        (1.0, "a thrust of at most", " N", limits.thrust_N[1], inputs[..., 0].max()),
+        (1.0, "a UAV tilt of at most", " deg", tilt_deg, math.degrees(np.abs(view.Theta[:, left]).max())),
+        *((1.0, f"{what} about axis {axis} of at most", unit, *both) for axis, both in enumerate(largest, start=1)),
+        (-1.0, "a thrust of at least", " N", limits.thrust_N[0], inputs[..., 0].min()),
+        (-1.0, "a share of the rod tension at hover of at least", "", LEAST_TENSION, pulled.min()),
+    ]
+    if settings.tension is not None:
+        found.append((-1.0, "a rod tension of at least", " N", settings.tension.minimum_N, flown.tensions.min()))
+    if settings.separation is not None and apart:
+        found.append((-1.0, "a distance of UAVs of at least", " m", settings.separation.minimum_m, min(apart)))
+    for sign, what, unit, limit, got in found:
+        if not sign * got <= sign * limit:
+            return f"expected {what} {limit:.4g}{unit} along the reference, got {got:.4g}{unit}"
     return None
 
 
@@ -83,9 +81,10 @@ def least_slowing(
     path: Array, system: System, hover: Hover, settings: ControllerSettings, released: Collection[int] = ()
 ) -> float | None:
     """Return the least factor on all durations with which the team keeps all limits; None if none does."""
-    fits: Callable[[float], bool] = lambda factor: (  # noqa: E731
-        exceeded(slowed(path, factor), system, hover, settings, released) is None
-    )
+
+    def fits(factor: float) -> bool:
+        return exceeded(slowed(path, factor), system, hover, settings, released) is None
+
     low, high = 1.0, 2.0
     while not fits(high):
         if high >= _SLOWEST:
@@ -101,30 +100,9 @@ def least_slowing(
 SPEED_MPS, _RAMP_S, _LONGER, _LONGEST = 1.0, 2.0, 1.25, 64.0
 # Targets of one run: a process that joins receives all of them.
 MOST = 1000
-_ON_GROUND_M = 1e-3
+# How far a payload that takes off or lands may be from the ground, m.
+ON_GROUND_M = 1e-3
 _SLACK = 1e-9
-
-
-class Run(Protocol):
-    """A run as targets need it (`Setup`, which checks its own)."""
-
-    @property
-    def scenario(self) -> Scenario: ...  # noqa: D102
-    @property
-    def system(self) -> System: ...  # noqa: D102
-    @property
-    def hover(self) -> Hover: ...  # noqa: D102
-    @property
-    def settings(self) -> ControllerSettings: ...  # noqa: D102
-    @property
-    def maneuver(self) -> Maneuver: ...  # noqa: D102
-    @property
-    def ticks(self) -> int: ...  # noqa: D102
-    def blocked(self, times_s: Array) -> tuple[int, str] | None: ...  # noqa: D102
-    def headed(self, target: Target, key: Hashable) -> Self: ...  # noqa: D102
-
-
-R = TypeVar("R", bound=Run)
 
 
 class TargetError(MessageError):
@@ -135,24 +113,11 @@ class TargetError(MessageError):
 
 
 def asked(given: Mapping[str, Any]) -> TargetSection:
-    """Return what a request asks for.
-
-    Raises: TargetError: it is not valid, whatever the run.
-    """
+    """Return what a request asks for. Raises: TargetError: it is not valid, whatever the run."""
     try:
-        section = TargetSection.model_validate(dict(given))
-    except ValidationError as error:
-        raise TargetError(str(first_problem(error, "", TargetSection))) from error
-    for field, problem in out_of_range(section):
-        raise TargetError(f"{field}: {problem}")
-    times_s = section.times_s
-    if times_s is not None and (
-        len(times_s) != len(section.points_m) or any(b <= a for a, b in pairwise(times_s)) or section.speed_mps
-    ):
-        raise TargetError(f"times_s: expected {len(section.points_m)} rising times and no speed_mps, got {times_s}")
-    if any(a == b for a, b in pairwise(section.points_m)):
-        raise TargetError("points_m: expected each way point away from the one before, got the same twice")
-    return section
+        return validated(TargetSection, dict(given))
+    except ScenarioError as error:
+        raise TargetError(str(error)) from error
 
 
 def target_of(message: messages.Target, period_s: float) -> Target:
@@ -166,39 +131,25 @@ def target_of(message: messages.Target, period_s: float) -> Target:
     return Target(since_s=message.tick * period_s, point_I=first, approach=approach, way=way)
 
 
-def headed(setup: R, message: messages.Target) -> R:
+def headed(setup: Run, message: messages.Target) -> Run:
     """Return a run with the target in a message."""
     key = (message.number, message.tick, message.points.tobytes(), message.approach_s, message.way_s)
     return setup.headed(target_of(message, setup.settings.sampling_period_s), key)
 
 
-def with_targets(setup: R, found: Iterable[messages.Target]) -> R:
+def with_targets(setup: Run, found: Iterable[messages.Target]) -> Run:
     """Return a run with the targets of its log, each once, in the order of their numbers."""
     for message in found:
         if message.number == len(setup.maneuver.targets) + 1:
-            with suppress(MessageError):  # forged, and in a log all the same
-                check_target(setup, message)
-                setup = headed(setup, message)
+            setup = headed(setup, message)
     return setup
 
 
 def check_target(setup: Run, message: messages.Target) -> None:
-    """Check that a target is the next one of a run, or one that is repeated, and that its numbers make a path.
-
-    Raises: MessageError: with the reason.
-    """
-    known, further = len(setup.maneuver.targets), len(message.points) > 1
+    """Raise MessageError for a target that is neither the next one of a run nor one that is repeated."""
+    known = len(setup.maneuver.targets)
     if message.number > known + 1:
         raise MessageError("future", f"target {message.number} after {known}")
-    ramps = [(message.approach_ramp_s, message.approach_s), *([(message.way_ramp_s, message.way_s)] * further)]
-    times = message.times.tolist()
-    if not all(0.0 < ramp_s <= duration_s / 2.0 for ramp_s, duration_s in ramps):
-        raise MessageError("out_of_range", f"ramps: expected at most half of their curves, got {ramps}")
-    if any(times) and ([times[0], times[-1]] != [0.0, message.way_s] or any(b <= a for a, b in pairwise(times))):
-        raise MessageError("out_of_range", f"times: expected rising times from 0 to {message.way_s:g} s")
-    ends_s = message.tick * setup.settings.sampling_period_s + message.approach_s + message.way_s * further
-    if ends_s > _last_s(setup) + _SLACK or np.abs(message.points).max() > FURTHEST_M:
-        raise MessageError("out_of_range", f"target {message.number}: expected one that is reached within the run")
 
 
 def target_in_words(message: messages.Target) -> str:
@@ -216,52 +167,42 @@ def scripted(setup: Run) -> list[tuple[int, TargetSection]]:
 
 
 def check_scripted(setup: Run) -> None:
-    """Check that the targets of a scenario can be flown one after the other.
-
-    Raises: TargetError: one cannot.
-    """
+    """Check that the targets of a scenario can be flown one after the other. Raises: TargetError: one cannot."""
     out = Outbox(COORDINATOR, 0)
     for number, (tick, section) in enumerate(scripted(setup), start=1):
-        asked(section.model_dump(include=set(TargetSection.model_fields), mode="json"))
         setup = headed(setup, out.stamp(messages.Target, number=number, **planned(setup, section, tick)))
 
 
 def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
-    """Return the numbers of the message for a target from a tick on.
-
-    Raises: TargetError: it cannot be flown.
-    """
+    """Return the numbers of the message for a target from a tick on. Raises: TargetError: it cannot be flown."""
     points, period_s = np.array(section.points_m), setup.settings.sampling_period_s
     since_s = tick * period_s
     _check_places(setup, points, since_s)
     speed_mps = section.speed_mps or SPEED_MPS
     approach = _approach(setup, points[0], since_s, speed_mps)
-    found: dict[str, Any] = {
-        "tick": tick,
-        "points": points,
-        "times": np.zeros(len(points)),
-        "approach_s": approach.duration_s,
-        "approach_ramp_s": approach.ramp_s,
-        "way_s": 0.0,
-        "way_ramp_s": 0.0,
-    }
-    way = None
+    way, times = None, np.zeros(len(points))
     if len(points) > 1:
         way = _way(setup, points[1:] - points[0], section)
-        found |= {"way_s": way.duration_s, "way_ramp_s": way.ramp_s}
         if way.times_s is not None:
-            found["times"][1:] = way.times_s
+            times[1:] = way.times_s
         _check_places(setup, points[0] + way.path(_instants(way.duration_s, period_s), 1)[0], since_s)
-    ends_s = since_s + found["approach_s"] + found["way_s"]
+    ends_s = since_s + approach.duration_s + (way.duration_s if way else 0.0)
     if ends_s > _last_s(setup):
-        raise TargetError(
-            f"expected a target before the end of the run at t = {_last_s(setup):.2f} s, got {ends_s:.2f} s"
-        )
+        expected = f"expected a target before the end of the run at t = {_last_s(setup):.2f} s"
+        raise TargetError(f"{expected}, got {ends_s:.2f} s")
     if setup.scenario.obstacle:
         led = setup.headed(Target(since_s=since_s, point_I=points[0], approach=approach, way=way), object())
         if blocked := led.blocked(np.arange(since_s, ends_s + period_s, period_s)):
             raise TargetError(f"points_m: {blocked[1]}")
-    return found
+    return {
+        "tick": tick,
+        "points": points,
+        "times": times,
+        "approach_s": approach.duration_s,
+        "approach_ramp_s": approach.ramp_s,
+        "way_s": way.duration_s if way else 0.0,
+        "way_ramp_s": way.ramp_s if way else 0.0,
+    }
 
 
 def _check_places(setup: Run, points: Array, since_s: float) -> None:
@@ -269,21 +210,16 @@ def _check_places(setup: Run, points: Array, since_s: float) -> None:
 
     Without a ground in the plant, none may be below z = 0 unless the payload has been as low.
     """
-    if np.abs(points).max() > FURTHEST_M:
-        raise TargetError(f"points_m: expected at most {FURTHEST_M:g} m, got {np.abs(points).max():g}")
     ground_m = setup.scenario.plant.ground_m
+    flown = setup.maneuver.path(np.array([0.0, since_s]))[0]
     if ground_m is None:
-        lowest_m = max(0.0, *setup.maneuver.path(np.array([0.0, since_s]))[0][:, 2])
-        if points[:, 2].max() > lowest_m + _SLACK:
-            expected = f"expected z of at most {lowest_m:g} m, as z points down"
-            raise TargetError(f"points_m: {expected}, got {points[:, 2].max():g}")
-        return
-    resting_m = resting_height(setup.system, ground_m)
-    if points[:, 2].max() > resting_m + _SLACK:
-        expected = f"expected z of at most {resting_m:g} m, where the payload stands on the ground"
-        raise TargetError(f"points_m: {expected}, got {points[:, 2].max():g}")
-    phase, place_I = setup.maneuver.phase_at(since_s), setup.maneuver.path(np.array([since_s]))[0][0]
-    if phase.kind in ("take_off", "land") or place_I[2] > resting_m - _ON_GROUND_M:
+        lowest_m, why = max(0.0, *flown[:, 2]), "as z points down"
+    else:
+        lowest_m, why = resting_height(setup.system, ground_m), "where the payload stands on the ground"
+    if points[:, 2].max() > lowest_m + _SLACK:
+        raise TargetError(f"points_m: expected z of at most {lowest_m:g} m, {why}, got {points[:, 2].max():g}")
+    phase = setup.maneuver.phase_at(since_s)
+    if ground_m is not None and (phase.kind in ("take_off", "land") or flown[1, 2] > lowest_m - ON_GROUND_M):
         raise TargetError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")
 
 
@@ -315,7 +251,9 @@ def _way(setup: Run, further: Array, section: TargetSection) -> Curve:
         times_s = [time_s - section.times_s[0] for time_s in section.times_s[1:]]
         way = _spline(further, times_s[-1], min(_RAMP_S, times_s[-1] / 2.0), times_s)
     else:
-        way = _at_speed(further, section.speed_mps or SPEED_MPS)
+        length_m = _spline(further, 2.0 * _RAMP_S, _RAMP_S, None).fastest()
+        duration_s = max(length_m / (section.speed_mps or SPEED_MPS) + _RAMP_S, 2.0 * _RAMP_S)
+        way = _spline(further, duration_s, _RAMP_S, None)
     period_s = setup.settings.sampling_period_s
     path = way.path(_instants(way.duration_s, period_s))
     wrong = exceeded(path, setup.system, setup.hover, setup.settings)
@@ -332,11 +270,6 @@ def _way(setup: Run, further: Array, section: TargetSection) -> Curve:
     return way
 
 
-def _at_speed(further: Array, speed_mps: float) -> Curve:
-    length_m = _spline(further, 2.0 * _RAMP_S, _RAMP_S, None).fastest()
-    return _spline(further, max(length_m / speed_mps + _RAMP_S, 2.0 * _RAMP_S), _RAMP_S, None)
-
-
 def _spline(further: Array, duration_s: float, ramp_s: float, times_s: list[float] | None) -> Curve:
     return Curve(kind="spline", duration_s=duration_s, ramp_s=ramp_s, points_I=further.tolist(), times_s=times_s)
 
@@ -347,4 +280,4 @@ def _instants(duration_s: float, period_s: float) -> Array:
 
 def _last_s(setup: Run) -> float:
     """Return the time of the last sampling instant."""
-    return (setup.ticks - 1) * setup.settings.sampling_period_s
+    return float((setup.ticks - 1) * setup.settings.sampling_period_s)

@@ -8,12 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import ValidationError
-
 from model.parameters import table_1
 from mpc.settings import Key, Positive, Section
-from protocol.scenario.errors import first_problem
-from protocol.scenario.file import find_vehicle, read_tree, validate
+from protocol.scenario.errors import validated
+from protocol.scenario.file import find_scenario, read_tree, validate
 from protocol.scenario.files import anchored
 from protocol.scenario.schema import Inertia, PayloadSection, Scenario, SystemSection, UavSection
 from protocol.wire.names import MAX_UAVS
@@ -52,40 +50,32 @@ def read_vehicle(name: str) -> Vehicle:
 
     Raises: ScenarioError: naming file, field, expected, got.
     """
-    path = find_vehicle(name)
-    try:
-        return Vehicle.model_validate(read_tree(path))
-    except ValidationError as error:
-        raise first_problem(error, str(path), Vehicle) from error
+    path = find_scenario(name, "vehicles")
+    return validated(Vehicle, read_tree(path), str(path))
 
 
 def ring(
     N: int, gravity_mps2: float, airframe: AirframeSection | None = None, load_kg: float | None = None
 ) -> SystemSection:
-    """Return N UAVs over a payload of the paper's shape, as large as the ring has to be.
+    """Return N UAVs, 2 or more, over a payload of the paper's shape, as large as the ring has to be.
 
     By default they are the paper's, neighbours are as far apart as the paper's, 0.5 m, and each carries as much as the
     paper's, half its own mass. The payload's lengths, the height of the attachment points among them, grow with the
-    radius, its inertia with mass times radius^2.
-    UAV 1 is the first to the right of the x axis (forward), an axis of symmetry; they count counter-clockwise seen
-    from above. Four of them are Table I.
-
-    Args:
-        N: Number of UAVs, 2 or more.
-        gravity_mps2: g, m/s^2.
-        airframe: The UAVs and their distance.
-        load_kg: Mass of the payload, kg.
+    radius, its inertia with mass times radius^2. UAV 1 is the first to the right of the x axis (forward), an axis of
+    symmetry; they count counter-clockwise seen from above. Four of them are Table I.
     """
     paper = table_1()
     uav, payload = paper.uavs[0], paper.payload
     x, y, z = uav.rho.tolist()
     paper_radius = math.hypot(x, y)
-    neighbours = 2.0 * paper_radius * math.sin(math.pi / paper.N)
-    mass = payload.mass * N / paper.N
-    if airframe is not None:
-        neighbours, mass = airframe.spacing_m, mass * airframe.mass_kg / uav.mass
-    mass = mass if load_kg is None else load_kg
-    radius = neighbours / (2.0 * math.sin(math.pi / N))
+    own = airframe or AirframeSection(
+        mass_kg=uav.mass,
+        inertia_kgm2=uav.inertia.diagonal().tolist(),
+        rod_length_m=uav.rod_length,
+        spacing_m=2.0 * paper_radius * math.sin(math.pi / paper.N),
+    )
+    mass = payload.mass * N / paper.N * (own.mass_kg / uav.mass) if load_kg is None else load_kg
+    radius = own.spacing_m / (2.0 * math.sin(math.pi / N))
     scale = radius / paper_radius
     inertia = payload.inertia.diagonal() * (mass / payload.mass * scale**2)
     angles = [math.pi / N * (1 - 2 * i) for i in range(N)]
@@ -95,10 +85,10 @@ def ring(
         uav=[
             UavSection(
                 id=i,
-                mass_kg=uav.mass if airframe is None else airframe.mass_kg,
-                inertia_kgm2=uav.inertia.diagonal().tolist() if airframe is None else airframe.inertia_kgm2,
+                mass_kg=own.mass_kg,
+                inertia_kgm2=own.inertia_kgm2,
                 rho_m=tuple(_rounded([radius * math.cos(angle), radius * math.sin(angle), scale * z])),
-                rod_length_m=uav.rod_length if airframe is None else airframe.rod_length_m,
+                rod_length_m=own.rod_length_m,
             )
             for i, angle in enumerate(angles, start=1)
         ],
@@ -116,11 +106,13 @@ def resized(
     vehicle: str | None = None,
     load_kg: float | None = None,
 ) -> Scenario:
-    """Return a scenario for N UAVs: a ring of them, the keys of their vehicle, and all others of the template.
+    """Return a scenario for a ring of UAVs, the keys of their vehicle, and all others of the template.
+
+    Paths in the template are relative to its folder and become absolute. No more keys are given than it gives.
 
     Args:
         template: Source of controller, clock, links, maneuver, ... and gravity.
-        folder: Of the template's file; paths in it are relative to that and become absolute.
+        folder: Of the template's file.
         uavs: N, from `FEWEST` to `MOST`.
         group: UAVs per agent, the last agent may have fewer; None: as many as the template's first agent has, and
             all of them where that one has all.
@@ -128,7 +120,6 @@ def resized(
         source: Name of the template in error texts.
         vehicle: File or name of a vehicle; the paper's UAV when None.
         load_kg: Mass of the payload, kg; half the mass of the UAVs when None.
-    Returns: The scenario, with no more keys given than the template gives.
     Raises: ScenarioError: the template names agents that this team does not have, or the name is invalid.
     """
     chosen = None if vehicle is None else read_vehicle(vehicle)
@@ -136,11 +127,12 @@ def resized(
         group = uavs if len(template.owned) == 1 else len(template.owned[0])
     ids = list(range(1, uavs + 1))
     tree: dict[str, Any] = anchored(given(template), folder)
+    basis = template.name
     if chosen is not None:
         tree = _merged(tree, {"controller": chosen.controller, "plant": chosen.plant})
-    basis = template.name if chosen is None else f"{template.name}-{chosen.name}"
+        basis = f"{template.name}-{chosen.name}"
     tree["name"] = f"{basis}-{uavs}" if name is None else name
-    team = ring(uavs, template.system.gravity_mps2, None if chosen is None else chosen.uav, load_kg)
+    team = ring(uavs, template.system.gravity_mps2, chosen.uav if chosen else None, load_kg)
     tree["system"] = team.model_dump(mode="json")
     tree["agents"] = {"owned": [ids[i : i + group] for i in range(0, uavs, group)]}
     return validate(tree, source)
@@ -151,13 +143,11 @@ def given(scenario: Scenario) -> dict[str, Any]:
     return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True)
 
 
-def _merged(tree: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+def _merged(tree: Any, changes: Any) -> Any:
     """Return a tree with the values of another one in place of its own."""
-    merged = dict(tree)
-    for key, value in changes.items():
-        below = merged.get(key)
-        merged[key] = _merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
-    return merged
+    if not (isinstance(tree, dict) and isinstance(changes, dict)):
+        return changes
+    return {**tree, **{key: _merged(tree.get(key), value) for key, value in changes.items()}}
 
 
 def _rounded(values: Iterable[float]) -> list[float]:

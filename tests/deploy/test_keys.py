@@ -9,8 +9,8 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from deploy.keys import AUTHORITY_KEY, LOOPBACK, KeysError, files_of, make_certificates, make_passwords
-from protocol.network.security import AUTHORITY, USERS, Security, SecurityError, exposed
+from deploy.keys import AUTHORITY_KEY, LOOPBACK, KeysError, make_certificates
+from protocol.network.security import AUTHORITY, Security, SecurityError, exposed
 
 
 def certificate(file: Path) -> x509.Certificate:
@@ -36,11 +36,10 @@ def test_a_certificate_has_name_and_addresses(tmp_path: Path) -> None:
 
 
 def test_secrets_are_private(tmp_path: Path) -> None:
-    """Keys and passwords are readable by their owner only."""
-    make_certificates(tmp_path / "c", {"plant": LOOPBACK}, days=1)
-    make_passwords(tmp_path / "p", ["plant"])
-    secret = [*tmp_path.glob("c/*.key"), *tmp_path.glob("p/*")]
-    assert {file.name for file in secret} == {AUTHORITY_KEY, "plant.key", "plant.password", USERS}
+    """Keys are readable by their owner only."""
+    make_certificates(tmp_path, {"plant": LOOPBACK}, days=1)
+    secret = [*tmp_path.glob("*.key")]
+    assert {file.name for file in secret} == {AUTHORITY_KEY, "plant.key"}
     for file in secret:
         assert stat.S_IMODE(file.stat().st_mode) == 0o600, file
 
@@ -52,69 +51,47 @@ def test_more_keys_later(tmp_path: Path) -> None:
     make_certificates(tmp_path, {"agent1": LOOPBACK, "agent2": LOOPBACK}, days=1)
     assert {name: (tmp_path / name).read_bytes() for name in before} == before
     certificate(tmp_path / "agent2.pem").verify_directly_issued_by(certificate(tmp_path / AUTHORITY))
-    make_passwords(tmp_path / "p", ["a"])
-    once = (tmp_path / "p" / "a.password").read_text()
-    make_passwords(tmp_path / "p", ["a", "b"])
-    assert (tmp_path / "p" / "a.password").read_text() == once
-    assert [line.split(":")[0] for line in (tmp_path / "p" / USERS).read_text().splitlines()] == ["a", "b"]
 
 
 def test_half_an_authority_is_refused(tmp_path: Path) -> None:
     """Without the authority's key, or with another file in its place, no certificate is made."""
     make_certificates(tmp_path, {"agent1": LOOPBACK}, days=1)
     (tmp_path / AUTHORITY_KEY).unlink()
-    with pytest.raises(KeysError, match=r"expected ca\.key beside"):
+    with pytest.raises(KeysError, match=r"cannot use .*ca\.key"):
         make_certificates(tmp_path, {"agent2": LOOPBACK}, days=1)
     (tmp_path / AUTHORITY_KEY).write_text("no key")
     with pytest.raises(KeysError, match="expected an authority in"):
         make_certificates(tmp_path, {"agent2": LOOPBACK}, days=1)
     (tmp_path / "file").write_text("")
-    with pytest.raises(KeysError, match="cannot write"):
-        make_passwords(tmp_path / "file", ["a"])
+    with pytest.raises(KeysError, match="cannot use"):
+        make_certificates(tmp_path / "file", {"agent2": LOOPBACK}, days=1)
     assert not (tmp_path / "agent2.pem").exists()
 
 
 def test_keys_that_cannot_be_used(tmp_path: Path) -> None:
     """A missing folder or certificate and a wrong key are each reported before any process starts."""
     names = ("coordinator", "plant", "agent1")
-    with pytest.raises(SecurityError, match=r"expected a folder with ca\.pem or passwords"):
-        Security(tmp_path, names).check("plant", mode="peer")
+    with pytest.raises(SecurityError, match=r"expected a folder with ca\.pem"):
+        Security(tmp_path, names).check("plant")
     make_certificates(tmp_path, dict.fromkeys(names, LOOPBACK), days=1)
-    Security(tmp_path, names).check("plant", mode="peer")
-    with pytest.raises(SecurityError, match=r"expected the file .*agent2\.pem, got none"):
-        Security(tmp_path, names).check("agent2", mode="peer")
+    Security(tmp_path, names).check("plant")
+    with pytest.raises(SecurityError, match=r"expected the files .*agent2\.pem and agent2\.key"):
+        Security(tmp_path, names).check("agent2")
     other = tmp_path / "other"
     make_certificates(other, {"coordinator": LOOPBACK}, days=1)
     for end in ("pem", "key"):
         (tmp_path / f"coordinator.{end}").write_bytes((other / f"coordinator.{end}").read_bytes())
     with pytest.raises(SecurityError, match=r"coordinator\.pem: expected a certificate of ca\.pem that is valid now"):
-        Security(tmp_path, names).check("coordinator", mode="peer")
+        Security(tmp_path, names).check("coordinator")
     old = tmp_path / "old"
     make_certificates(old, {"agent1": LOOPBACK}, days=-1)
     with pytest.raises(SecurityError, match="certificate has expired"):
-        Security(old, names).check("agent1", mode="peer")
+        Security(old, names).check("agent1")
     (tmp_path / "plant.key").write_bytes((tmp_path / "agent1.key").read_bytes())
     with pytest.raises(SecurityError, match="and its key"):
-        Security(tmp_path, names).check("plant", mode="peer")
+        Security(tmp_path, names).check("plant")
     with pytest.raises(ssl.SSLError):  # TLS agrees
         ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(tmp_path / "plant.pem", tmp_path / "plant.key")
-
-
-def test_passwords_need_a_router(tmp_path: Path) -> None:
-    """Passwords are refused in a mesh, which cannot check them, and a router needs the whole list."""
-    make_passwords(tmp_path, ["plant", "router"])
-    security = Security(tmp_path, ("plant",))
-    security.check("plant", mode="client")
-    security.check("router", mode="router")
-    with pytest.raises(SecurityError, match=r"expected network\.router with passwords"):
-        security.check("plant", mode="peer")
-    with pytest.raises(SecurityError, match=r"agent1\.password, got none"):
-        security.check("agent1", mode="client")
-    assert [file.name for file in files_of(tmp_path, "plant")] == ["plant.password"]
-    assert [file.name for file in files_of(tmp_path, "router")] == ["router.password", USERS]
-    (tmp_path / USERS).unlink()
-    with pytest.raises(SecurityError, match=r"users\.txt on the router's host"):
-        security.check("router", mode="router")
 
 
 @pytest.mark.parametrize(

@@ -7,14 +7,11 @@ import pytest
 from mpc.decision import Decision
 from mpc.rows import Rows
 from protocol.scenario.budget import estimate
-from protocol.scenario.file import ScenarioError, find_scenario, read_scenario, validate
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
-from protocol.wire.codec import MAX_BYTES, encode
-from protocol.wire.messages import Message, Plan, StepReport
 from tests.support.logs import record_run
-from transport.flight.memory import simulate
 
 LAG = ["plant.motors.lag_s=0.05", "controller.motor_lag_s=0.05"]
 SHORT = "maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-1.0]}]"
@@ -63,25 +60,11 @@ def test_size_of_the_log(name: str, settings: list[str], tmp_path: Path) -> None
     assert 0.5 < (tmp_path / "run.mcap").stat().st_size / estimate(scenario).log_bytes < 2.0
 
 
-@pytest.mark.parametrize(("uavs", "group", "horizon"), [(4, 1, 20), (4, 4, 10), (6, 2, 40)])
-def test_largest_message(uavs: int, group: int, horizon: int) -> None:
-    """Plans and reports of a tick together are at most the estimate, and not far below it."""
-    scenario = scenario_of("resilient", uavs, group, f"controller.horizon={horizon}", "maneuver.phase.1.duration_s=0.5")
-    sizes: dict[int, int] = {}
-
-    def record(message: Message) -> None:
-        if isinstance(message, Plan | StepReport):
-            sizes[message.tick] = sizes.get(message.tick, 0) + len(encode(message))
-
-    simulate(Setup.of(scenario, "resilient"), record)
-    assert 0.7 < max(sizes.values()) / estimate(scenario).relay_bytes <= 1.0
-
-
 BEYOND = [
     ("maneuver.phase.1.duration_s=5e8", "maneuver.phase", "expected at most 1,000,000 sampling periods, got 10,000,0"),
     ("plant.step_s=1e-8", "plant.step_s", "expected at most 10,000 integration steps per sampling period, got 5,000,0"),
-    ("controller.horizon=3000", "controller.horizon", "expected at most 1,000 MB of memory per process, got 9,8"),
-    ("maneuver.phase.1.duration_s=5000", "maneuver.phase", "expected at most 1,000 MB of memory per process, got 1,9"),
+    ("controller.horizon=3000", "controller.horizon", "expected at most 8,000 MB of memory in total, got 39,"),
+    ("maneuver.phase.1.duration_s=2e4", "maneuver.phase", "expected at most 8,000 MB of memory in total, got "),
 ]
 
 
@@ -105,16 +88,6 @@ def test_the_step_of_mujoco_counts() -> None:
     assert str(caught.value).startswith("--set plant.mujoco.step_s=1e-9: ")
     assert estimate(read_scenario(path, settings[:1])).plant_steps == 10
     assert estimate(read_scenario(path)).plant_steps == 5
-
-
-def test_a_relay_beyond_the_largest_message_is_refused_in_any_case() -> None:
-    """Relayed plans of a tick that no receiver accepts in one message are refused also with `allow_large`."""
-    path, settings = find_scenario("resilient"), ["controller.horizon=10000"]
-    team = resized(read_scenario(path), path.parent, 32, group=None, name=None, source="resilient")
-    with pytest.raises(ScenarioError, match=r"set a shorter horizon") as caught:
-        validate({**team.tree(), "controller": {**team.tree()["controller"], "horizon": 10_000}}, "many")
-    assert f"{MAX_BYTES:,}" in str(caught.value)
-    assert read_scenario(path, settings, allow_large=True)  # four UAVs fit
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,6 @@ WRONG = [
     '{"loss": NaN}',
     '{"gilbert_elliott": {"enter": 0.1}}',
     '{"at_s": 1.0}',
-    '{"samples": "a.csv"}',
     '{"distribution": "empirical"}',
 ]
 

@@ -33,7 +33,7 @@ def link(
 ) -> Link:
     """A link that carries plans."""
     links = LinksSection(**dict(section), partition=partition or [])
-    return Link(links, sender, receiver, kind="plan", seed=seed, period_s=PERIOD_S, samples_s=SAMPLES)
+    return Link(links, sender, receiver, seed=seed, period_s=PERIOD_S, samples_s=SAMPLES)
 
 
 def link_history(section: LinkSection, seed: int = 0) -> list[list[float]]:

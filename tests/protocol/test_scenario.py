@@ -99,7 +99,7 @@ def changed(tree: dict[str, Any], path: tuple[str | int, ...]) -> dict[str, Any]
         node[path[-1]] = OTHER_WORDS[next(key for key in reversed(path) if isinstance(key, str))]
     elif path[-1] in ("loss", "duplicate", "reorder", "enter", "leave"):
         node[path[-1]] = 0.5
-    elif path[-1] == "relaxation":
+    elif path[-1] in ("relaxation", "step_s"):
         node[path[-1]] = value / 2
     else:
         node[path[-1]] = value + 1

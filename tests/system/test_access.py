@@ -139,7 +139,7 @@ def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
             0 <= extra <= (MOST_REPEATED if impostor == "agent1" else 0)
         )  # its own messages, repeated until one arrived
         assert {entry.sender for entry in plant.gate.rejections} <= {"plan/1"}
-        assert all(plant.bus.peers.alive.get(name) is None for name in ("coordinator", "agent2"))
+        assert all(plant.bus.alive.get(name) is None for name in ("coordinator", "agent2"))
         del tokens
 
 
@@ -183,7 +183,7 @@ def test_rights_to_request() -> None:
 
 def test_rights_to_put() -> None:
     """By the access rules only the owner of a key may put a message on it."""
-    rules = access_control(TEAM, KEYS.prefix, "cert_common_names")
+    rules = access_control(TEAM, KEYS.prefix)
     assert (rules["enabled"], rules["default_permission"]) == (True, "deny")
     assert all(rule["permission"] == "allow" for rule in rules["rules"])
     by_id = {rule["id"]: rule for rule in rules["rules"]}

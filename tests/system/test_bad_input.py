@@ -12,7 +12,7 @@ USAGE, SCENARIO, LOST = 2, 3, 4
 
 REFUSED_SCENARIOS = [
     ("controller.horizn=3", "unknown key; did you mean 'horizon'?"),
-    ("agents.owned=[[1], [2], [3], [3, 4]]", "agents.owned.4: expected each UAV once, got UAV3, owned by agent 3"),
+    ("agents.owned=[[1], [2], [3], [3, 4]]", "expected each UAV of [1, 2, 3, 4] once, got [1, 2, 3, 3, 4]"),
     ("controller.limits.thrust_N=[0.0, 20.0]", "expected a range that contains the hover thrust 22.07 N"),
     ("controller.constraint=[{expression='r0[2] <= x'}]", "unknown name 'x'"),
 ]

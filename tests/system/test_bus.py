@@ -120,7 +120,7 @@ def test_messages_of_announced_processes_are_accepted(network: tuple[Plant, zeno
     assert plant.bus.next(PATIENCE_S) == runs.tick(0)
     other = session.liveliness().declare_token(KEYS.alive("coordinator", 0, "another", VERSION))
     token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
-    assert plant.waits_for(lambda: "coordinator" in plant.bus.peers.alive)
+    assert plant.waits_for(lambda: "coordinator" in plant.bus.alive)
     other.undeclare()  # type: ignore[no-untyped-call]
     token.undeclare()  # type: ignore[no-untyped-call]
     assert plant.bus.next(PATIENCE_S) == Presence("coordinator", 0, alive=False)

@@ -48,14 +48,6 @@ class Prints(Rods):
         print("from Python")
         super().__init__(*arguments)
 
-class ForksAtOnce(Rods):
-    def __init__(self, *arguments):
-        os.fork()
-
-class Forks(Rods):
-    def advance(self, u, forces, duration_s):
-        os.fork()
-
 class Base(Rods):
     def __init__(self, *arguments):
         raise BaseException("no more")
@@ -64,7 +56,6 @@ class Exits(Rods):
     def advance(self, u, forces, duration_s):
         os._exit(0)
 """
-NO_FORK = "raised RuntimeError: a class of yours must not fork its process; use subprocess, or the start method 'spawn'"
 
 
 def states(folder: Path) -> Array:
@@ -138,11 +129,7 @@ def test_an_engine_that_fails(engine: str, code: int, text: str, tmp_path: Path)
     [
         ("rough:Prints", 0, ""),
         pytest.param(
-            *("rough:ForksAtOnce", EXIT_SCENARIO, f"the constructor {NO_FORK} (rough.py:12)"), marks=pytest.mark.slow
-        ),
-        ("rough:Forks", EXIT_DIVERGED, f"engine rough:Forks: advance {NO_FORK} (rough.py:16) at t = 0.00 s"),
-        pytest.param(
-            *("rough:Base", EXIT_SCENARIO, "the constructor raised BaseException: no more (rough.py:20)"),
+            *("rough:Base", EXIT_SCENARIO, "the constructor raised BaseException: no more (rough.py:12)"),
             marks=pytest.mark.slow,
         ),
         ("rough:Exits", EXIT_UNREACHABLE, "plant ended with exit code 0 before the run began: "),

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -14,7 +13,6 @@ from protocol.wire.messages import Roster
 from tests.support.commands import (
     ENDLESS,
     PATIENCE_S,
-    command,
     is_flying,
     processes_of,
     settings,
@@ -176,27 +174,6 @@ def test_signals_after_the_end(number: signal.Signals, arguments: list[str], cod
     program = SIGNALLED_AFTERWARDS.format(number=int(number), arguments=arguments)
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert (result.returncode, "signalled" in result.stdout, "Traceback" in result.stderr) == (code, True, False)
-
-
-@pytest.mark.parametrize(
-    ("limit", "text"),
-    [
-        ("-n 20", "open files: expected a limit of at least 62, got 20 (ulimit -n)"),
-        ("-n 40", "open files: expected a limit of at least 62, got 40 (ulimit -n)"),
-        (
-            "-v 300000",
-            "address space: expected a limit of at least 2147483648 bytes, got 307200000 (ulimit -v, in KiB)",
-        ),
-    ],
-)
-def test_limits_that_are_too_low(limit: str, text: str, tmp_path: Path) -> None:
-    """A limit that would end a process of Zenoh in the middle is refused in one line before anything starts."""
-    run = shlex.join(command("run", "resilient", "--out", "limited"))
-    result = subprocess.run(
-        ["bash", "-c", f"ulimit {limit}; {run}"], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
-    )
-    assert (result.returncode, result.stderr) == (LOST, f"transport: {text}\n")
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

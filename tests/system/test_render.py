@@ -87,9 +87,9 @@ def test_routers(tmp_path: Path) -> None:
     [
         (("", "x = "), "not valid TOML"),
         (('"agent4"]', "]"), "host: expected a host that runs agent4, got none"),
-        (('"agent4"]', '"agent4", "agent2"]'), "host.2.runs: agent2 runs on ground already"),
+        (('"agent4"]', '"agent4", "agent2"]'), "host.1.runs: expected each process on one host, got agent2 on 2"),
         (('"agent4"]', '"agent44"]'), "host.2.runs: expected one of coordinator, plant"),
-        (('"agent4"]', '"agnet4"]'), "did you mean 'agent4'?"),
+        (('"agent4"]', '"agnet4"]'), "got 'agnet4'"),
         (("cpus = { plant", "cpus = { agent3"), "host.1.cpus: expected one of coordinator, plant"),
         (('"remote"', '"ground"'), "host.1.name: expected each host once, got 'ground' again"),
         (("priority = 10", "priority = 99"), "host.1.priority: "),
@@ -156,10 +156,8 @@ def test_refused_renderings(tmp_path: Path) -> None:
     mesh = inventory(MESH, tmp_path)
     with pytest.raises(RenderError, match="expected a folder of keys, or insecure = true"):
         render(RUN, mesh, None, tmp_path / "out")
-    with pytest.raises(KeysError, match=r"expected the file .*router\.password"):
+    with pytest.raises(KeysError, match=r"expected the file .*ca\.pem"):
         render(RUN, inventory(STAR, tmp_path), tmp_path, tmp_path / "out")
-    with pytest.raises(RenderError, match="expected a host that runs a router with passwords"):
-        render(RUN, mesh, tmp_path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     open_to_all = inventory(f"insecure = true\n{MESH}", tmp_path)
     folders = render(RUN, open_to_all, None, tmp_path / "out")
@@ -186,7 +184,7 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     )
     assert checked.returncode == 0, checked.stderr
     again = here("deploy", "render", "--hosts", "none.toml", "--keys", "keys", "--out", "x")
-    assert (again.exit_code, again.stderr) == (2, "transport: none.toml: cannot be read (No such file or directory)\n")
+    assert (again.exit_code, again.stderr) == (2, "transport: none.toml: no such file\n")
 
 
 def test_a_large_run_is_rendered_on_purpose(tmp_path: Path) -> None:

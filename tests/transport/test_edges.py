@@ -89,16 +89,9 @@ def test_ready_maneuvers_raise_no_doubt() -> None:
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        (
-            phase(1.0, 9e5),
-            "phase.1.displacement_m: expected a path within 100000 m of the origin, got 900000 m",
-        ),
-        (phase(1.0, 1e300), "phase.1.displacement_m.1: expected a magnitude of at most 1e+06, got 1e+300"),
-        ("maneuver.start_m=[0,2e5,0]", "expected a path within 100000 m of the origin, got [0.0, 200000.0, 0.0]"),
-        (
-            "maneuver.phase=[{name='a',duration_s=1,displacement_m=[0,0,0],way=[[0,0,0,0],[0.5,1e6,0,0],[1,0,0,0]]}]",
-            "maneuver.phase.1.way: expected a path within 100000 m of the origin, got 1e+06 m",
-        ),
+        (phase(1.0, 9e5), "phase.1.displacement_m.1: expected a magnitude of at most 100000, got 900000"),
+        (phase(1.0, 1e300), "phase.1.displacement_m.1: expected a magnitude of at most 100000, got 1e+300"),
+        ("maneuver.start_m=[0,2e6,0]", "maneuver.start_m.2: expected a magnitude of at most 1e+06, got 2e+06"),
     ],
 )
 def test_paths_out_of_this_world(given: str, text: str) -> None:

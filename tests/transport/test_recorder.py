@@ -3,7 +3,6 @@
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from msgspec.structs import replace
@@ -37,7 +36,6 @@ class ScriptedBus:
 
     def __init__(self, *, gate: Gate, **_: object) -> None:
         self._gate, self._left = gate, deque(self.script)
-        self.peers = SimpleNamespace()
 
     def join(self, *_: object) -> None:
         """All processes have joined."""

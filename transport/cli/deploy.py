@@ -24,7 +24,6 @@ def keys(
     hosts: Annotated[
         Path | None, Option("--hosts", metavar="FILE", help="Inventory of hosts (docs/deploy.md); default: this host.")
     ] = None,
-    passwords: Annotated[bool, Option("--passwords", help="Passwords, for a router, instead of TLS.")] = False,
     days: Annotated[
         int, Option("--days", metavar="DAYS", min=1, max=3650, help="Validity of the certificates, days.")
     ] = 365,
@@ -36,7 +35,7 @@ def keys(
     """
     setup = read_setup(scenario, None, allow_large=True)
     with _optional_packages():
-        from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates, make_passwords
+        from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates
     names = [*process_names(setup.scenario), *OTHERS]
     addresses = {name: list(LOOPBACK) for name in names}
     if hosts is not None:
@@ -46,14 +45,11 @@ def keys(
                 addresses[name] = [*addresses[name], host.address]
         addresses[ROUTER] = [*LOOPBACK, *[host.address for host in inventory.routers]]
     with exit_on(KeysError, code=EXIT_USAGE):
-        if passwords:
-            make_passwords(out, names)
-        else:
-            make_certificates(out, addresses, days)
+        make_certificates(out, addresses, days)
     if output is Format.json:
         show_json({"folder": str(out), "processes": names})
         return
-    typer.echo(f"{out}: {'passwords' if passwords else 'certificates'} for {', '.join(names)}", err=True)
+    typer.echo(f"{out}: certificates for {', '.join(names)}", err=True)
 
 
 def render(

@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from protocol.network.endpoints import Endpoints, endpoints_of, refuse_exposed, security_of
+from protocol.network.endpoints import Endpoints, endpoints_of, security_of
 from protocol.network.parent import stand_by
 from protocol.network.process import Journal, Place, run_node
 from protocol.network.security import SecurityError
@@ -216,17 +216,16 @@ def router(
     from protocol.network.session import route
 
     setup = read_setup(scenario, settings, allow_large=True)
-    security = security_of(setup.scenario)
-    endpoints = Endpoints(listen=listen, connect=connect or [], mode="router", security=security)
+    endpoints = Endpoints(listen=listen, connect=connect or [], mode="router", security=security_of(setup.scenario))
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())
     journal = Journal("any", ROUTER)
-    with exit_on(SecurityError, code=EXIT_SCENARIO), exit_on(BusError, code=EXIT_UNREACHABLE):
-        refuse_exposed(endpoints, setup.scenario)
-        if security is not None:
-            security.check(ROUTER, mode="router")
-        with route(endpoints):
-            journal.log("listening", at=", ".join(listen))
-            over.wait()
+    with (
+        exit_on(SecurityError, code=EXIT_SCENARIO),
+        exit_on(BusError, code=EXIT_UNREACHABLE),
+        route(endpoints.checked(ROUTER, setup.scenario)),
+    ):
+        journal.log("listening", at=", ".join(listen))
+        over.wait()
     journal.log("finished")

@@ -16,7 +16,7 @@ from protocol.admission.plausibility import check_plausible, check_tick
 from protocol.network.bus import Bus, BusEvent, Interrupted, Left
 from protocol.network.endpoints import Endpoints
 from protocol.network.session import BusError
-from protocol.scenario.links import told_change
+from protocol.scenario.links import link_change
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import check_target, with_targets
 from protocol.wire.codec import Header, decode, encode
@@ -238,7 +238,7 @@ class Recorder:
         if isinstance(message, Control) and self.tick >= 0:
             check_tick(message, self.tick - _AHEAD, self.tick + _AHEAD)
         if isinstance(message, LinkChange):
-            told_change(message, self._samples_s)
+            link_change(message.source, message.target, message.settings, self._samples_s)
         if isinstance(message, Target):
             check_target(self.setup, message)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from rich.console import Console
 
-from protocol.network.endpoints import Endpoints, endpoints_of_all, process_names
+from protocol.network.endpoints import Endpoints, mesh, process_names
 from protocol.network.process import Place
 from protocol.network.security import Security, SecurityError
 from protocol.network.session import BusError, check_usable
@@ -120,8 +120,6 @@ class FaultScript:
 # Time for the processes to end after the run before they are killed.
 _LEAVE_S = 3.0
 _POLL_S = 0.05
-# Open files of the command, and for each process: its port, output, pipe and connection.
-_OPEN_FILES, _OPEN_FILES_EACH = 32, 5
 # Time for the recorder to receive the messages of a run whose processes have ended.
 _CATCH_UP_S = 2.0
 
@@ -156,7 +154,7 @@ def simulate(
     names = process_names(scenario)
     with ExitStack() as stack:
         stack.enter_context(_refusals())
-        check_usable(_OPEN_FILES + _OPEN_FILES_EACH * len(names))
+        check_usable()
         classes = checked(setup, external)
         compile_model(setup.system.N, console)
         places = stack.enter_context(_reserved(scenario, names))
@@ -219,7 +217,8 @@ def _reserved(scenario: Scenario, names: Sequence[str]) -> Iterator[dict[str, En
         if base_port is not None:
             ports = list(range(base_port, base_port + len(names)))
             check_ports(host, ports)
-        yield dict(endpoints_of_all([*names, RECORDER], scenario, [*ports, own]))
+        places = mesh(scenario, [*names, RECORDER], [*ports, own])
+        yield {name: place.checked(name, scenario) for name, place in places.items()}
 
 
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
