@@ -9,6 +9,7 @@ from protocol.scenario.links import LinkError, link_change
 from protocol.scenario.schema import TargetSection
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import MOST, TargetError, asked, headed, planned, scripted
+from protocol.wire.message import Message
 from protocol.wire.messages import LinkChange, Target, agent_name
 from protocol.wire.names import PLANT
 from protocol.wire.node import Outbox
@@ -66,6 +67,6 @@ class Changes:
                 found.append(error)
         return found
 
-    def repeated(self) -> list[LinkChange | Target]:
+    def repeated(self) -> list[Message]:
         """Return all changes so far, stamped anew, for agents that join."""
-        return [self._out.again(message) for message in (*self._links, *self._targets)]
+        return [self._out.again(message) for message in [*self._links, *self._targets]]
