@@ -47,7 +47,7 @@ class AnnouncedInputs:
         own: The agent itself, 1-based, whose plans are always aligned by age; 0 for none.
         law: Shared control law, followed after the first step of a plan.
         past: State estimates, to evaluate that law at the first step of a plan.
-        limits: Bounds of the actuators, applied to that law.
+        settings: Bounds of the actuators, applied to that law.
         carried: Whether the difference of a plan's first step from that law holds for later steps. It does not where
             the error of the sender's estimate, which differs from tick to tick, is most of it.
 

@@ -22,17 +22,9 @@ _UNKNOWNS = 5
 
 
 class DisturbanceEstimator:
-    """Disturbance estimate of one agent.
+    """Disturbance estimate of an agent that measures the motion of its UAVs, 0-based, with a low-pass filter.
 
-    Args:
-        model: The system as the controller knows it.
-        hover: Its equilibrium.
-        owned: UAVs whose motion the agent measures, 0-based.
-        period_s: Sampling period, s.
-        time_constant_s: Time constant of the first-order low-pass filter, s.
-
-    Attributes:
-        forces: The estimate, (3 + 3 N,), inertial frame, N; zero at first.
+    Its `forces` are (3 + 3 N,), inertial frame, N; zero at first.
     """
 
     def __init__(

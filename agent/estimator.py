@@ -35,15 +35,10 @@ STEPS = 2
 
 
 class StateEstimator:
-    """Estimator of the whole state at the present tick.
+    """Estimator of the whole state at the present tick, x, (n,), with motor lag [x, a], (n + m,).
 
-    Args:
-        model: The system as the controller knows it.
-        reference: Reference state at a tick, as large as an estimate: the first one of a process that joins then.
-        period_s: Sampling period, s.
-        disturbance: Estimator of the external forces, fed with the prediction errors; None for no forces.
-        motor_lag_s: Time constant of the motors, s; if it is positive, estimates are [x, a], (n + m,), not x, (n,).
-        kalman: Filter of measurements, without a disturbance estimator; None where messages hold states.
+    The reference state at the first tick begins it. It has a disturbance estimator, fed with the prediction errors, a
+    Kalman filter of measurements, or neither.
     """
 
     def __init__(

@@ -306,16 +306,9 @@ class KalmanFilter:
         by_law: npt.NDArray[np.bool_],
         by_fail_safe: npt.NDArray[np.bool_],
     ) -> Belief:
-        """Return the belief one tick later.
+        """Return the belief one tick later, with the state `ahead` then and the inputs u in between, (4 N,).
 
-        Args:
-            belief: At the tick.
-            model: Equations of motion from then on.
-            tick: The earlier tick.
-            ahead: State at the later one, as large as that of the belief.
-            u: Inputs in between, (4 N,).
-            by_law: Which of them follow the control law from estimates of their agents, (4 N,).
-            by_fail_safe: Which of them follow the fail-safe, which knows its UAV, (4 N,).
+        Of these some follow the control law from estimates of their agents, some the fail-safe, which knows its UAV.
         Source: docs/equations.md (63).
         """
         # The law is that of now, whenever the covariance is computed.
@@ -375,14 +368,10 @@ class KalmanFilter:
         return found
 
     def correct(self, belief: Belief, model: Model, sensed: Sequence[tuple[int, tuple[int, ...], Array]]) -> Belief:
-        """Return the belief with measurements of its tick.
+        """Return the belief with measurements of its tick; those of released UAVs are ignored.
 
-        Args:
-            belief: Before them.
-            model: Equations of motion.
-            sensed: UAV, 0-based, sensors of it, and measurements of all its sensors, (15,), in the layout of
-                `model.state`; those of released UAVs are ignored.
-        Source: docs/equations.md (64).
+        They are given as UAV, 0-based, sensors of it, and measurements of all its sensors, (15,), in the layout of
+        `model.state`. Source: docs/equations.md (64).
         """
         if model.released:
             sensed = [entry for entry in sensed if entry[0] not in model.released]

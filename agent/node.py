@@ -16,7 +16,6 @@ from agent.step import Planner, Step
 from agent.team_estimate import Known
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
-from protocol.admission.plausibility import check_tick
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import check_target, headed
@@ -33,16 +32,13 @@ class AgentNode:
         self, setup: Setup, agent: int, incarnation: int = 0, stopwatch: Callable[[], int] = lambda: 0
     ) -> None:
         self.name = agent_name(agent)
-        self._agent = agent
-        self._setup = setup
-        self._stopwatch = stopwatch
+        self.publish_ns = 0
+        self.finished: Control | None = None
+        self._setup, self._agent, self._stopwatch = setup, agent, stopwatch
         make = Planner if setup.scenario.agents.controller == PROJECT else OwnPlanner
         self._planner: Any = make(setup, agent, stopwatch)
         self._waits = setup.scenario.clock.mode == "lockstep"
-        self._membership = Membership()
-        self.publish_ns = 0
-        self._window = setup.shape.window
-        self.finished: Control | None = None
+        self._membership = Membership(agent)
         self._ahead = setup  # the run with all targets that are known
         self._targets: deque[tuple[int, Setup]] = deque()  # those still to come: the tick, the run with it
         self._begin(incarnation)
@@ -53,22 +49,16 @@ class AgentNode:
         self.incarnation = incarnation
         self._out = Outbox(self.name, incarnation)
         speed = None if self._waits else setup.scenario.clock.speed
-        senders = [agent_name(peer) for peer in setup.agents if peer != self._agent]
-        self._plans: Arrivals[Plan] = Arrivals(
-            {sender: setup.link(sender, self.name) for sender in senders}, after=1, speed=speed
-        )
-        self._measurements: Arrivals[Measurement] = Arrivals(
-            {PLANT: setup.link(PLANT, self.name)}, after=0, speed=speed
-        )
-        links = [*self._plans.links.values(), *self._measurements.links.values()]
-        self._link_changes = LinkChanges(links, setup.samples_s)
+        links = {name: setup.link(name, self.name) for name in map(agent_name, setup.agents) if name != self.name}
+        self._plans: Arrivals[Plan] = Arrivals(links, after=1, speed=speed)
+        from_plant = setup.link(PLANT, self.name)
+        self._measurements: Arrivals[Measurement] = Arrivals({PLANT: from_plant}, after=0, speed=speed)
+        self._link_changes = LinkChanges([*links.values(), from_plant], setup.samples_s)
         self._measurement: Measurement | None = None  # of the open tick, until its step begins
         self._step: Step | OwnStep | None = None  # being negotiated
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are physically here, by tick
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and exchanges to come, and agent
         self._last_tick = -1
-        # Plans received while it is not on the roster as it knows it: those of two ticks.
-        self._early: deque[Plan] = deque(maxlen=2 * len(senders) * setup.scenario.controller.negotiation_iterations)
 
     @property
     def wake_ns(self) -> int | None:
@@ -101,7 +91,6 @@ class AgentNode:
         self._planner.warm_up()
 
     def _handle(self, message: Message, now_ns: int) -> None:
-        """Take in a message that passed all checks."""
         match message:
             case Control():
                 self.finished = message
@@ -116,70 +105,38 @@ class AgentNode:
             case Measurement():
                 self._measurement = message
                 self._measurements.put(message, now_ns)
-            case Plan() if self._membership.admits(message):
-                self._take(message, now_ns)
+            case Plan() if self._membership.admits(message) and message.tick >= self._membership.since[self._agent]:
+                if message.negotiation > 0:
+                    self._proposals.setdefault((message.tick, message.negotiation), {})[message.agent] = message
+                else:
+                    self._arrived.setdefault(message.tick, set()).add(message.agent)
+                    self._plans.put(message, now_ns)
 
     def check_moment(self, message: Message) -> None:
-        """Refuse what the others cannot send at the tick this agent knows of.
+        """Refuse plans and measurements of earlier starts, and impossible changes.
 
         Raises: MessageError: with the reason.
         """
-        now, window = self._newest_tick(), self._window
         match message:
-            case LinkChange():  # repeated for agents that join, so of any past tick
-                check_tick(message, 0, message.tick if now is None else now + 1 + window)
+            case LinkChange():
                 self._link_changes.check(message)
             case Target():
-                check_tick(message, 0, message.tick if now is None else now + 1 + window)
                 check_target(self._ahead, message)
-            case Control() | Roster() if now is not None:
-                check_tick(message, now - window, now + 1 + window)
-            case Measurement():
-                self._check_measurement(message, now)
             case Plan():
                 self._membership.check(message)
-                if now is not None:
-                    check_tick(message, 0, now + window)
-
-    def _newest_tick(self) -> int | None:
-        """Return the newest tick this agent knows of, or None while it is not on the roster."""
-        joined = self._membership.since.get(self._agent)
-        return None if joined is None else max(self._last_tick, joined - 1)
+            case Measurement(tick=tick, roster=version) if self._agent not in self._membership.since:
+                if version <= self._membership.version:
+                    raise MessageError("past", f"measurement of tick {tick}, without this start on the roster")
 
     def _enlist(self, roster: Roster) -> list[Plan]:
         """Take in a roster and return the plans that were ahead of it."""
-        was_on_it = self._membership.incarnation(self._agent) == self.incarnation
+        was_on_it = self._membership.incarnations.get(self._agent) == self.incarnation
         waiting = self._membership.update(roster)
-        if was_on_it and self._membership.incarnation(self._agent) != self.incarnation:
+        if was_on_it and self._membership.incarnations.get(self._agent) != self.incarnation:
             # Taken off the roster: its information may be outdated, so it comes back as a new process.
             self._planner.restart()
             self._begin(self.incarnation + 1)
-        early = list(self._early)
-        self._early.clear()
-        return [*early, *waiting]
-
-    def _check_measurement(self, measurement: Measurement, now: int | None) -> None:
-        newest = self._last_tick if self._measurement is None else self._measurement.tick
-        last = self._setup.ticks
-        if now is not None:
-            last = now + self._window
-        elif measurement.roster <= self._membership.version:
-            raise MessageError("past", f"measurement of tick {measurement.tick}, without this start on the roster")
-        if self._waits and self._measurement is not None:
-            last = newest  # wait for its answer first
-        check_tick(measurement, newest + 1, last)
-
-    def _take(self, plan: Plan, now_ns: int) -> None:
-        if self._newest_tick() is None:
-            self._early.append(plan)
-            return
-        if plan.tick < self._membership.since[self._agent]:
-            return
-        if plan.negotiation > 0:
-            self._proposals.setdefault((plan.tick, plan.negotiation), {})[plan.agent] = plan
-            return
-        self._arrived.setdefault(plan.tick, set()).add(plan.agent)
-        self._plans.put(plan, now_ns)
+        return waiting
 
     def _work(self, now_ns: int) -> list[Message]:
         """Begin the open tick and continue its negotiation as far as the messages received allow."""
@@ -218,15 +175,15 @@ class AgentNode:
         plans, lost_plans = self._plans.take(k, now_ns)
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick >= k}
         self._proposals = {at: proposals for at, proposals in self._proposals.items() if at[0] >= k}
-        off, released = membership.failed_at(measurement.roster)
+        roster = membership.at(measurement.roster)
         return Known(
             measurement=measurement,
             measurements=self._measurements.take(k, now_ns)[0],
             plans=plans,
             lost=lost_plans,
-            agents=membership.agents_at(measurement.roster),
-            off=off,
-            released=released,
+            agents=frozenset(roster.agents),
+            off=frozenset(uav - 1 for uav in roster.off),
+            released=frozenset(uav - 1 for uav in roster.released),
             failed_since=membership.failed_since,
             ticks_since_start=k - membership.since.get(self._agent, 0),
             started_ns=started_ns,
@@ -253,4 +210,4 @@ class AgentNode:
     def _has_proposals_for(self, step: Step | OwnStep) -> bool:
         """Return whether the proposals of the present iteration are here from all others."""
         here = self._proposals.get((step.known.measurement.tick, step.negotiation), {})
-        return self._membership.agents - {self._agent} <= here.keys()
+        return self._membership.incarnations.keys() - {self._agent} <= here.keys()

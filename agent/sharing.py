@@ -13,13 +13,7 @@ from protocol.scenario.schema import ControllerSection
 
 
 class Sharing:
-    """Event-triggered sharing of plans.
-
-    Args:
-        settings: Rule, threshold and heartbeat.
-        lower: Smallest inputs of the agent's UAVs, (4 owned,).
-        upper: Largest inputs, (4 owned,).
-    """
+    """Event-triggered sharing of plans; smallest and largest inputs of the agent's UAVs, (4 owned,), are its scale."""
 
     def __init__(self, settings: ControllerSection, lower: Array, upper: Array) -> None:
         self._always = settings.share == "always"

@@ -9,31 +9,22 @@ from protocol.wire.node import Outbox
 
 
 class TeamRoster:
-    """The agents that take part in a run, and the messages that announce them.
-
-    Attributes:
-        agents: All agents of the run, by process name.
-        members: Agents on the roster.
-        joining: Agents to be put on the roster when the next tick opens, with their incarnations.
-        incarnations: Newest incarnations of the processes that take part, by name.
-        version: Version of the newest roster.
-    """
+    """The agents that take part in a run, and the messages that announce them."""
 
     def __init__(self, setup: Setup, out: Outbox) -> None:
-        self.agents = {agent_name(agent): agent for agent in setup.agents}
-        self.members = set(setup.agents)
-        self.joining: dict[int, int] = {}
-        self.incarnations: dict[str, int] = {}
-        self.version = 0
+        self.agents = {agent_name(agent): agent for agent in setup.agents}  # all of the run
+        self.members = set(setup.agents)  # on the roster
+        self.joining: dict[int, int] = {}  # to be put on it when the next tick opens, with their incarnations
+        self.incarnations: dict[str, int] = {}  # newest ones of the processes that take part
+        self.version = 0  # of the newest roster
         self._out, self._period_ns = out, setup.period_ns
         self._uav_faults = list(uav_faults(setup.faults))  # still to be reported
         self._off: set[int] = set()  # UAVs without motors, 1-based
         self._released: set[int] = set()
         self._returns: dict[int, set[int]] = {}  # agents that scripted faults bring back, by tick
-        if setup.scenario.clock.mode == "lockstep":
-            for fault in setup.faults:
-                if fault.do in ("continue", "start") and fault.target in self.agents:
-                    self._returns.setdefault(fault.tick, set()).add(self.agents[fault.target])
+        for fault in setup.faults if setup.scenario.clock.mode == "lockstep" else ():
+            if fault.do in ("continue", "start") and fault.target in self.agents:
+                self._returns.setdefault(fault.tick, set()).add(self.agents[fault.target])
 
     def time(self, tick: int) -> str:
         """Return the time of a tick as text."""
@@ -60,8 +51,7 @@ class TeamRoster:
 
     def give_up(self, tick: int) -> Roster:
         """Return the roster without the agents that a tick has waited for."""
-        reason = f"{names(self._returns.pop(tick))} did not return at {self.time(tick)}"
-        return self.message(reason, tick - 1)
+        return self.message(f"{names(self._returns.pop(tick))} did not return at {self.time(tick)}", tick - 1)
 
     def join(self, tick: int) -> tuple[set[int], list[Roster]]:
         """Put the joining agents on the roster at a tick; return them, and the roster if there are any."""
@@ -100,18 +90,13 @@ class Clock:
     time it opens ticks at their deadlines; `clock.on_overrun` says what happens when plans miss them.
 
     All times are ns on a clock that only goes forward. `missing` are the agents on the roster that have not answered
-    the open tick; `awaits_plant` says that only the plant's last state is outstanding.
-
-    Attributes:
-        counts_late_plans: Whether a plan of an earlier tick than the open one shows that its agent is alive: in real
-            time.
-        waiting_since_ns: Start of the barrier timeout.
+    the open tick.
     """
 
     def __init__(self, setup: Setup) -> None:
-        self.waiting_since_ns = 0
+        self.waiting_since_ns = 0  # start of the barrier timeout
         self._settings, self._period_ns = setup.scenario.clock, setup.period_ns
-        self.counts_late_plans = self._settings.mode == "realtime"
+        self.is_realtime = self._settings.mode == "realtime"
         self._barrier_ns = round(self._settings.barrier_timeout_s * 1e9)
         self._start_ns = self._plant_ns = 0
         self._owed_since_ns: dict[int, int] = {}  # by agent: since when it owes an answer
@@ -125,9 +110,10 @@ class Clock:
         speed = self._settings.speed
         return 0 if speed == 0.0 else self._start_ns + round(tick * self._period_ns / speed)
 
-    def has_expired(self, now_ns: int) -> bool:
-        """Return whether the barrier timeout is over."""
-        return now_ns >= self.waiting_since_ns + self._barrier_ns
+    @property
+    def expires_ns(self) -> int:
+        """End of the barrier timeout."""
+        return self.waiting_since_ns + self._barrier_ns
 
     def excuse_absence(self, tick: int, wake_ns: int | None, now_ns: int) -> None:
         """Restart all timeouts if the coordinator woke up late: answers that came meanwhile are still to be read.
@@ -167,7 +153,7 @@ class Clock:
 
         Both are 0 in lockstep, where messages do not depend on wall-clock time.
         """
-        if not self.counts_late_plans:
+        if not self.is_realtime:
             return 0, 0
         late_ns = max(0, now_ns - self.due_ns(tick)) if tick > 0 else 0
         if self._settings.on_overrun == "hold":
@@ -176,8 +162,8 @@ class Clock:
 
     def silent(self, members: set[int], missing: set[int], now_ns: int) -> set[int]:
         """Return the agents that have owed an answer for the barrier timeout."""
-        if not self.counts_late_plans:
-            return missing if self.has_expired(now_ns) else set()
+        if not self.is_realtime:
+            return missing if now_ns >= self.expires_ns else set()
         return {a for a in members if now_ns >= self._owed_since_ns.get(a, now_ns) + self._barrier_ns}
 
     def plant_is_silent(self, now_ns: int) -> bool:
@@ -185,35 +171,29 @@ class Clock:
 
         In lockstep agents without measurements do not answer either.
         """
-        return self.counts_late_plans and now_ns >= self._plant_ns + self._barrier_ns
+        return self.is_realtime and now_ns >= self._plant_ns + self._barrier_ns
 
     def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
         """Return whether the open tick may be closed; in lockstep the last one closes with its last answer."""
-        is_due = now_ns >= self.due_ns(tick + 1) or (last and not self.counts_late_plans)
-        return is_due and not self._waits_for(missing)
+        is_due = now_ns >= self.due_ns(tick + 1) or (last and not self.is_realtime)
+        return is_due and not self.waits_for(missing)
 
     def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:
         """Count the deadlines missed in a tick that is closed; return why they end the run, or an empty text."""
         self._overruns += len(missing)
         settings = self._settings
-        if settings.on_overrun != "abort" or not self.counts_late_plans:
+        if settings.on_overrun != "abort" or not self.is_realtime:
             return ""
         if self._overruns > settings.overrun_limit:
-            names = ", ".join(agent_name(agent) for agent in sorted(missing))
-            at_s = (tick + 1) * self._period_ns / 1e9
             return (
-                f"{names} missed the deadline of tick {tick} at t = {at_s:.2f} s: "
-                f"{self._overruns} missed in total, {settings.overrun_limit} allowed"
+                f"{names(missing)} missed the deadline of tick {tick} at t = {(tick + 1) * self._period_ns / 1e9:.2f} "
+                f"s: {self._overruns} missed in total, {settings.overrun_limit} allowed"
             )
         worst_s = max(self._overrun_ns, now_ns - self.due_ns(tick + 1)) / 1e9
         if settings.overrun_limit_s is not None and worst_s > settings.overrun_limit_s:
             return f"tick {tick + 1} was {worst_s:.3f} s late, {settings.overrun_limit_s:g} s allowed"
         return ""
 
-    def wake_ns(self, tick: int, missing: set[int], *, awaits_plant: bool) -> int:
-        """Return when the open tick may be closed at the earliest, or else when the barrier timeout ends."""
-        waits = awaits_plant or self._waits_for(missing)
-        return self.waiting_since_ns + self._barrier_ns if waits else self.due_ns(tick + 1)
-
-    def _waits_for(self, missing: set[int]) -> bool:
-        return bool(missing) and (not self.counts_late_plans or self._settings.on_overrun == "hold")
+    def waits_for(self, missing: set[int]) -> bool:
+        """Return whether the open tick waits for answers."""
+        return bool(missing) and (not self.is_realtime or self._settings.on_overrun == "hold")

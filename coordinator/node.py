@@ -9,14 +9,14 @@ from collections.abc import Collection, Sequence
 from enum import Enum
 
 from coordinator.clock import Clock, TeamRoster, names
-from coordinator.links import RequestedLinkChanges, Targets
+from coordinator.links import Changes
 from protocol.admission.plausibility import check_tick
 from protocol.scenario.links import LinkError, words_of
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import TargetError, target_in_words
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Control, Event, Outcome, Plan, PlantState, Presence, Request, Target, Tick
+from protocol.wire.messages import Control, Event, LinkChange, Plan, PlantState, Presence, Request, Target, Tick
 from protocol.wire.names import COORDINATOR, PLANT
 from protocol.wire.node import Outbox
 
@@ -31,34 +31,10 @@ class State(Enum):
     STOPPED = "the run has ended"
 
 
-class End(Enum):
-    """Cause of the end of a run."""
-
-    COMPLETED = "the last tick is answered and recorded"
-    DIVERGED = "the record of the divergence is complete"
-    UNREACHABLE = "the plant or too many agents are gone or silent"
-    OVERRUN = "more deadlines were missed than allowed"
-    INTERRUPTED = "a signal ended the run"
-
-
-# Outcome and exit code of each end.
-_ENDS: dict[End, tuple[Outcome, int]] = {
-    End.COMPLETED: ("completed", 0),
-    End.DIVERGED: ("diverged", EXIT_DIVERGED),
-    End.UNREACHABLE: ("aborted", EXIT_UNREACHABLE),
-    End.OVERRUN: ("aborted", EXIT_OVERRUN),
-    End.INTERRUPTED: ("aborted", EXIT_INTERRUPTED),
-}
-
-
 class CoordinatorNode:
-    """Sampling clock and roster of one run.
+    """Sampling clock and roster of one run; `tick` is the open one, -1 before the first.
 
     The observers, such as "recorder", must be ready before the first tick, like the plant and the agents.
-
-    Attributes:
-        state: State of the run.
-        tick: The open tick, -1 before the first.
     """
 
     name = COORDINATOR
@@ -73,8 +49,7 @@ class CoordinatorNode:
         self._out = Outbox(self.name, incarnation)
         self._clock = Clock(setup)
         self._roster = TeamRoster(setup, self._out)
-        self._link_changes = RequestedLinkChanges(setup, self._out)
-        self._targets = Targets(setup, self._out)
+        self._changes = Changes(setup, self._out)
         self._awaited = {PLANT, *self._roster.agents, *observers}
         self._observers = set(observers)  # that have not left
         self._answered: set[int] = set()
@@ -90,7 +65,8 @@ class CoordinatorNode:
             return None
         if self.state is State.HELD:
             return self._hold_ends_ns
-        return self._clock.wake_ns(self.tick, self._missing, awaits_plant=self._awaits_plant)
+        waits = self._awaits_plant or self._clock.waits_for(self._missing)
+        return self._clock.expires_ns if waits else self._clock.due_ns(self.tick + 1)
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Take in presences, plans, plant states, and requests."""
@@ -106,7 +82,20 @@ class CoordinatorNode:
                 return self._agent_returned(event, now_ns)
             case Presence():
                 return self._process_gone(event, now_ns)
-        self._handle(event, now_ns)
+            case PlantState():
+                self._plant_tick = event.tick
+                self._clock.plant_answer(now_ns)
+                if event.diverged and not self._divergence:
+                    self._divergence = f"{event.diverged} at {self._roster.time(event.tick)}"
+                    self.state = State.DIVERGED
+            case Plan(negotiation=left) if left > 0:
+                self._negotiating[event.agent] = left
+            case Plan():
+                if event.tick == self.tick:
+                    self._answered.add(event.agent)
+                    if event.shared:
+                        self._shared.add(event.agent)
+                self._clock.answer(event, self.tick, now_ns)
         return self._advance(now_ns)
 
     def poll(self, now_ns: int) -> Sequence[Message]:
@@ -118,21 +107,21 @@ class CoordinatorNode:
             if now_ns < self._hold_ends_ns:
                 return ()
             return [self._roster.give_up(self.tick + 1), *self._advance(now_ns)]
-        expired = self._clock.has_expired(now_ns)
+        expired = now_ns >= self._clock.expires_ns
         if expired and self.state is State.DIVERGED:
-            return self._stop(End.DIVERGED, self._divergence)
+            return self._stop(EXIT_DIVERGED, self._divergence)
         if self._clock.plant_is_silent(now_ns):
-            return self._stop(End.UNREACHABLE, f"plant has not answered since tick {self._plant_tick}")
+            return self._stop(EXIT_UNREACHABLE, f"plant has not answered since tick {self._plant_tick}")
         silent = self._clock.silent(self._roster.members, self._missing, now_ns)
         if silent:
             return self._drop_silent(silent, now_ns)
         if expired and self._awaits_plant:
-            return self._stop(End.UNREACHABLE, f"plant did not answer tick {self.tick} in time")
+            return self._stop(EXIT_UNREACHABLE, f"plant did not answer tick {self.tick} in time")
         return self._advance(now_ns)
 
     def interrupt(self, reason: str) -> Sequence[Message]:
         """End the run because of a signal."""
-        return () if self.state is State.STOPPED else self._stop(End.INTERRUPTED, reason)
+        return () if self.state is State.STOPPED else self._stop(EXIT_INTERRUPTED, reason)
 
     @property
     def _is_last(self) -> bool:
@@ -152,24 +141,6 @@ class CoordinatorNode:
     def _hold_ends_ns(self) -> int:
         return self._clock.waiting_since_ns + round(self._settings.join_timeout_s * 1e9)
 
-    def _handle(self, message: Message, now_ns: int) -> None:
-        """Take in an agent's plan or the plant's state that passed all checks."""
-        match message:
-            case PlantState():
-                self._plant_tick = message.tick
-                self._clock.plant_answer(now_ns)
-                if message.diverged and not self._divergence:
-                    self._divergence = f"{message.diverged} at {self._roster.time(message.tick)}"
-                    self.state = State.DIVERGED
-            case Plan(negotiation=left) if left > 0:
-                self._negotiating[message.agent] = left
-            case Plan():
-                if message.tick == self.tick:
-                    self._answered.add(message.agent)
-                    if message.shared:
-                        self._shared.add(message.agent)
-                self._clock.answer(message, self.tick, now_ns)
-
     def check_moment(self, message: Message) -> None:
         """Refuse answers to other ticks than the open one, and plans of agents off the roster.
 
@@ -182,7 +153,7 @@ class CoordinatorNode:
                 roster = self._roster
                 if message.agent not in roster.members or message.incarnation != roster.incarnations[message.sender]:
                     raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
-                check_tick(message, 0 if self._clock.counts_late_plans else self.tick, self.tick)
+                check_tick(message, 0 if self._clock.is_realtime else self.tick, self.tick)
 
     def _process_ready(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Note that a process is ready; open the first tick when all are."""
@@ -213,7 +184,7 @@ class CoordinatorNode:
             return ()
         self._observers.discard(event.name)
         if event.name == PLANT:
-            return self._stop(End.UNREACHABLE, "plant is gone")
+            return self._stop(EXIT_UNREACHABLE, "plant is gone")
         return self._lose([agent], f"{event.name} is gone", now_ns) if agent in self._roster.members else ()
 
     def _answer_request(self, request: Request) -> Sequence[Message]:
@@ -227,31 +198,29 @@ class CoordinatorNode:
                 raise LinkError(f"what: expected status, link or target, got {request.what!r}")
             if self.state is State.WAITING or self._is_last:
                 raise LinkError("expected a running simulation")
+            change: LinkChange | Target
             if request.what == "target":
-                target = self._targets.request(request.given, self.tick + 1)
-                request.reply(self._told(target))
-                return self._announced(target)
-            change = self._link_changes.change(request.given, self.tick + 1)
+                change = self._changes.target(request.given, self.tick + 1)
+            else:
+                change = self._changes.link(request.given, self.tick + 1)
         except (LinkError, TargetError) as error:
             request.reply({"error": str(error)})
             return ()
-        request.reply({"tick": change.tick, "t_s": change.tick * self._period_ns / 1e9})
-        reason = f"{words_of(change)}, from {self._roster.time(change.tick)} on"
-        # Ticks name the version of this roster, so no process opens the next one without knowing of the change.
-        return [change, self._roster.message(reason, self.tick)]
+        since_s = change.tick * self._period_ns / 1e9
+        reached = {}
+        if isinstance(change, Target):
+            reached_s = since_s + change.approach_s
+            reached = {"reached_s": reached_s, "ends_s": reached_s + change.way_s}
+        request.reply({"tick": change.tick, "t_s": since_s, **reached})
+        return self._announced(change)
 
-    def _told(self, target: Target) -> dict[str, float]:
-        """Return what is answered to the request for a target: from when on it holds, and when it is reached."""
-        since_s = target.tick * self._period_ns / 1e9
-        reached_s = since_s + target.approach_s
-        return {"tick": target.tick, "t_s": since_s, "reached_s": reached_s, "ends_s": reached_s + target.way_s}
-
-    def _announced(self, target: Target | TargetError) -> list[Message]:
-        """Return a target with the roster that the ticks name from then on."""
-        if isinstance(target, TargetError):
-            return [self._roster.message(f"target refused: {target}", self.tick)]
-        reason = f"{target_in_words(target)}, from {self._roster.time(target.tick)} on"
-        return [target, self._roster.message(reason, target.tick)]
+    def _announced(self, change: LinkChange | Target | TargetError) -> list[Message]:
+        """Return a change with a roster, whose version ticks name: no process opens the next one without knowing it."""
+        if isinstance(change, TargetError):
+            return [self._roster.message(f"target refused: {change}", self.tick)]
+        words = words_of(change) if isinstance(change, LinkChange) else target_in_words(change)
+        tick = self.tick if isinstance(change, LinkChange) else change.tick
+        return [change, self._roster.message(f"{words}, from {self._roster.time(change.tick)} on", tick)]
 
     def _drop_silent(self, silent: set[int], now_ns: int) -> Sequence[Message]:
         """Take agents that have not answered in time off the roster."""
@@ -263,18 +232,17 @@ class CoordinatorNode:
         members = self._roster.members
         if len(silent) > 1 and silent == members and self._answered.isdisjoint(members):
             # All at once: more likely the plant, on which all depend.
-            reason = f"no agent answered tick {self.tick} in time: is the plant alive?"
-            return self._stop(End.UNREACHABLE, reason)
+            return self._stop(EXIT_UNREACHABLE, f"no agent answered tick {self.tick} in time: is the plant alive?")
         return self._lose(silent, f"{names(silent)} did not answer tick {self.tick} in time", now_ns)
 
     def _lose(self, agents: Collection[int], reason: str, now_ns: int) -> Sequence[Message]:
         """Take agents off the roster, and continue or end the run by `clock.on_agent_loss`."""
         reason = f"{reason} at {self._roster.time(max(self.tick, 0))}"
         if self._settings.on_agent_loss == "abort" or self.state is State.WAITING:
-            return self._stop(End.UNREACHABLE, reason)
+            return self._stop(EXIT_UNREACHABLE, reason)
         self._roster.members.difference_update(agents)
         if not self._roster.members:
-            return self._stop(End.UNREACHABLE, f"{reason}; no agent is left")
+            return self._stop(EXIT_UNREACHABLE, f"{reason}; no agent is left")
         return [self._roster.message(reason, self.tick), *self._advance(now_ns)]
 
     def _advance(self, now_ns: int) -> Sequence[Message]:
@@ -283,17 +251,16 @@ class CoordinatorNode:
             return ()
         if self.state is State.DIVERGED and self.tick > self._plant_tick:
             # The tick after the last interval is always opened before the end, whichever message came first.
-            return self._stop(End.DIVERGED, self._divergence)
+            return self._stop(EXIT_DIVERGED, self._divergence)
         if not self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last) or self._awaits_plant:
             return ()
         if self._is_held(now_ns):
             return ()
         overrun = self._clock.overrun(self.tick, self._missing, now_ns)
         if overrun:
-            return self._stop(End.OVERRUN, overrun)
+            return self._stop(EXIT_OVERRUN, overrun)
         if self._is_last:
-            end = End.DIVERGED if self.state is State.DIVERGED else End.COMPLETED
-            return self._stop(end, self._divergence)
+            return self._stop(EXIT_DIVERGED if self.state is State.DIVERGED else 0, self._divergence)
         opened = self._open(now_ns)
         return [*opened, *self._advance(now_ns)] if self.state is State.DIVERGED else opened
 
@@ -309,10 +276,10 @@ class CoordinatorNode:
     def _open(self, now_ns: int) -> list[Message]:
         """Open the next tick, also for agents that have returned."""
         tick = self.tick + 1
-        changes = [*self._link_changes.repeated(), *self._targets.repeated()] if self._roster.joining else []
+        changes = self._changes.repeated() if self._roster.joining else []
         joined, rosters = self._roster.join(tick)
         messages: list[Message] = [*changes, *rosters, *self._roster.fail_uavs(tick)]
-        for target in self._targets.due(tick):
+        for target in self._changes.due(tick):
             messages += self._announced(target)
         late_ns, overrun_ns = self._clock.lateness_ns(tick, now_ns)
         opened = self._out.stamp(
@@ -333,9 +300,9 @@ class CoordinatorNode:
             self._clock.plant_answer(now_ns)  # it owes no earlier interval
         return [*messages, opened]
 
-    def _stop(self, end: End, reason: str) -> Sequence[Message]:
+    def _stop(self, exit_code: int, reason: str) -> Sequence[Message]:
         self.state = State.STOPPED
-        outcome, exit_code = _ENDS[end]
+        outcome = {0: "completed", EXIT_DIVERGED: "diverged"}.get(exit_code, "aborted")
         self.finished = self._out.stamp(
             Control, tick=max(self.tick, 0), outcome=outcome, reason=reason, exit_code=exit_code
         )

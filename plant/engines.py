@@ -85,28 +85,22 @@ EngineClass = Callable[[System, PlantSection], Physics]
 _SAME_STATE = 1e-6
 # How far the length of a rod direction may be from 1: beyond rounding, below any error of a real rod.
 _UNIT = 1e-3
-_METHODS = ("reset", "advance", "state")
 UNKNOWN_ERROR = -1.0
 
 
 class Engine:
-    """The engine of a plant. An engine that fails is data: `failure` says why the run ends.
+    """The engine of a plant with the actual bodies; its failure is data: `failure` says why the run ends.
 
-    Args:
-        setup: The run.
-        system: Actual parameters of the bodies.
     Raises: ScenarioError: no such engine, a package is missing, or it does not take the initial state.
     """
 
     def __init__(self, setup: Setup, system: System) -> None:
-        self.name = setup.scenario.plant.engine
         self.failure = ""
         self._section = setup.scenario.plant
-        self._shape = setup.hover.x.shape
+        self._x: Array = setup.initial_state()
         try:
-            self._make = _engine_class(self.name)
-            self._physics = self._built(system, setup.initial_state())
-            self._x = self._read()
+            self._make = _engine_class(self._section.engine)
+            self._build(system)
         except OwnClassError as error:
             raise ScenarioError(setup.scenario.name, "plant.engine", str(error)) from error
 
@@ -119,13 +113,13 @@ class Engine:
         """Continue from a state, (n,), with other bodies."""
         self._x = x
         with self._failing():
-            self._physics = self._built(system, x)
+            self._build(system)
 
     def reset(self, x: Array) -> None:
         """Continue from a state, (n,)."""
         self._x = x
         with self._failing():
-            self._reset(self._physics, x)
+            self._reset()
 
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> tuple[Array, float]:
         """Integrate an interval under held inputs, (4 N,), and forces, (3 + 3 N,), or none.
@@ -146,16 +140,15 @@ class Engine:
         """Least tension of each cable in the last interval, (N,), N; (0,) where the engine tells none."""
         return np.asarray(getattr(self._physics, "tensions", ()), dtype=np.float64)
 
-    def _built(self, system: System, x: Array) -> Physics:
-        """Return a new engine at a state."""
-        physics: Physics = made(self._make, _METHODS, system, self._section)
-        self._reset(physics, x)
-        return physics
+    def _build(self, system: System) -> None:
+        self._physics: Physics = made(self._make, ("reset", "advance", "state"), system, self._section)
+        self._reset()
 
-    def _reset(self, physics: Physics, x: Array) -> None:
+    def _reset(self) -> None:
+        x = self._x
         with told("reset"):
-            physics.reset(x.copy())
-        found = _state_of(physics, self._shape)
+            self._physics.reset(x.copy())
+        found = self._read()
         furthest = int(np.argmax(np.abs(found - x)))
         if not abs(found[furthest] - x[furthest]) <= _SAME_STATE:
             raise OwnClassError(
@@ -164,7 +157,11 @@ class Engine:
             )
 
     def _read(self) -> Array:
-        found = _state_of(self._physics, self._shape)
+        """Return a copy of the state of the engine; it need not be finite."""
+        with told("state"):
+            found = real_array("state", self._physics.state())
+        if found.shape != self._x.shape:
+            raise OwnClassError(f"state: expected shape {self._x.shape}, got {found.shape}")
         lengths = np.linalg.norm(StateView(found).e_P, axis=1)
         wrong = np.flatnonzero(np.abs(lengths - 1.0) > _UNIT)
         if len(wrong) and np.isfinite(found).all():
@@ -178,7 +175,7 @@ class Engine:
         try:
             yield
         except OwnClassError as error:
-            self.failure = self.failure or f"engine {self.name}: {error}"
+            self.failure = self.failure or f"engine {self._section.engine}: {error}"
 
 
 def checked_engine(setup: Setup) -> str:
@@ -186,9 +183,9 @@ def checked_engine(setup: Setup) -> str:
 
     Raises: ScenarioError: no such engine, a package is missing, or it does not take the initial state.
     """
-    firmware = checked_firmware(setup)
-    engine = Engine(setup, Environment(setup).system)
-    return f"{engine.name} {engine_version(engine.name)}".rstrip() + (f", {firmware}" if firmware else "")
+    firmware, name = checked_firmware(setup), setup.scenario.plant.engine
+    Engine(setup, Environment(setup).system)
+    return f"{name} {engine_version(name)}".rstrip() + (f", {firmware}" if firmware else "")
 
 
 def engine_version(name: str) -> str:
@@ -204,21 +201,11 @@ def _engine_class(name: str) -> EngineClass:
 
     Raises: OwnClassError: it is not found.
     """
-    if name == "rods":
-        return Rods
+    found: EngineClass = Rods
     if name == "mujoco":
         if find_spec("mujoco") is None:
             raise OwnClassError("expected the package mujoco, got none; pip install 'payload-transport[mujoco]'")
-        engine: EngineClass = importlib.import_module("plant.mujoco_engine").MujocoEngine
-        return engine
-    own: EngineClass = own_class(name)
-    return own
-
-
-def _state_of(physics: Physics, shape: tuple[int, ...]) -> Array:
-    """Return a copy of the state of an engine, of the given shape; it need not be finite."""
-    with told("state"):
-        found = real_array("state", physics.state())
-    if found.shape != shape:
-        raise OwnClassError(f"state: expected shape {shape}, got {found.shape}")
+        found = importlib.import_module("plant.mujoco_engine").MujocoEngine
+    elif name != "rods":
+        found = own_class(name)
     return found

@@ -23,33 +23,30 @@ GUST_STEP_S = 0.05
 _SAME = 1e-9  # tolerance, in intervals
 
 
-class Environment:
-    """Wind, drag, sensors and actual masses of the plant.
+def drawn(seed: int, purpose: str, tick: int, count: int) -> Array:
+    """Return standard normal numbers of the plant for a purpose and a tick, (count,)."""
+    return generator(draw_key(seed, PLANT, purpose), tick).standard_normal(count)
 
-    Attributes:
-        system: Actual parameters of the bodies.
-        model: Equations of motion with them.
-    """
+
+class Environment:
+    """Wind, drag, sensors and actual masses of the plant: the `system` of bodies, and its equations of motion."""
 
     def __init__(self, setup: Setup) -> None:
-        section = setup.scenario.plant
+        section, N = setup.scenario.plant, setup.system.N
         nominal = section.payload_mass_factor == section.uav_mass_factor == 1.0
         self.system = _scaled(setup.system, section.payload_mass_factor, section.uav_mass_factor)
         self.model = setup.model if nominal else Model(self.system)
         self._seed = setup.scenario.seed
-        wind = section.wind
+        wind, noise = section.wind, section.noise
         self._mean_I, self._gust_I = np.array(wind.speed_mps), np.array(wind.gust_mps)
         self._is_windy = bool(self._mean_I.any() or self._gust_I.any())
         self._gust_decay = math.exp(-GUST_STEP_S / wind.gust_time_constant_s)
         self._gusts_per_tick = setup.settings.sampling_period_s / GUST_STEP_S
-        self._drag = np.array([wind.drag_payload_kgps, *[wind.drag_uav_kgps] * setup.system.N])
+        self._drag = np.array([wind.drag_payload_kgps, *[wind.drag_uav_kgps] * N])
         self._gusts: list[Array] = []  # in units of their standard deviation, by interval
-        noise = section.noise
-        self._payload_noise = np.repeat([noise.position_m, noise.velocity_mps, noise.attitude_rad, noise.rate_rads], 3)
-        self._uav_noise = np.repeat(
-            [noise.rod_direction_rad, noise.rod_rate_rads, noise.attitude_rad, noise.rate_rads], 3
-        )
-        self._is_noisy = bool(self._payload_noise.any() or self._uav_noise.any())
+        payload = [noise.position_m, noise.velocity_mps, noise.attitude_rad, noise.rate_rads]
+        uav = [noise.rod_direction_rad, noise.rod_rate_rads, noise.attitude_rad, noise.rate_rads]
+        self._deviations = np.repeat([*payload, *uav * N], 3)
 
     def release(self, uavs: Collection[int]) -> None:
         """Replace UAVs, 0-based, by bobs of negligible mass and drag. Source: docs/equations.md (50)."""
@@ -71,7 +68,7 @@ class Environment:
     def _gust(self, interval: int) -> Array:
         """Return the gust at the beginning of an interval, (3,), in units of its standard deviation."""
         while len(self._gusts) <= interval:
-            gust = self._normal("wind", len(self._gusts), 3)
+            gust = drawn(self._seed, "wind", len(self._gusts), 3)
             if self._gusts:
                 gust = self._gust_decay * self._gusts[-1] + math.sqrt(1.0 - self._gust_decay**2) * gust
             self._gusts.append(gust)
@@ -92,10 +89,9 @@ class Environment:
 
         Returns: (n,), with |e| = 1 and e . Omega = 0; x itself without noise. Source: docs/equations.md (44).
         """
-        if not self._is_noisy:
+        if not self._deviations.any():
             return x
-        deviations = np.concatenate([self._payload_noise, np.tile(self._uav_noise, self.model.system.N)])
-        noise = deviations * self._normal(f"noise/{agent}", tick, len(x))
+        noise = self._deviations * drawn(self._seed, f"noise/{agent}", tick, len(x))
         measured = x + noise
         true, error, rods = StateView(x), StateView(noise), StateView(measured)
         # A rod direction errs by a small rotation about each axis; the one along the rod has no effect.
@@ -103,10 +99,6 @@ class Environment:
         rods.e_P[:] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
         rods.Omega_P[:] -= rods.e_P * (rods.e_P * rods.Omega_P).sum(axis=1, keepdims=True)
         return measured
-
-    def _normal(self, purpose: str, tick: int, count: int) -> Array:
-        """Return standard normal numbers for a purpose and a tick, (count,)."""
-        return generator(draw_key(self._seed, PLANT, purpose), tick).standard_normal(count)
 
 
 def _scaled(system: System, payload: float, uavs: float) -> System:

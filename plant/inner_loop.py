@@ -31,19 +31,13 @@ class InnerLoop(Protocol):
     def moments(self, time_s: float, command: Array, x: Array) -> Array:
         """Return the inputs of the motors until the next call, (N, 4), N and N m.
 
-        Args:
-            time_s: Scenario time; it grows from call to call.
-            command: Thrust and body rates of each UAV, (N, 4), N and rad/s.
-            x: Plant state at that time, (12 + 12 N,), without noise.
+        Given are the scenario time, which grows from call to call, thrust and body rates of each UAV, (N, 4), N and
+        rad/s, and the plant state at that time, (12 + 12 N,), without noise.
         """
 
 
 class RateLoop:
-    """The inner loop that the controllers predict with, in discrete time and within limits.
-
-    Args:
-        system: The UAVs as the inner loops know them.
-        limits_Nm: Largest moment about each body axis, (3,).
+    """The inner loop that the controllers predict with, in discrete time and within limits of the moments, (3,).
 
     Source: docs/equations.md (57).
     """

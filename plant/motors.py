@@ -22,11 +22,7 @@ _DRAG = (1.0, 1.0, -1.0, -1.0)
 
 
 class Rotors:
-    """Four equal rotors of a UAV: thrust and moments from their thrusts, and back.
-
-    Attributes:
-        mixing: (thrust, moments) per rotor thrust, (4, 4), the moments in m.
-    """
+    """Four equal rotors of a UAV; `mixing` has (thrust, moments) per rotor thrust, (4, 4), the moments in m."""
 
     def __init__(self, section: RotorsSection) -> None:
         arm = section.arm_m / np.sqrt(2.0)
@@ -50,20 +46,14 @@ class Rotors:
 
 
 class Motors:
-    """Motors of all UAVs, with their state.
+    """Motors of all UAVs, with their state: hover at first, (4 N,). `fails` tells that an efficiency will change.
 
-    Args:
-        section: Lag, steps and rotors.
-        u_hover: Actual inputs at the beginning, (4 N,).
-        fails: Whether a UAV's efficiency changes in the run.
-
-    Attributes:
-        ideal: Actual inputs are the commands, without any stage.
+    Without any stage they are `ideal`: actual inputs are the commands.
     """
 
     def __init__(self, section: MotorsSection, u_hover: Array, fails: bool = False) -> None:
         self.ideal = not (fails or section.lag_s or section.thrust_step_N or section.rotors)
-        self._lag_s, self._falling_lag_s, self._step_N = section.lag_s, section.falling_lag_s, section.thrust_step_N
+        self._section = section
         self._rotors = None if section.rotors is None else Rotors(section.rotors)
         self._a: Array = u_hover.copy()  # what the lag has reached
         self._efficiency = np.ones(len(u_hover))
@@ -72,35 +62,33 @@ class Motors:
         """Set the share of the inputs that a UAV's motors, 0-based, give from now on; 0 with the motors off."""
         self._efficiency[state.input_slice(uav)] = efficiency
 
-    def inputs(self, u: Array, period_s: float, steps: int) -> Iterator[tuple[Array, float, int]]:
-        """Yield the actual inputs over a sampling period, to be held one after the other; the state advances with them.
+    def inputs(self, u: Array, period_s: float, steps: int) -> Iterator[tuple[Array, float]]:
+        """Yield the actual inputs over a period, (4 N,), and how long each is held, s; the state advances with them.
 
         Given are the command, held, (4 N,), and the number of integration steps. Without lag this is one input for the
         period; with lag two for each integration step. Source: docs/equations.md (53), (54).
-
-        Yields: Inputs, (4 N,), how long they are held, s, and in how many integration steps.
         """
         if self.ideal:
-            yield u, period_s, steps
+            yield u, period_s
             return
         command = self._limited(u)
-        if self._lag_s == 0.0:
-            yield self._efficiency * command, period_s, steps
+        if self._section.lag_s == 0.0:
+            yield self._efficiency * command, period_s
             return
         for _ in range(steps):
             halves, self._a = self._lagged(command, period_s / steps)
             for half in halves:
-                yield self._efficiency * half, period_s / steps / 2.0, 1
+                yield self._efficiency * half, period_s / steps / 2.0
 
     def _lagged(self, command: Array, step_s: float) -> tuple[tuple[Array, Array], Array]:
         """Return two inputs for half a step each, and those at its end, (4 N,). Source: docs/equations.md (54), (56a).
 
         Under a held command the thrust of a rotor rises or falls all the time.
         """
-        rising, rotors = motors.held(self._a, command, self._lag_s, step_s), self._rotors
-        if rotors is None or self._falling_lag_s is None:
+        rising, rotors = motors.held(self._a, command, self._section.lag_s, step_s), self._rotors
+        if rotors is None or self._section.falling_lag_s is None:
             return rising
-        falling = motors.held(self._a, command, self._falling_lag_s, step_s)
+        falling = motors.held(self._a, command, self._section.falling_lag_s, step_s)
         falls = rotors.thrusts((command - self._a).reshape(-1, state.INPUTS)) < 0.0
 
         def chosen(up: Array, down: Array) -> Array:
@@ -113,9 +101,7 @@ class Motors:
 
     def _limited(self, u: Array) -> Array:
         """Return commands in steps of the thrust and within the limits of the rotors, (4 N,)."""
-        inputs: Array = u.reshape(-1, state.INPUTS).copy()
-        if self._step_N:
-            inputs[:, 0] = np.round(inputs[:, 0] / self._step_N) * self._step_N
-        if self._rotors is not None:
-            inputs = self._rotors.limited(inputs)
-        return inputs.reshape(-1)
+        inputs, step_N = u.reshape(-1, state.INPUTS).copy(), self._section.thrust_step_N
+        if step_N:
+            inputs[:, 0] = np.round(inputs[:, 0] / step_N) * step_N
+        return (inputs if self._rotors is None else self._rotors.limited(inputs)).reshape(-1)

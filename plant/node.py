@@ -22,7 +22,6 @@ from plant.schedule import MOTOR_OFF, ActuatorSchedule
 from plant.sensors import Sensors
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
-from protocol.admission.plausibility import check_tick
 from protocol.scenario.faults import degradations, uav_faults
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
@@ -53,8 +52,9 @@ class PlantNode:
     publish_ns = 0
 
     def __init__(self, setup: Setup, incarnation: int = 0) -> None:
-        self._setup = setup
+        section, clock, self._setup = setup.scenario.plant, setup.scenario.clock, setup
         self.incarnation = incarnation
+        self.finished: Control | None = None
         self._out = Outbox(self.name, incarnation)
         self.environment = Environment(setup)
         self.engine = Engine(setup, self.environment.system)
@@ -62,22 +62,18 @@ class PlantNode:
         # Parts of a period with own inputs, and integration steps of each.
         self._parts = 1 if setup.settings.inputs == "moments" else math.ceil(self._period_s / INNER_STEP_S - 1e-9)
         self._inner_loop = inner_loop(setup, self._period_s / self._parts)
-        self.steps = math.ceil(self._period_s / self._parts / setup.scenario.plant.step_s - 1e-9)
-        clock = setup.scenario.clock
+        self._steps = math.ceil(self._period_s / self._parts / section.step_s - 1e-9)
         self._delay = 1 if clock.next_tick else 0
         self._waits = clock.mode == "lockstep"
-        self._plans: Arrivals[Plan] = Arrivals(
-            {agent_name(agent): setup.link(agent_name(agent), self.name) for agent in setup.agents},
-            after=self._delay,
-            speed=None if self._waits else clock.speed,
-        )
-        self._link_changes = LinkChanges(self._plans.links.values(), setup.samples_s)
-        instants = np.arange(setup.ticks + 1, dtype=np.float64)
-        self._path, _ = setup.maneuver.path(self._period_s * instants)
+        links = {name: setup.link(name, self.name) for name in map(agent_name, setup.agents)}
+        speed = None if self._waits else clock.speed
+        self._plans: Arrivals[Plan] = Arrivals(links, after=self._delay, speed=speed)
+        self._link_changes = LinkChanges(links.values(), setup.samples_s)
+        self._path, _ = setup.maneuver.path(self._period_s * np.arange(setup.ticks + 1, dtype=np.float64))
         self._schedule = ActuatorSchedule(setup.hover.u, setup.fail_safe, setup.settings)
         self._uav_faults = deque(uav_faults(setup.faults))  # still to come
         self._degradations = deque(degradations(setup.faults))
-        self._motors = Motors(setup.scenario.plant.motors, setup.hover.u, bool(self._degradations))
+        self._motors = Motors(section.motors, setup.hover.u, bool(self._degradations))
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._released: set[int] = set()  # of these
         self._x: Array = setup.initial_state()
@@ -91,8 +87,6 @@ class PlantNode:
         self._arrived: dict[int, set[int]] = {}  # agents whose plans have been received, by tick
         self._membership = Membership()
         self._diverged = False
-        self._window = setup.shape.window
-        self.finished: Control | None = None
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Take in ticks, plans and the roster."""
@@ -108,7 +102,6 @@ class PlantNode:
         return ()
 
     def _handle(self, message: Message, now_ns: int) -> None:
-        """Take in a message that passed all checks."""
         match message:
             case Control():
                 self.finished = message
@@ -117,7 +110,7 @@ class PlantNode:
                     self._handle(plan, now_ns)
             case LinkChange():
                 self._link_changes.apply(message)
-            case Target():
+            case Target() if message.number == len(self._setup.maneuver.targets) + 1:
                 self._head(message)
             case Tick():
                 self._pending.append(message)
@@ -126,57 +119,42 @@ class PlantNode:
                 self._arrived.setdefault(message.tick, set()).add(message.agent)
 
     def check_moment(self, message: Message) -> None:
-        """Refuse what the others cannot send at the tick that is measured.
+        """Refuse plans of earlier starts, and impossible changes.
 
         Raises: MessageError: with the reason.
         """
-        now, window = self._measured_tick, self._window
         match message:
-            case LinkChange():  # repeated for agents that join, so of any past tick
-                check_tick(message, 0, now + 1 + window)
+            case LinkChange():
                 self._link_changes.check(message)
             case Target():
-                check_tick(message, 0, now + 1 + window)
                 check_target(self._setup, message)
-            case Control() | Roster():
-                check_tick(message, now - window, now + 1 + window)
-            case Tick():
-                # In real time the next tick opens even if this one is not measured yet; the plant catches up.
-                newest = self._pending[-1].tick if self._pending else now
-                check_tick(message, newest + 1, now + 1 if self._waits else newest + 1)
             case Plan():
                 self._membership.check(message)
-                check_tick(message, 0, now)
 
     def _head(self, target: Target) -> None:
         """Take in a target: the path and the fail-safe before its tick stay as they were, bit for bit."""
-        if target.number == len(self._setup.maneuver.targets) + 1:
-            self._setup = headed(self._setup, target)
-            instants = np.arange(target.tick, len(self._path), dtype=np.float64)
-            self._path[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
-            self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
+        self._setup = headed(self._setup, target)
+        instants = np.arange(target.tick, len(self._path), dtype=np.float64)
+        self._path[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
+        self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
 
     def _work(self, now_ns: int) -> list[Message]:
         """Measure and integrate in turn as far as the messages received allow."""
         out: list[Message] = []
-        while True:
-            if self._can_measure():
-                out += self._measure()
+        while not self._diverged:
+            tick = self._pending[0] if self._pending else None
+            if tick and tick.tick == self._state_tick and tick.roster <= self._membership.version:
+                out += self._measure(self._pending.popleft())
             elif self._can_integrate():
                 out += self._integrate(now_ns)
             else:
-                return out
-
-    def _can_measure(self) -> bool:
-        if not self._pending or self._diverged:
-            return False
-        tick = self._pending[0]
-        return tick.tick == self._state_tick and tick.roster <= self._membership.version
+                break
+        return out
 
     def _can_integrate(self) -> bool:
         """Return whether the inputs from t_k on are decided: tick k is measured, and its plans have been received."""
         k = self._state_tick
-        if self._measured_tick != k or self._diverged:
+        if self._measured_tick != k:
             return False
         decisive = k - self._delay
         if decisive < 0 or not self._waits:
@@ -187,38 +165,35 @@ class PlantNode:
             senders &= set(self._pending[0].answered)
         return senders <= self._arrived.get(decisive, set())
 
-    def _measure(self) -> list[Message]:
-        tick = self._pending.popleft()
+    def _measure(self, tick: Tick) -> list[Message]:
         self._measured_tick = tick.tick
         self._fail_uavs(tick.tick)
         if self._sensors is not None:
             self._sensors.observe(self.environment.model, self._x, *self._acted)
         u = self._u.reshape(-1, state.INPUTS)
-        measured = {a: self._measured(tick.tick, a) for a in sorted(self._membership.agents)}
-        return [
-            self._out.stamp(
-                Measurement,
-                tick=tick.tick,
-                agent=agent,
-                answered=tick.answered,
-                shared=tick.shared,
-                roster=tick.roster,
-                payload=measured[agent][0],
-                uavs=tuple(i + 1 for i in owned),
-                uav_states=measured[agent][1],
-                inputs=u[list(owned)],
+        found: list[Message] = []
+        for agent in sorted(self._membership.incarnations):
+            owned = list(self._setup.owned[agent - 1])
+            if self._sensors is not None:
+                payload, uav_states = np.zeros(0), self._sensors.measured(tick.tick, owned)
+            else:
+                x = self.environment.measured(tick.tick, agent, self._x)
+                payload, uav_states = x[: state.PAYLOAD], state.StateView(x).uavs[owned]
+            found.append(
+                self._out.stamp(
+                    Measurement,
+                    tick=tick.tick,
+                    agent=agent,
+                    answered=tick.answered,
+                    shared=tick.shared,
+                    roster=tick.roster,
+                    payload=payload,
+                    uavs=tuple(i + 1 for i in owned),
+                    uav_states=uav_states,
+                    inputs=u[owned],
+                )
             )
-            for agent, owned in enumerate(self._setup.owned, start=1)
-            if agent in measured
-        ]
-
-    def _measured(self, tick: int, agent: int) -> tuple[Array, Array]:
-        """Return what an agent's sensors measure: of the payload, (12,) or (0,), and its UAVs, (owned, 12 or 15)."""
-        owned = self._setup.owned[agent - 1]
-        if self._sensors is not None:
-            return np.zeros(0), self._sensors.measured(tick, owned)
-        x = self.environment.measured(tick, agent, self._x)
-        return x[: state.PAYLOAD], state.StateView(x).uavs[list(owned)]
+        return found
 
     def _fail_uavs(self, tick: int) -> None:
         """Apply the scenario's failures of UAVs due at a tick, before it is measured."""
@@ -262,7 +237,7 @@ class PlantNode:
             if self._inner_loop is not None:
                 rates = u.reshape(-1, state.INPUTS)
                 command = self._inner_loop.moments(k * self._period_s + part * part_s, rates, end).reshape(-1)
-            for actual, duration_s, _ in self._motors.inputs(command, part_s, self.steps):
+            for actual, duration_s in self._motors.inputs(command, part_s, self._steps):
                 end, local_error = self.engine.advance(actual, forces, duration_s)
                 error, mean = max(local_error, error), mean + duration_s / self._period_s * actual
                 self._acted = actual, forces
@@ -273,7 +248,7 @@ class PlantNode:
         self._diverged = bool(reason)
         self._x, self._u, self._state_tick = end, u, k + 1
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._delay}
-        found: list[Message] = [
+        recorded: list[Message] = [
             self._out.stamp(
                 PlantState,
                 tick=k,
@@ -285,12 +260,18 @@ class PlantNode:
             )
         ]
         if not self._motors.ideal or self._inner_loop is not None or len(tensions):
-            uavs, inputs = tuple(range(1, len(sources) + 1)), mean.reshape(-1, state.INPUTS)
-            cables = uavs[: len(tensions)]
-            found.append(
-                self._out.stamp(ActualInputs, tick=k, uavs=uavs, inputs=inputs, cables=cables, tensions=tensions)
+            uavs = tuple(range(1, len(sources) + 1))
+            recorded.append(
+                self._out.stamp(
+                    ActualInputs,
+                    tick=k,
+                    uavs=uavs,
+                    inputs=mean.reshape(-1, state.INPUTS),
+                    cables=uavs[: len(tensions)],
+                    tensions=tensions,
+                )
             )
-        return found
+        return recorded
 
     def _divergence(self, tick: int, x: Array) -> str:
         """Return why the run has diverged, empty if it has not."""

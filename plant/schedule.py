@@ -13,22 +13,12 @@ BEFORE_ANY_PLAN, FAIL_SAFE, MOTOR_OFF = -1, -2, -3
 
 
 class ActuatorSchedule:
-    """Inputs of all actuators, tick by tick.
-
-    Args:
-        u_hover: Inputs before any plan, (4 N,).
-        fail_safe: Control law after the end of a plan.
-        settings: Bounds of the inputs, and sampling period.
-
-    Attributes:
-        fail_safe: That control law.
-    """
+    """Inputs of all actuators, tick by tick: hover, (4 N,), before any plan, a fail-safe after the end of one."""
 
     def __init__(self, u_hover: Array, fail_safe: FailSafe, settings: ControllerSettings) -> None:
         self._u_hover = u_hover
         self.fail_safe = fail_safe
-        self._lower, self._upper = settings.lower(1), settings.upper(1)
-        self._step = settings.step(1)
+        self._lower, self._upper, self._step = settings.lower(1), settings.upper(1), settings.step(1)
         self._plans: list[list[Plan]] = [[] for _ in range(len(u_hover) // state.INPUTS)]
 
     def add(self, plan: Plan) -> None:
@@ -44,30 +34,20 @@ class ActuatorSchedule:
         The fail-safe takes the state x at t_k, (n,), and changes the inputs until t_k, (4 N,), at the actuators' rate
         at most.
 
-        Returns: u (4 N,); the tick of the plan of each UAV, or `BEFORE_ANY_PLAN`, `FAIL_SAFE`.
+        Returns: Inputs, (4 N,), and for each UAV the tick at which its plan was made, or another source.
         """
-        u = self._u_hover.copy()
-        sources = []
+        u, sources = self._u_hover.copy(), [BEFORE_ANY_PLAN] * len(self._plans)
         for i, plans in enumerate(self._plans):
             started = [plan for plan in plans if plan.start_tick <= tick]
             if not started:
-                sources.append(BEFORE_ANY_PLAN)
                 continue
-            newest = started[-1]
+            newest, own = started[-1], state.input_slice(i)
             self._plans[i] = [newest, *(plan for plan in plans if plan.start_tick > tick)]
             step = tick - newest.start_tick
             if step < len(newest.inputs):
-                at = newest.uavs.index(i + 1)
-                u[state.input_slice(i)] = newest.inputs[step, state.input_slice(at)]
-                sources.append(newest.tick)
+                u[own], sources[i] = newest.inputs[step, state.input_slice(newest.uavs.index(i + 1))], newest.tick
             else:
-                u[state.input_slice(i)] = self._limited(
-                    self.fail_safe.inputs(i, x, tick), u_before[state.input_slice(i)]
-                )
-                sources.append(FAIL_SAFE)
+                before, safe = u_before[own], self.fail_safe.inputs(i, x, tick)
+                safe = np.clip(safe, before - self._step, before + self._step)
+                u[own], sources[i] = np.clip(safe, self._lower, self._upper), FAIL_SAFE
         return u, tuple(sources)
-
-    def _limited(self, inputs: Array, before: Array) -> Array:
-        """Return the inputs within the limits of the actuators."""
-        np.clip(inputs, before - self._step, before + self._step, out=inputs)
-        return np.clip(inputs, self._lower, self._upper, out=inputs)

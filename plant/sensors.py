@@ -1,7 +1,7 @@
 """Sensors of the vehicles' autopilots: position, velocity, attitude, body rates and specific force of each UAV.
 
 Payload and rods have none. A measurement errs by white noise and a constant bias, and shows its quantity as it was
-some sampling periods before. Random numbers are drawn from counters, as those of the environment.
+some sampling periods before.
 """
 
 from collections import deque
@@ -12,9 +12,8 @@ import numpy as np
 from model.arrays import Array
 from model.linearisation import Model
 from model.state import SENSED
-from protocol.scenario.links import draw_key, generator
+from plant.environment import drawn
 from protocol.scenario.setup import Setup
-from protocol.wire.names import PLANT
 
 
 class Sensors:
@@ -23,7 +22,8 @@ class Sensors:
     def __init__(self, setup: Setup) -> None:
         self._seed, sheet = setup.scenario.seed, setup.sensors
         self._noise, bias, self._ages = (np.repeat(of, 3) for of in (sheet.noise, sheet.bias, sheet.ages))
-        self._bias = np.array([bias * self._normal(f"bias/{uav}", 0) for uav in range(1, setup.system.N + 1)])
+        uavs = range(1, setup.system.N + 1)
+        self._bias = np.array([bias * drawn(self._seed, f"bias/{uav}", 0, SENSED) for uav in uavs])
         # True values at the newest ticks, (N, 15) each, the newest first.
         self._true: deque[Array] = deque(maxlen=max(sheet.ages) + 1)
 
@@ -38,9 +38,6 @@ class Sensors:
         """
         ages = np.minimum(self._ages, len(self._true) - 1)
         true = np.array(self._true)[ages, :, np.arange(SENSED)].T
-        noise = np.array([self._noise * self._normal(f"sensors/{uav + 1}", tick) for uav in uavs])
+        noise = np.array([self._noise * drawn(self._seed, f"sensors/{uav + 1}", tick, SENSED) for uav in uavs])
         found: Array = true[list(uavs)] + self._bias[list(uavs)] + noise
         return found
-
-    def _normal(self, purpose: str, tick: int) -> Array:
-        return generator(draw_key(self._seed, PLANT, purpose), tick).standard_normal(SENSED)

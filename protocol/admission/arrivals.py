@@ -14,12 +14,10 @@ M = TypeVar("M", bound=Message)
 
 
 class Arrivals(Generic[M]):
-    """Messages of one kind, from several senders to one receiver.
+    """Messages of one kind to one receiver, over the link from each sender, by process name.
 
-    Args:
-        links: The link from each sender, by process name.
-        after: Ticks a message needs over a perfect link in lockstep: 1 for what is used at the next tick.
-        speed: Scenario seconds per second in real time, or None in lockstep.
+    Over a perfect link in lockstep a message is used `after` so many ticks. `speed` is in scenario seconds per second
+    in real time, None in lockstep.
     """
 
     def __init__(self, links: Mapping[str, Link], *, after: int, speed: float | None) -> None:

@@ -1,18 +1,18 @@
 """The gate of a process: all checks of a received message, once, for the network and for readers of a log.
 
-In this order: size and form (`protocol.wire.codec`), sender, incarnation, order, plausibility, and, for a node, the
-moment. A refused message is counted and changes nothing. docs/protocol.md lists the reasons, docs/deploy.md the threats
-that the checks are for.
+In this order: size and form (`protocol.wire.codec`), sender, incarnation, order, plausibility, and for a node whether
+it can use the message. A refused message is counted and changes nothing. docs/protocol.md lists the reasons,
+SECURITY.md the threats that the checks are for.
 """
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 
 from protocol.admission.plausibility import check_plausible
-from protocol.wire.codec import MAX_BYTES, Header, decode, header_of
+from protocol.wire.codec import CLASSES, Header, decode, header_of
 from protocol.wire.keys import Keys, matches
 from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import BUNDLES, KINDS, Bundle, LinkChange, Plan, Rejected, Target
+from protocol.wire.messages import Bundle, LinkChange, Plan, Rejected, Target
 from protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, agent_name
 from protocol.wire.rejections import Rejections
 from protocol.wire.run_shape import RunShape
@@ -33,15 +33,14 @@ class Gate:
     Args:
         name: The process.
         keys: Keys of the run.
-        shape: The run; None where it is not known: sizes, agents and plausibility are not checked then.
-        check_moment: Refuses messages that the node cannot use now; None for processes that only observe.
+        shape: The run; None where it is not known: agents and plausibility are not checked then.
+        check_moment: Refuses messages that the node cannot use; None for processes that only observe.
         unread: Kinds that are handed over as samples.
 
     Attributes:
         rejections: Counts of refused messages.
         bundle: Bundle that the last accepted message came in, or None.
         tick: Newest tick of an accepted message.
-        max_bytes: Upper bound of the size of a message.
     """
 
     def __init__(
@@ -55,7 +54,6 @@ class Gate:
         self.rejections = Rejections(name)
         self.bundle: Bundle | None = None
         self.tick = 0
-        self.max_bytes = MAX_BYTES if shape is None else shape.max_bytes
         self._name, self._keys, self._shape, self._check_moment = name, keys, shape, check_moment
         self._relayed = shape is not None and shape.relayed
         agents = range(1, MAX_UAVS + 1) if shape is None else shape.owned
@@ -65,7 +63,7 @@ class Gate:
         self._is_for_me: dict[str, bool] = {}  # by end of key
         self._owners = {
             (f"{keys.prefix}/{key}{end}", kind): agent_name(agent) if route.sender == AGENT else str(route.sender)
-            for kind, route in ((kind, {**KINDS, **BUNDLES}[kind].route) for kind in unread)
+            for kind, route in ((kind, CLASSES[kind].route) for kind in unread)
             for key in filter(None, (route.key or kind, route.unshared_key))
             for agent, end in ([(agent, f"/{agent}") for agent in agents] if route.each else [(0, "")])
         }
@@ -107,10 +105,6 @@ class Gate:
         """Count a refused message."""
         self.rejections.add(error.sender or sender, error)
 
-    def oversized(self, size: int) -> MessageError:
-        """Return the error of an oversized message."""
-        return MessageError("oversized", f"message of {size} bytes, at most {self.max_bytes} in this run")
-
     def notices(self, now_ns: int, incarnation: int) -> list[Rejected]:
         """Return the notices about refused messages that are to be published now."""
         return self.rejections.due(now_ns, incarnation, self.tick)
@@ -131,8 +125,6 @@ class Gate:
         """Return the message in some bytes if it passes all checks, and remember its place."""
         sender = self._keys.end(key)
         try:
-            if len(data) > self.max_bytes:
-                raise self.oversized(len(data))
             message = decode(data)
             sender = message.sender
             self._check_sender(key, message)
@@ -140,9 +132,11 @@ class Gate:
                 return message  # its messages have an order, and the same bundle may come with others
             self._check_incarnation(message)
             end = getattr(message, message.route.each) if message.route.each else ""
-            is_proposal = isinstance(message, Plan) and message.negotiation > 0
-            stream = message.kind, end, message.incarnation, is_proposal
-            _check_order(message, self._newest.get(stream))
+            stream = message.kind, end, message.incarnation, isinstance(message, Plan) and message.negotiation > 0
+            place, sequence = self._newest.get(stream, ((-1, 0), 0))
+            if message.place <= place:
+                text = f"{message.kind} {message.place[0]} (number {message.sequence}) after {place[0]}"
+                raise MessageError("replayed" if message.sequence <= sequence else "past", text)
             if self._shape is not None:
                 check_plausible(message, self._shape)
             if self._check_moment is not None:
@@ -167,27 +161,15 @@ class Gate:
             raise MessageError("wrong_sender", text)
 
     def _check_incarnation(self, message: Message) -> None:
-        announced = self._incarnations.get(message.sender)
-        if announced is None or message.incarnation == announced:
-            return
+        announced = self._incarnations.get(message.sender, message.incarnation)
         # Relayed plans come another way than the token of their agent's start.
-        if self.bundle is None or not message.sender.startswith(AGENT):
+        if message.incarnation != announced and (self.bundle is None or not message.sender.startswith(AGENT)):
             text = f"{message.kind} of incarnation {message.incarnation}, expected {announced}"
             raise MessageError("wrong_incarnation", text)
 
     def _is_mine(self, end: str) -> bool:
         """Return whether this process subscribes to a key, and another one publishes under it."""
-        found = self._is_for_me.get(end)
-        if found is None:
-            found = end not in self._own and any(matches(expression, end) for expression in self._subscribed)
-            if len(self._is_for_me) < 4 * MAX_UAVS:
-                self._is_for_me[end] = found
-        return found
-
-
-def _check_order(message: Message, newest: tuple[tuple[int, int], int] | None) -> None:
-    """Refuse a message that does not follow the newest one by its place."""
-    if newest is None or message.place > newest[0]:
-        return
-    text = f"{message.kind} {message.place[0]} (number {message.sequence}) after {newest[0][0]}"
-    raise MessageError("replayed" if message.sequence <= newest[1] else "past", text)
+        if end not in self._is_for_me:
+            subscribed = any(matches(expression, end) for expression in self._subscribed)
+            self._is_for_me[end] = subscribed and end not in self._own
+        return self._is_for_me[end]

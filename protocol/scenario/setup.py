@@ -20,7 +20,6 @@ from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference, Target
 from model.obstacles import Obstacle, Solid, bodies, clearances
 from model.parameters import ParameterError, Payload, System, Uav, resting_height
-from model.state import INPUTS, PAYLOAD, REPORTED, REPORTS, SENSED
 from mpc.cost import UserCosts
 from mpc.fail_safe import FailSafe
 from mpc.regulation import KEPT, Ahead, Regulation
@@ -33,7 +32,6 @@ from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
 from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
 from protocol.scenario.targets import ON_GROUND_M, TargetError, check_scripted, exceeded, least_slowing
-from protocol.wire.codec import MAX_BYTES
 from protocol.wire.run_shape import RunShape
 
 # Field of a scenario; expected and got.
@@ -41,9 +39,6 @@ Problems = Iterator[tuple[str, str]]
 
 # Width of the walls beside a gap, m: no path comes near their ends.
 _WALL_M = 1e5
-
-# Size of a message without its arrays, with the longest texts and lists it may have.
-_FRAME_BYTES = 16 * 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,28 +200,18 @@ class Setup:
     def shape(self) -> RunShape:
         """What the messages of the run must fit."""
         clock, settings = self.scenario.clock, self.settings
-        lockstep = clock.mode == "lockstep"
-        # The most numbers of a UAV in the messages of a tick: state and plan, or state and measurement.
-        per_uav = max(REPORTS * REPORTED + 2 * INPUTS * self.settings.horizon, 2 * (SENSED + INPUTS))
-        # The largest message: plans and reports of all agents, or else one plan for all UAVs, or the plant state.
-        size = _FRAME_BYTES + 8 * (PAYLOAD + self.system.N * per_uav)
-        size += len(self.owned) * (2 * _FRAME_BYTES + 8 * PAYLOAD) if clock.relayed else 0
         return RunShape(
             owned={agent: tuple(uav + 1 for uav in owned) for agent, owned in enumerate(self.owned, start=1)},
             limits={
                 agent: (settings.lower(len(owned)), settings.upper(len(owned)))
                 for agent, owned in enumerate(self.owned, start=1)
             },
+            uavs=self.system.N,
             ticks=self.ticks,
             delay=1 if clock.next_tick else 0,
             negotiation_iterations=self.scenario.controller.negotiation_iterations,
-            # In lockstep one; in real time twice the number of ticks an agent may miss before it leaves the roster.
-            window=1
-            if lockstep
-            else 2 * math.ceil(clock.barrier_timeout_s * clock.speed / self.settings.sampling_period_s),
             vehicle_sensors=self.sensors.vehicle,
             relayed=clock.relayed,
-            max_bytes=min(MAX_BYTES, size),
         )
 
     def link(self, sender: str, receiver: str) -> Link:

@@ -58,7 +58,9 @@ def decode(data: bytes) -> Message:
         message: Message = _decoded(data, _DECODER)
         message.check()
     except MessageError as error:
-        error.sender = error.sender or _sender(data)
+        with suppress(MessageError):
+            sender = header_of(data).sender
+            error.sender = sender if is_name(sender) else ""
         raise
     return message
 
@@ -109,15 +111,6 @@ def _refusal(text: str, data: bytes) -> MessageError:
             kind = _KIND_DECODER.decode(memoryview(data)[1:]).kind
             field = f"{CLASSES[kind].__struct_fields__[number - 1]}: "
     return MessageError(reason, f"{field}{text[0].lower()}{text[1:120]}".replace("`", ""))
-
-
-def _sender(data: bytes) -> str:
-    """Return the sender of a message that is refused, or an empty text."""
-    try:
-        name = header_of(data).sender
-    except MessageError:
-        return ""
-    return name if is_name(name) else ""
 
 
 def _pack(value: Any) -> Any:

@@ -14,7 +14,7 @@ Senders and receivers of each kind are in the `Route` of its class (docs/protoco
 """
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from protocol.wire.messages import BUNDLES, KINDS, Measurement, Message, MessageError
 from protocol.wire.names import AGENT, COORDINATOR, OPERATOR, PLANT, RECORDER, ROUTER, WATCHER, agent_name, role_of
@@ -22,14 +22,11 @@ from protocol.wire.names import AGENT, COORDINATOR, OPERATOR, PLANT, RECORDER, R
 __all__ = ["ACTING", "OPERATOR", "READING", "RECORDER", "ROUTER", "WATCHER", "Keys", "RunNameError", "Token", "matches"]
 
 _RUN = re.compile(r"[A-Za-z0-9_.-]{1,80}")
-_ALIVE = re.compile(r"alive/([^/]+)/([0-9]{1,15})/([^/]+)(?:/([0-9]{1,5}))?")
-_READY = re.compile(r"ready/([^/]+)/([0-9]{1,15})()()")
+_TOKEN = re.compile(r"(?:alive/([^/]+)/([0-9]{1,15})/([^/]+)/([0-9]{1,5}))|(?:ready/([^/]+)/([0-9]{1,15}))")
+_CLASSES = (*KINDS.values(), *BUNDLES.values())
 
 # Requests that any client may send, and those that change the run.
 READING, ACTING = ("status", "health"), ("link", "fault")
-
-# Tokens before version 3 did not include the version.
-_UNTOLD_VERSION = 2
 
 
 class RunNameError(ValueError):
@@ -42,27 +39,23 @@ class Token:
 
     name: str
     incarnation: int  # which start of the process
-    digest: str | None  # fingerprint of its scenario
-    version: int | None  # of the protocol it speaks
+    digest: str | None = None  # fingerprint of its scenario
+    version: int | None = None  # of the protocol it speaks
 
 
-@dataclass(frozen=True, slots=True)
 class Keys:
-    """Key expressions of one run."""
+    """Key expressions of a run, whose name has letters, digits, underscore, dot and dash; `prefix` begins all keys."""
 
-    run: str  # its name: letters, digits, underscore, dot, dash
-    prefix: str = field(init=False)  # beginning of all its keys
-
-    def __post_init__(self) -> None:
-        if not self.allows(self.run):
-            raise RunNameError(f"run name: expected at most 80 letters, digits, '_', '.', '-', got {self.run!r}")
-        object.__setattr__(self, "prefix", f"transport/{self.run}")
+    def __init__(self, run: str) -> None:
+        if not self.allows(run):
+            raise RunNameError(f"run name: expected at most 80 letters, digits, '_', '.', '-', got {run!r}")
+        self.run, self.prefix = run, f"transport/{run}"
 
     @classmethod
     def below(cls, prefix: str) -> "Keys":
         """Return key expressions below a prefix for several runs, `transport/*`: nothing is sent under them."""
         keys = cls("any")
-        object.__setattr__(keys, "prefix", prefix)
+        keys.prefix = prefix
         return keys
 
     @staticmethod
@@ -79,33 +72,31 @@ class Keys:
 
     def subscriptions(self, name: str, *, relayed: bool | None = None) -> list[str]:
         """Return the key expressions a process subscribes to, with relayed plans, with direct ones, or (None) both."""
-        role, agent = role_of(name), name.removeprefix(AGENT)
-        found: list[str] = []
-        for cls in (cls for cls in (*KINDS.values(), *BUNDLES.values()) if role in cls.route.receivers):
-            if relayed is False and cls.kind in BUNDLES:
-                continue  # no process relays what is in them
-            if relayed and cls is Measurement:
-                continue  # bundles bring them
+        role, found = role_of(name), []
+        for cls in (cls for cls in _CLASSES if role in cls.route.receivers):
+            # No process relays what is in bundles, and bundles bring measurements.
+            if (relayed is False and cls.kind in BUNDLES) or (relayed and cls is Measurement):
+                continue
             # An agent receives what other processes send to it, and from the other agents everything they share.
-            end = agent if role == AGENT and cls.route.sender != AGENT else "*"
+            end = name.removeprefix(AGENT) if role == AGENT and cls.route.sender != AGENT else "*"
             found += self._under(cls, end, unshared=role != AGENT)
         return [*dict.fromkeys(found), *([self.left("*")] if role == RECORDER else [])]
 
     def publications(self, name: str) -> list[str]:
         """Return the key expressions a process may publish under; recorder and watchers have none."""
-        role = role_of(name)
+        role, found = role_of(name), []
         if role not in (COORDINATOR, PLANT, AGENT):
             return []
-        found: list[str] = []
-        for cls in (cls for cls in (*KINDS.values(), *BUNDLES.values()) if cls.route.sender in (role, None)):
+        for cls in (cls for cls in _CLASSES if cls.route.sender in (role, None)):
             end = name if cls.route.each == "sender" else name.removeprefix(AGENT) if role == AGENT else "*"
             found += self._under(cls, end, unshared=True)
         return [*dict.fromkeys(found), self.left(name)]
 
     def _under(self, cls: type[Message], end: str, *, unshared: bool) -> list[str]:
         """Return the key expressions of a kind of message for one end or all."""
-        keys = [cls.route.key or cls.kind, *([cls.route.unshared_key] if unshared and cls.route.unshared_key else [])]
-        return [f"{self.prefix}/{key}/{end}" if cls.route.each else f"{self.prefix}/{key}" for key in keys]
+        route = cls.route
+        keys = [route.key or cls.kind, *([route.unshared_key] if unshared and route.unshared_key else [])]
+        return [f"{self.prefix}/{key}/{end}" if route.each else f"{self.prefix}/{key}" for key in keys]
 
     def left(self, name: str) -> str:
         """Return the key under which a process says that it has sent its last message; `*` for all processes."""
@@ -136,13 +127,12 @@ class Keys:
 
         Raises: MessageError: it is no token of this run.
         """
-        end = self.end(key)
-        found = _ALIVE.fullmatch(end) or _READY.fullmatch(end)
+        found = _TOKEN.fullmatch(self.end(key))
         if found is None:
             raise MessageError("malformed", f"expected the key of a token, got {key}")
-        digest = found[3] or None
-        version = None if digest is None else int(found[4]) if found[4] else _UNTOLD_VERSION
-        return Token(found[1], int(found[2]), digest, version)
+        if found[1] is None:
+            return Token(found[5], int(found[6]))
+        return Token(found[1], int(found[2]), found[3], int(found[4]))
 
     def end(self, key: str) -> str:
         """Return a key without the prefix of the run."""
@@ -153,17 +143,13 @@ class Keys:
 
         Raises: MessageError: with the key and the sender.
         """
+        sender, owner = message.sender, message.route.sender
         if key != self.of(message):
-            text = f"{message.kind} of {message.sender} under the key {key}"
-            raise MessageError("wrong_sender", text, message.sender)
-        owner = message.route.sender
-        if owner is None:
-            return  # the key ends with the sender
+            raise MessageError("wrong_sender", f"{message.kind} of {sender} under the key {key}", sender)
         if owner == AGENT:
             owner = agent_name(getattr(message, "agent"))  # noqa: B009 - messages of agents have the field
-        if message.sender != owner:
-            text = f"{message.kind} from {message.sender}, expected it from {owner}"
-            raise MessageError("wrong_sender", text, message.sender)
+        if owner not in (None, sender):  # without an owner the key ends with the sender
+            raise MessageError("wrong_sender", f"{message.kind} from {sender}, expected it from {owner}", sender)
 
 
 def matches(expression: str, key: str) -> bool:

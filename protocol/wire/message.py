@@ -69,13 +69,7 @@ ShapeOf = Callable[[Any], tuple[int | None, ...]]
 
 
 class MessageError(ValueError):
-    """A message that is refused.
-
-    Args:
-        reason: One of a few.
-        text: The field, what was expected and what came.
-        sender: Sender according to the message, where that could be read.
-    """
+    """A message that is refused; the sender is that according to the message, where it could be read."""
 
     def __init__(self, reason: Reason, text: str, sender: str = "") -> None:
         super().__init__(text)

@@ -8,7 +8,6 @@ bundles: `Answer`, `Relay`, `Instant` and `Record`.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -108,8 +107,7 @@ class Roster(Message, tag="roster", frozen=True, kw_only=True):
 class LinkChange(Message, tag="link", frozen=True, kw_only=True):
     """Coordinator to all: from this tick on links treat messages differently.
 
-    Messages keep their order within one key only. The key is that of the roster, so a change arrives before the next
-    roster.
+    Messages keep their order within one key only: with the key of the roster a change arrives before the next roster.
     """
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
@@ -127,10 +125,7 @@ class LinkChange(Message, tag="link", frozen=True, kw_only=True):
 
 
 class Target(Message, tag="target", frozen=True, kw_only=True):
-    """Coordinator to all: from this tick on the payload leaves its path for a target, or a curve that begins there.
-
-    It has the key of the roster for the reason that changes of links have.
-    """
+    """Coordinator to all: from this tick on the payload leaves its path for a target, or a curve that begins there."""
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
     shapes: ClassVar[Mapping[str, ShapeOf]] = {
@@ -235,11 +230,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
 
 
 class StepReport(Message, tag="report", frozen=True, kw_only=True):
-    """Agent to the record: one step, with the result of its solve.
-
-    `times_ms` has the wall-clock time per stage, in the order of `STAGES`, (8,); "publish" is that of the step before.
-    These times are not reproducible, unlike the rest.
-    """
+    """Agent to the record: one step, with the result of its solve."""
 
     route: ClassVar[Route] = Route(sender=AGENT, receivers=(RECORDER, WATCHER), each="agent", grows="tick")
     shapes: ClassVar[Mapping[str, ShapeOf]] = {"force": lambda _: (3,), "times_ms": lambda _: (len(STAGES),)}
@@ -258,7 +249,7 @@ class StepReport(Message, tag="report", frozen=True, kw_only=True):
     lost: Count  # plans of earlier ticks that are known from now on to be lost on their link
     late: Count  # delivered plans that were older than one tick
     force: Array  # estimated, on the payload, inertial frame, (3,), N; or zero
-    times_ms: Array
+    times_ms: Array  # of `STAGES` by the wall clock, not reproducible, (8,); "publish" is that of the step before
 
     def check(self) -> None:
         """Check the arrays, and that each peer has its ages."""
@@ -279,11 +270,7 @@ class Note(Message, tag="note", frozen=True, kw_only=True):
 
 
 class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
-    """Plant to the record and the coordinator: the true state at tick k and the inputs until k + 1.
-
-    State x, (12 + 12 N,), SI; commands u over [t_k, t_{k+1}), (4 N,), SI. `plan_ticks` has the tick of the plan
-    each UAV's actuators followed, (N,): -1 before any plan, -2 for the fail-safe, -3 with the motors off.
-    """
+    """Plant to the record and the coordinator: the true state at tick k and the inputs until k + 1."""
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER), grows="tick")
     shapes: ClassVar[Mapping[str, ShapeOf]] = {
@@ -291,9 +278,9 @@ class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
         "u": lambda message: (INPUTS * len(message.plan_ticks),),
     }
 
-    x: Array
-    u: Array
-    plan_ticks: PlanTicks
+    x: Array  # (12 + 12 N,), SI
+    u: Array  # commands over [t_k, t_{k+1}), (4 N,), SI
+    plan_ticks: PlanTicks  # of the plan each UAV followed: -1 before any plan, -2 for the fail-safe, -3 with motors off
     local_error: Finite  # largest local error estimate of the integration over the interval, SI
     diverged: Text  # empty, or why the run ends after this interval
 
@@ -356,17 +343,12 @@ class Bundle(Message, frozen=True, kw_only=True):
 
     def may_carry(self, key: str) -> bool:
         """Return whether a bundle of this kind may carry a message with a key."""
-        return key.split("/", 1)[0] in _beginnings(type(self))
+        beginning = key.split("/", 1)[0]
+        return any(beginning in (cls.kind, cls.route.unshared_key) for cls in self.carries)
 
     def check(self) -> None:
         """Check that each message has its key."""
         lengths_fit(keys=self.keys, parts=self.parts)
-
-
-@lru_cache
-def _beginnings(bundle: type[Bundle]) -> frozenset[str]:
-    """Return the beginnings of the keys of all messages that a kind of bundle may carry."""
-    return frozenset(name for cls in bundle.carries for name in (cls.kind, cls.route.unshared_key))
 
 
 class Answer(Bundle, tag="answer", frozen=True, kw_only=True):
@@ -400,10 +382,9 @@ class Record(Bundle, tag="record", frozen=True, kw_only=True):
 
 
 def _by_kind(base: type[Message]) -> dict[str, type[Message]]:
-    found = {str(cls.__struct_config__.tag): cls for cls in base.__subclasses__() if cls is not Bundle}
-    for kind, cls in found.items():
-        cls.kind = kind
-    return found
+    for cls in base.__subclasses__():
+        cls.kind = str(cls.__struct_config__.tag)
+    return {cls.kind: cls for cls in base.__subclasses__() if cls is not Bundle}
 
 
 # Message classes by kind, in the order of their definition: codec, keys, log and exports are built from them. Nodes and

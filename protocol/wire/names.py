@@ -2,21 +2,15 @@
 
 import re
 
-# Largest id of a UAV or an agent.
-MAX_UAVS = 256
+MAX_UAVS = 256  # largest id of a UAV or an agent
 
 COORDINATOR = "coordinator"
 PLANT = "plant"
-# Role of every process called agent1, agent2, ...
-AGENT = "agent"
-# Records a run and takes no other part in it.
-RECORDER = "recorder"
-# Only reads: publishes nothing and declares no token, so no process of the run knows of it.
-WATCHER = "watcher"
-# A watcher that also asks for changes: links, faults.
-OPERATOR = "operator"
-# Forwards messages where hosts do not reach each other.
-ROUTER = "router"
+AGENT = "agent"  # role of every process called agent1, agent2, ...
+RECORDER = "recorder"  # records a run and takes no other part in it
+WATCHER = "watcher"  # only reads: publishes nothing and declares no token, so no process of the run knows of it
+OPERATOR = "operator"  # a watcher that also asks for changes: links, faults
+ROUTER = "router"  # forwards messages where hosts do not reach each other
 
 _NAME = re.compile(rf"{COORDINATOR}|{PLANT}|{RECORDER}|{AGENT}[1-9][0-9]{{0,2}}")
 

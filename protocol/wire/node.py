@@ -16,16 +16,12 @@ M = TypeVar("M", bound=Message)
 class Node(Protocol):
     """A role in a run as a state machine: accepted messages, other events and time in, messages out.
 
-    Times are nanoseconds of a monotonic clock; in lockstep nothing in the messages depends on them. A node that starts
-    anew by itself has a higher incarnation from then on, which its runtime announces.
-
-    Attributes:
-        publish_ns: Time the runtime took to send the last messages; the runtime sets it.
+    Times are nanoseconds of a monotonic clock; in lockstep nothing in the messages depends on them.
     """
 
     name: str
-    incarnation: int
-    publish_ns: int
+    incarnation: int  # a node that starts anew by itself has a higher one from then on, which its runtime announces
+    publish_ns: int  # time the runtime took to send the last messages; the runtime sets it
 
     @property
     def finished(self) -> Control | None:
@@ -36,7 +32,7 @@ class Node(Protocol):
         """Return the latest time of the next call of `poll`; None while only events matter."""
 
     def check_moment(self, message: Message) -> None:
-        """Check that a message can be sent at the present tick, by an agent that takes part: the last check of a gate.
+        """Check that a message is from the present start of an agent and can be used: the last check of a gate.
 
         Raises: MessageError: with the reason.
         """

@@ -12,15 +12,9 @@ class RunShape:
 
     owned: Mapping[int, tuple[int, ...]]  # ids of the UAVs of each agent, both 1-based
     limits: Mapping[int, tuple[Array, Array]]  # smallest and largest inputs of each agent, (4 owned,), SI
+    uavs: int
     ticks: int
     delay: int  # ticks from a plan to its first input
     negotiation_iterations: int
-    window: int  # how many ticks another process may be ahead of this one, or behind it
     vehicle_sensors: bool  # whether UAVs are told by the measurements of their own sensors, not by states
     relayed: bool  # whether plans come in bundles
-    max_bytes: int  # of a message
-
-    @property
-    def uavs(self) -> int:
-        """Return the number of UAVs."""
-        return sum(map(len, self.owned.values()))

@@ -170,7 +170,7 @@ def test_an_engine_that_cannot_be_used(engine: str, text: str, tmp_path: Path, m
     ]
     lines += ["class Half:", "    def __init__(self, system, section): pass", "    def reset(self, x): pass"]
     lines += ["    def state(self): pass"]
-    late = broken(state="return self.x", reset="self.x = x - x").replace("Mine", "Late")
+    late = broken(state="return self.x", reset="x[2] = 0.0; self.x = x").replace("Mine", "Late")
     module(tmp_path, monkeypatch, "mine_bad", "\n".join(lines) + "\n" + late)
     module(tmp_path, monkeypatch, "mine_broken", "class Mine(\n")
     module(tmp_path, monkeypatch, "mine_needs", "import bullet_4711\n")

@@ -29,7 +29,7 @@ def commands(seed: int, count: int = 1) -> Array:
 
 def mean(motors: Motors, u: Array) -> Array:
     """Return the mean of the inputs over a period; they fill it."""
-    found = [(inputs, duration_s) for inputs, duration_s, _ in motors.inputs(u, PERIOD_S, STEPS)]
+    found = list(motors.inputs(u, PERIOD_S, STEPS))
     assert sum(duration_s for _, duration_s in found) == pytest.approx(PERIOD_S)
     return np.asarray(sum(inputs * duration_s for inputs, duration_s in found) / PERIOD_S)
 

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from protocol.admission.gate import Gate
-from protocol.wire.codec import encode
+from protocol.wire.codec import MAX_BYTES, encode
 from protocol.wire.keys import Keys
 from protocol.wire.message import Message, MessageError
 from protocol.wire.messages import Answer, LinkChange, Plan, Relay
@@ -61,7 +61,7 @@ def direct(k: int, **changes: Any) -> Plan:
     [
         ("plan/2", b"", "plan/2", "malformed"),
         ("plan/2", encode(plan(0))[:-1], "plan/2", "malformed"),
-        ("plan/2", encode(plan(0)) + bytes(10**6), "plan/2", "oversized"),
+        ("plan/2", encode(plan(0)) + bytes(MAX_BYTES), "plan/2", "oversized"),
         ("plan/3", encode(direct(0)), "agent2", "wrong_sender"),
         ("plan/2", encode(direct(0, sender="agent3")), "agent3", "wrong_sender"),
         ("tick", encode(changed(runs.tick(0), sender="agent3")), "agent3", "wrong_sender"),

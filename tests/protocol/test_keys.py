@@ -119,7 +119,6 @@ def test_forged_senders_are_refused(kind: type[Message]) -> None:
 def test_tokens_are_read() -> None:
     """A token is read back as it was written."""
     assert KEYS.token(KEYS.alive("agent2", 3, "0123ab", 5)) == Token("agent2", 3, "0123ab", 5)
-    assert KEYS.token(f"{KEYS.prefix}/alive/agent2/3/0123ab") == Token("agent2", 3, "0123ab", 2)  # as it was once
     assert KEYS.token(KEYS.ready("plant", 0)) == Token("plant", 0, None, None)
     assert KEYS.is_token(KEYS.alive("agent2", 3, "0123ab", 5))
     assert KEYS.is_token(KEYS.ready("plant", 0))

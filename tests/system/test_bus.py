@@ -12,7 +12,7 @@ from protocol.admission.gate import Gate
 from protocol.network.bus import Bus
 from protocol.network.endpoints import Endpoints
 from protocol.network.session import BusError
-from protocol.wire.codec import VERSION, encode
+from protocol.wire.codec import MAX_BYTES, VERSION, encode
 from protocol.wire.keys import Keys
 from protocol.wire.messages import Presence
 from tests.support import runs
@@ -92,17 +92,15 @@ def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
     plant, session = network
     block = zenoh.CongestionControl.BLOCK
     session.put(f"{KEYS.prefix}/plan/2", bytes([VERSION]) + b"hello", congestion_control=block)
-    session.put(f"{KEYS.prefix}/plan/3", bytes(plant.gate.max_bytes + 1), congestion_control=block)
-    session.put(f"{KEYS.prefix}/plan/4", bytes(5_000_000), congestion_control=block)
+    session.put(f"{KEYS.prefix}/plan/3", bytes(MAX_BYTES + 1), congestion_control=block)
     session.delete(f"{KEYS.prefix}/control")
     tokens = [
         session.liveliness().declare_token(f"{KEYS.prefix}/{end}")
-        for end in ("alive/agent1/soon/x", "ready/agent1", f"alive/agent1/7/{'f' * 12}")
+        for end in ("alive/agent1/soon/x", "ready/agent1", f"alive/agent1/7/{'f' * 12}/{VERSION}")
     ]
     expected = {
         ("plan/2", "malformed"): 1,
         ("plan/3", "oversized"): 1,
-        ("plan/4", "oversized"): 1,
         ("control", "malformed"): 1,
         ("alive/agent1/soon/x", "malformed"): 1,
         ("ready/agent1", "malformed"): 1,
