@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 
 import transport
-from transport.experiments.comparison_verdict import grade
+from transport.experiments.comparison import grade
 
 ATTITUDES, TERMINALS, HORIZONS = (0.5, 1.0, 5.0), (10.0, 50.0, 100.0), (6, 8, 10, 14)
 PERIOD_S, SHORTER_S = 0.05, 0.04

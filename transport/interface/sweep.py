@@ -13,7 +13,7 @@ from rich.console import Console
 
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
-from transport.experiments.declaration import Axis, Experiment, axis, quantity
+from transport.experiments.declaration import Axis, Experiment, axis
 from transport.experiments.figures import fill
 from transport.experiments.statistics import WIDTH, PointStatistics, means_in_words, table_of
 from transport.experiments.sweep import Results
@@ -176,14 +176,14 @@ class Sweep:
                 raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
             points = self._swept.experiment.points
             across, up = _axis(along), _axis(others[0])
-            return Experiment(name=_NAME, points=points, x=across, y=up, drawn_as="map"), self.points
+            return Experiment(name=_NAME, points=points, x=across, y=up), self.points
         if kind != "curves":
             raise ArgumentError(f"kind: expected 'curves' or 'map', got {kind!r}")
         measured = []
         for m in self.points:
             own: dict[str, str | float] = {along: m.point.labels[along]}
             if others:  # the settings that tell the curve
-                own[_CURVE] = ", ".join(quantity(key_of(name)).text(m.point.labels[name]) for name in others)
+                own[_CURVE] = ", ".join(_axis(name).text(m.point.labels[name]) for name in others)
             measured.append(replace(m, point=replace(m.point, labels=own)))
         points = tuple(m.point for m in measured)
         return Experiment(name=_NAME, points=points, x=_axis(along), curves=_CURVE if others else None), measured
