@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from benchmarks.effort import Effort
-from benchmarks.page import Table
+from benchmarks.page import section
 from benchmarks.runs import programs, setup
 from benchmarks.timing import Times, in_turns, joined
 from model.arrays import Array
@@ -89,7 +89,7 @@ def compare(compared: Sequence[Solver], qps: Sequence[QP], repetitions: int) -> 
     return outcomes
 
 
-def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
+def measure(effort: Effort, log: Callable[[str], None]) -> list[str]:
     """Compare all installed solvers on programs of short runs."""
     compared = [solver for solver in SOLVERS if solver.installed]
     rows: list[tuple[str, ...]] = []
@@ -112,7 +112,7 @@ def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
             cells = (str(usual.times), str(tight.times), *(f"{value:.0e}" for value in differences))
             rows.append((f"`{name}`", solver.name, *cells, str(usual.unsolved + tight.unsolved)))
     columns = ("programs of", "solver", "few active limits", "many active", "from Clarabel", "from DAQP", "unsolved")
-    return [Table(text=TEXT.format(sizes=" and ".join(sizes)), columns=columns, rows=rows)]
+    return [section(TEXT.format(sizes=" and ".join(sizes)), columns, rows)]
 
 
 def _decision(solution: Solution) -> Array | None:

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
@@ -13,11 +13,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from protocol.wire.exit_codes import EXIT_CASE_FAILED
-from transport.experiments.cases import Case, ExperimentError, refused
-from transport.experiments.declaration import Experiment
+from transport.experiments.cases import Case, ExperimentError, Point, refused
+from transport.experiments.declaration import Experiment, axis
 from transport.experiments.figures import draw
 from transport.experiments.simulation import ERROR, NUMBERS, RESOURCES, Result
 from transport.experiments.statistics import PointStatistics, cases_rows, statistics_of
+from transport.experiments.workers import on_cores
 from transport.flight.header import machine
 from transport.flight.progress import ConsoleProgress
 from transport.report.report import write_csv, write_whole
@@ -185,6 +186,31 @@ def sweep(
             console.print(hint, highlight=False, soft_wrap=True)
         raise
     return Swept(experiment=experiment, cases=cases, results=[results[case.key] for case in cases])
+
+
+def simulated(name: str, groups: Sequence[Sequence[Case]], folder: Path | None = None) -> list[list[Result]]:
+    """Simulate the cases of several points on all cores, and return the results of each point.
+
+    Large teams and long runs come first, so that no core is idle while the last of them ends.
+
+    Raises: ExperimentError: a run raised an error, a worker was lost, or the folder cannot be used.
+    """
+
+    def effort(case: Case) -> float:
+        duration_s = sum(phase.duration_s or 0.0 for phase in case.scenario.maneuver.phase)
+        return float(len(case.scenario.system.uav) ** 2 * duration_s)
+
+    def simulate(missing: Sequence[Case]) -> Iterable[Result]:
+        return on_cores(sorted(missing, key=effort, reverse=True))
+
+    cases = [replace(case, point=i) for i, group in enumerate(groups) for case in group]
+    points = tuple(Point({}, group[0].scenario.name, scenario="run") for group in groups)
+    with Results(name, folder) as results:
+        experiment = Experiment(name=name, points=points, x=axis("point"))
+        swept = sweep(experiment, cases, simulate, results, Console(stderr=True))
+    swept.check()
+    found = iter(swept.results)
+    return [[next(found) for _ in group] for group in groups]
 
 
 class _Progress(ConsoleProgress):
