@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import joblib
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from typer import Option
@@ -156,9 +157,12 @@ def _command(name: str, declared: Declaration) -> Callable[..., None]:
 def _parameter(name: str, values: Values) -> inspect.Parameter:
     """Return an option as a parameter of its command; None stands for a default that depends on `--quick`."""
     several = isinstance(values.default, list)
-    help_text = f"{values.help} Repeatable." if several else values.help
-    option = Option(f"--{name}", metavar=values.metavar, help=help_text)
     depends = several or values.quick is not None
+    help_text = values.help
+    if depends:
+        shown = (value if isinstance(value, str) else f"{value:g}" for value in np.atleast_1d(values.default).tolist())
+        help_text = f"{help_text.rstrip('.')}; by default {', '.join(shown)}.{' Repeatable.' * several}"
+    option = Option(f"--{name}", metavar=values.metavar, help=help_text)
     kind: Any = list[values.kind] if several else values.kind  # type: ignore[name-defined]
     return inspect.Parameter(
         name,

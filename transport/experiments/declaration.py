@@ -129,7 +129,7 @@ class Values:
 
     default: Any
     metavar: str = ""  # empty: not an option of the command
-    help: str = ""
+    help: str = ""  # without the default
     quick: Any = None  # default with --quick, where it differs
     within: Range | None = None
 

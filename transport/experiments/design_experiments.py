@@ -83,21 +83,11 @@ def _is_possible(scenario: Scenario, key: str, value: str) -> bool:
 @declared(
     "horizon",
     drawn={"drawn_as": "variants"},
-    horizon=Values(
-        [5, 10, 20, 30],
-        "STEPS",
-        "Steps N_p; by default 5, 10, 20, 30.",
-        quick=[10],
-        within=Range("a number of steps >= 1", 1.0),
-    ),
+    horizon=Values([5, 10, 20, 30], "STEPS", "Steps N_p.", [10], Range("a number of steps >= 1", 1.0)),
     terminal=Values(
-        [1.0, 5.0, 20.0],
-        "WEIGHT",
-        "Terminal weight, for open-loop prediction; by default 1, 5, 20.",
-        quick=[5.0],
-        within=Range("a weight > 0"),
+        [1.0, 5.0, 20.0], "WEIGHT", "Terminal weight, for open-loop prediction.", [5.0], Range("a weight > 0")
     ),
-    delay=Values(0.2, "SECONDS", "Delay of every plan on the second network, s.", within=Range("a delay > 0 s")),
+    delay=Values(0.2, "SECONDS", "Delay of every plan on the second network, s.", None, Range("a delay > 0 s")),
 )
 def horizon(scenario: Scenario, horizon: Sequence[int], terminal: Sequence[float], delay: float) -> Iterator[Point]:
     """Effect of horizon and terminal weight.
@@ -133,11 +123,7 @@ def horizon(scenario: Scenario, horizon: Sequence[int], terminal: Sequence[float
         "{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]",
     },
     duration=Values(
-        [5.0, 20.0, 65.0],
-        "SECONDS",
-        "Duration of the last phase, s; by default 5, 20, 65.",
-        quick=[0.5, 1.0],
-        within=Range("a duration > 0 s"),
+        [5.0, 20.0, 65.0], "SECONDS", "Duration of the last phase, s.", [0.5, 1.0], Range("a duration > 0 s")
     ),
 )
 def hover(scenario: Scenario, duration: Sequence[float]) -> Iterator[Point]:
@@ -159,8 +145,8 @@ def hover(scenario: Scenario, duration: Sequence[float]) -> Iterator[Point]:
 @declared(
     "agent",
     drawn={"curves": "restart_s", "legend": {NEVER: "not restarted"}},
-    at=Values(8.0, "SECONDS", "Time of the kill, s; by default 8.", quick=0.5, within=Range("a time >= 0 s", 0.0)),
-    restart=Values(10.0, "SECONDS", "Time of the restart, s; by default 10.", quick=1.0),
+    at=Values(8.0, "SECONDS", "Time of the kill, s.", 0.5, Range("a time >= 0 s", 0.0)),
+    restart=Values(10.0, "SECONDS", "Time of the restart, s.", 1.0),
 )
 def kill(scenario: Scenario, at: float, restart: float) -> Iterator[Point]:
     """Effect of the death of each agent.
@@ -186,8 +172,8 @@ def kill(scenario: Scenario, at: float, restart: float) -> Iterator[Point]:
 @declared(
     "killed_s",
     defaults={"scenarios": ("resilient",)},
-    count=Values(20, "COUNT", "Deaths per scenario; by default 20.", quick=2, within=Range("a number >= 1", 1)),
-    draw=Values(0, "SEED", "Random seed of the times and of the agents killed.", within=Range("a seed >= 0", 0)),
+    count=Values(20, "COUNT", "Deaths per scenario.", 2, Range("a number >= 1", 1)),
+    draw=Values(0, "SEED", "Random seed of the times and of the agents killed.", None, Range("a seed >= 0", 0)),
 )
 def deaths(scenario: Scenario, count: int, draw: int) -> Iterator[Point]:
     """Effect of a permanent kill of a random agent.
@@ -226,14 +212,7 @@ def _event(at_s: float, action: str, agent: int) -> str:
         "{name='climb',duration_s=4.0,displacement_m=[0,0,-2]},"
         "{name='translate',duration_s=4.0,displacement_m=[2,0,0]}]",
     },
-    max=Values(
-        12,
-        "COUNT",
-        "UAVs of the largest team, 2 to 16; by default 12.",
-        quick=6,
-        # Beyond 16 UAVs a tick of the centralized team takes most of a second.
-        within=Range("a number of UAVs from 2 to 16", 2, 17),
-    ),
+    max=Values(12, "COUNT", "UAVs of the largest team, 2 to 16.", 6, Range("a number of UAVs from 2 to 16", 2, 17)),
     sizes=Values([2, 3, 4, 6, 8, 10, 12, 16], quick=[2, 4, 6]),  # those below the largest
 )
 def scaling(max: int, sizes: Sequence[int]) -> Iterator[Point]:  # noqa: A002  # the name of the option
@@ -287,13 +266,7 @@ AGILE: Mapping[str, tuple[str, ...]] = {
         "{name='eight',kind='eight',size_m=[1.0,0.5,0],laps=0.5,speed_mps=1.0,ramp_s=2.0},"
         "{name='hover',duration_s=0.3,displacement_m=[0,0,0]}]",
     },
-    speed=Values(
-        [3.0, 4.0, 5.0, 6.0],
-        "SPEED",
-        "Largest speed, m/s; by default 3 to 6.",
-        quick=[1.0],
-        within=Range("a speed > 0 m/s"),
-    ),
+    speed=Values([3.0, 4.0, 5.0, 6.0], "SPEED", "Largest speed, m/s.", [1.0], Range("a speed > 0 m/s")),
 )
 def agile(scenario: Scenario, speed: Sequence[float]) -> Iterator[Point]:
     """Fast flight: the payload's error over speed.

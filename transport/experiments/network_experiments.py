@@ -31,9 +31,7 @@ DELAY = Range("a delay >= 0 s", 0.0)
 
 @declared(
     "delay_s",
-    delay=Values(
-        [0.0, 0.05, 0.1, 0.2, 0.4], "SECONDS", "Delay, s; by default 0 to 0.4.", quick=[0.0, 0.2], within=DELAY
-    ),
+    delay=Values([0.0, 0.05, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", [0.0, 0.2], DELAY),
 )
 def latency(_: Scenario, delay: Sequence[float]) -> Iterator[Point]:
     """Effect of a fixed delay on every link.
@@ -48,14 +46,8 @@ def latency(_: Scenario, delay: Sequence[float]) -> Iterator[Point]:
     "loss",
     drawn={"curves": "model", "legend": {"bernoulli": "independent", "bursts": "in bursts"}},
     defaults={"seeds": 5},
-    loss=Values(
-        [0.1, 0.3, 0.6],
-        "SHARE",
-        "Packet loss; by default 0.1, 0.3, 0.6.",
-        quick=[0.3],
-        within=Range("a share from 0 to below 1", 0.0, 1.0),
-    ),
-    burst=Values(5.0, "TICKS", "Mean length of a burst, ticks.", within=Range("a mean length >= 1 tick", 1.0)),
+    loss=Values([0.1, 0.3, 0.6], "SHARE", "Packet loss.", [0.3], Range("a share from 0 to below 1", 0.0, 1.0)),
+    burst=Values(5.0, "TICKS", "Mean length of a burst, ticks.", None, Range("a mean length >= 1 tick", 1.0)),
 )
 def loss(_: Scenario, loss: Sequence[float], burst: float) -> Iterator[Point]:
     """Effect of packet loss, independent or in bursts.
@@ -85,16 +77,9 @@ def _bursts(share: float, burst_ticks: float) -> str:
     "std_s",
     drawn={"curves": "distribution"},
     defaults={"seeds": 3},
-    distribution=Values(
-        list(JITTER),
-        "NAME",
-        "uniform, normal, exponential, lognormal; by default all.",
-        quick=["uniform", "exponential"],
-    ),
-    std=Values(
-        [0.02, 0.05, 0.08], "SECONDS", "Standard deviation of the delay, s; by default 0.02, 0.05, 0.08.", quick=[0.05]
-    ),
-    mean=Values(0.16, "SECONDS", "Mean delay, s.", within=DELAY),
+    distribution=Values(list(JITTER), "NAME", "Distribution.", ["uniform", "exponential"]),
+    std=Values([0.02, 0.05, 0.08], "SECONDS", "Standard deviation of the delay, s.", [0.05]),
+    mean=Values(0.16, "SECONDS", "Mean delay, s.", None, DELAY),
 )
 def jitter(_: Scenario, distribution: Sequence[str], std: Sequence[float], mean: float) -> Iterator[Point]:
     """Effect of the distribution of random delays.
@@ -134,15 +119,13 @@ def jitter(_: Scenario, distribution: Sequence[str], std: Sequence[float], mean:
     "delay_s",
     drawn={"y": axis("loss")},
     defaults={"seeds": 3},
-    delay=Values(
-        [0.0, 0.1, 0.2, 0.4], "SECONDS", "Delay, s; by default 0, 0.1, 0.2, 0.4.", quick=[0.0, 0.2], within=DELAY
-    ),
+    delay=Values([0.0, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", [0.0, 0.2], DELAY),
     loss=Values(
         [0.0, 0.1, 0.3, 0.6],
         "SHARE",
-        "Packet loss; by default 0, 0.1, 0.3, 0.6.",
-        quick=[0.0, 0.3],
-        within=Range("a share from 0 to 1", 0.0, math.nextafter(1.0, 2.0)),
+        "Packet loss.",
+        [0.0, 0.3],
+        Range("a share from 0 to 1", 0.0, math.nextafter(1.0, 2.0)),
     ),
 )
 def matrix(_: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterator[Point]:
@@ -170,10 +153,10 @@ def matrix(_: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterat
         [0.002, 0.005, 0.01, 0.02, 0.05],
         "SHARE",
         "Smallest change that is sent, share of the input's range.",
-        quick=[0.01],
-        within=Range("a share > 0"),
+        [0.01],
+        Range("a share > 0"),
     ),
-    heartbeat=Values(1.0, "SECONDS", "Longest time between two plans, s.", within=Range("a time > 0 s")),
+    heartbeat=Values(1.0, "SECONDS", "Longest time between two plans, s.", None, Range("a time > 0 s")),
 )
 def sharing(_: Scenario, threshold: Sequence[float], heartbeat: float) -> Iterator[Point]:
     """Cost against the number of plans sent.
