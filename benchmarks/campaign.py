@@ -59,17 +59,9 @@ def tabulate(
     heading: Callable[[], str],
     more: More | None = None,
 ) -> None:
-    """Simulate cases, print a row for each, and write the table to docs/results.md if they are all there.
+    """Simulate a scenario's cases, settings and number of seeds, and print a row for each; all make a table of results.
 
-    Args:
-        module: Name of the module, and of its section.
-        text: Its docstring.
-        scenario: Scenario of all cases.
-        cases: Settings and number of seeds of each case.
-        columns: Headings of the table.
-        cells: Function of the numbers of the completed runs, which returns the cells behind case and outcome.
-        heading: Function that returns the text above the table.
-        more: Further numbers of a run.
+    A row has its case, the number of completed runs and the cells that follow from the numbers of these.
     """
     parser = options(module, text)
     parser.add_argument("--seeds", type=int, help="of each case (as many as in the document)")

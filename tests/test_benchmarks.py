@@ -26,11 +26,11 @@ def test_solvers_agree(solver: Solver) -> None:
     if not solver.installed:
         pytest.skip(f"{solver.package} is not installed")
     outcome = solvers.compare([solver], asked(), 1)[solver.name]
-    assert outcome.unsolved == 0
-    assert outcome.from_clarabel < solver.tolerance
+    assert not outcome.unsolved
+    assert max(outcome.from_clarabel) < solver.tolerance
     if solver.name in ACTIVE_SETS:
-        assert outcome.from_daqp < solvers.SAME
-    assert outcome.times.median > 0.0
+        assert max(outcome.from_daqp) < solvers.SAME
+    assert min(times.median for times in outcome.times) > 0.0
 
 
 def test_estimates_are_compared_with_the_truth(capsys: pytest.CaptureFixture[str]) -> None:
