@@ -3,13 +3,14 @@
 The error is the distance of the payload from its path. Seeds draw noise, delays and losses.
 """
 
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 import transport
-from benchmarks.campaign import tabulate
+from benchmarks.campaign import say, tabulate
 
 LATE: dict[str, Any] = {"links.delay_s": 0.2, "links.loss": 0.3}
 ESTIMATE = {"controller.disturbance.estimate": True}
@@ -76,6 +77,9 @@ def step_ratio(turns: int = 3) -> float:
 
 
 if __name__ == "__main__":
+    if "--steps" in sys.argv:
+        say(f"{step_ratio():.2f}")
+        sys.exit()
     tabulate(
         "agile", __doc__, "eight", {case: (settings, 10) for case, settings in CASES.items()}, COLUMNS, cells, text
     )
