@@ -3,20 +3,14 @@
 The error is the distance of the payload from its path. Seeds draw noise, delays and losses.
 """
 
-import argparse
 import sys
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 import transport
-from benchmarks.page import Table, write
-from transport.analysis.series import series_of
-
-DOCUMENT = Path(__file__).resolve().parent.parent / "docs" / "results.md"
-SECTION = "agile"
+from benchmarks.campaign import say, tabulate
 
 LATE: dict[str, Any] = {"links.delay_s": 0.2, "links.loss": 0.3}
 ESTIMATE = {"controller.disturbance.estimate": True}
@@ -29,6 +23,7 @@ FOUR: dict[str, Any] = {
     ],
     "agents.owned": [[1], [2], [3], [4]],
 }
+COLUMNS = ("Case", "Completed", "Error rms, mean, cm", "Worst rms, cm", "Largest error, cm", "Attitude, deg")
 
 
 def faults(**targets: str) -> dict[str, Any]:
@@ -52,14 +47,19 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 
-def flown(settings: dict[str, Any], seed: int) -> tuple[float, float, float] | None:
-    """Return the error's root mean square and maximum, cm, and the largest attitude, deg; None if it diverged."""
-    run = transport.fly("eight", {**settings, "seed": seed}, progress=False)
-    if not run.completed:
-        return None
-    series = series_of(run.scenario.setup, run.log)
-    errors_cm = 100.0 * np.linalg.norm(series.x[:, :3] - series.payload_reference_I, axis=1)
-    return float(np.sqrt(np.mean(errors_cm**2))), float(errors_cm.max()), float(series.attitude_max_deg.max())
+def cells(flown: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return mean and largest root mean square of the error, its maximum and that of the attitude."""
+    rms_cm, most_cm, attitude_deg = (
+        factor * np.array([run[name] for run in flown])
+        for name, factor in (("payload_rms_m", 100.0), ("payload_max_m", 100.0), ("attitude_max_deg", 1.0))
+    )
+    return [f"{rms_cm.mean():.2f}", f"{rms_cm.max():.2f}", f"{most_cm.max():.1f}", f"{attitude_deg.max():.1f}"]
+
+
+def text() -> str:
+    """Return the text above the table."""
+    command = "`eight`, 10 seeds of each case (`python -m benchmarks.agile --seeds N --case NAME`):"
+    return f"A step along the path takes {step_ratio():.2f} times as long as one by the law about hover.\n\n{command}"
 
 
 def step_ratio(turns: int = 3) -> float:
@@ -76,34 +76,10 @@ def step_ratio(turns: int = 3) -> float:
     return min(found["flat"]) / min(found["hover"])
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Simulate all cases and write a row for each; return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.agile", description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--seeds", type=int, default=10, help="of each case (10)")
-    parser.add_argument("--case", action="append", choices=list(CASES), help="print this case; may be repeated")
-    parser.add_argument("--steps", action="store_true", help="print only the ratio of the times of a step")
-    options = parser.parse_args(arguments)
-    if options.steps:
-        sys.stdout.write(f"{step_ratio():.2f}\n")
-        return 0
-    rows = []
-    for case in options.case or CASES:
-        found = [flown(CASES[case], seed) for seed in range(options.seeds)]
-        completed = np.array([row for row in found if row is not None]).reshape(-1, 3)
-        row = [case, f"{len(completed)} of {options.seeds}"]
-        if len(completed):
-            mean, most = completed.mean(axis=0), completed.max(axis=0)
-            row += [f"{mean[0]:.2f}", f"{most[0]:.2f}", f"{most[1]:.1f}", f"{most[2]:.1f}"]
-        rows.append(row + [""] * (6 - len(row)))
-        sys.stdout.write(" | ".join(rows[-1]) + "\n")
-        sys.stdout.flush()
-    columns = ["Case", "Completed", "Error rms, mean, cm", "Worst rms, cm", "Largest error, cm", "Attitude, deg"]
-    text = f"`eight`, {options.seeds} seeds of each case (`python -m benchmarks.agile --seeds N --case NAME`):"
-    if not options.case:
-        text = f"A step along the path takes {step_ratio():.2f} times as long as one by the law about hover.\n\n{text}"
-        write(DOCUMENT, {SECTION: str(Table(text=text, columns=columns, rows=rows))})
-    return 0
-
-
 if __name__ == "__main__":
-    raise SystemExit(main())
+    if "--steps" in sys.argv:
+        say(f"{step_ratio():.2f}")
+        sys.exit()
+    tabulate(
+        "agile", __doc__, "eight", {case: (settings, 10) for case, settings in CASES.items()}, COLUMNS, cells, text
+    )

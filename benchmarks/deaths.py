@@ -4,15 +4,12 @@ Two different agents; the first dies at any time from 1 s to 20 s, the second so
 mean 3 s). Each on a perfect network and with 200 ms delay and 30 % packet loss.
 """
 
-import argparse
-import sys
-import tomllib
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 import transport
+from benchmarks.campaign import changes, options, runs, say
 
 NETWORKS: dict[str, dict[str, Any]] = {"perfect": {}, "200 ms, 30 %": {"links.delay_s": 0.2, "links.loss": 0.3}}
 # Sampling period of the times, s.
@@ -28,45 +25,38 @@ def drawn(uavs: int, number: int, seed: int) -> list[tuple[int, float]]:
     return [(int(a), round(round(t / PERIOD_S) * PERIOD_S, 3)) for a, t in zip(agents, times, strict=True)]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Simulate the deaths and print a row for each, then a summary for each team and network; return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.deaths", description=(__doc__ or "").split("\n")[0])
+def main() -> None:
+    """Simulate the deaths and print a row for each, then a summary for each team and network."""
+    parser = options("deaths", __doc__, changes=True)
     parser.add_argument("--scenario", default="resilient")
     parser.add_argument("--count", type=int, default=30)
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--uavs", type=int, action="append", help="size of the team; may be repeated (4, 6)")
-    parser.add_argument("--set", dest="changes", action="append", default=[], metavar="KEY=VALUE")
-    options = parser.parse_args(arguments)
-    changes = {key: tomllib.loads(f"v={value}")["v"] for key, value in (c.split("=", 1) for c in options.changes)}
-    summaries = []
-    for uavs in options.uavs or (4, 6):
-        team = transport.Scenario(options.scenario).resized(uavs)
-        found: dict[str, list[tuple[float, ...]]] = {network: [] for network in NETWORKS}
-        for number in range(options.count):
-            deaths = drawn(uavs, number, options.seed)
-            events = [{"at_s": at_s, "do": "kill", "target": f"agent{agent}"} for agent, at_s in deaths]
-            text = ", ".join(f"{agent} at {at_s:5.2f} s" for agent, at_s in deaths)
-            for network, links in NETWORKS.items():
-                scenario = team.copy({"faults.event": events, "clock.on_agent_loss": "continue", **links, **changes})
-                run = transport.fly(scenario, progress=False)
-                result = run.summary
-                row = (float(run.completed), result["attitude_max_deg"], result["separation_min_m"])
-                found[network].append(row)
-                sys.stdout.write(
-                    f"{uavs} UAVs, {number:2d}, agents {text}, {network:12s} {run.outcome:9s} "
-                    f"cost {result['cost']['mean']:.3g}, {row[1]:5.2f} deg, {row[2]:.3f} m\n"
+    given = parser.parse_args()
+    for uavs in given.uavs or (4, 6):
+        team = transport.Scenario(given.scenario).resized(uavs)
+        deaths = [drawn(uavs, number, given.seed) for number in range(given.count)]
+        for network, links in NETWORKS.items():
+            scenarios = []
+            for own in deaths:
+                events = [{"at_s": at_s, "do": "kill", "target": f"agent{agent}"} for agent, at_s in own]
+                lost = {"faults.event": events, "clock.on_agent_loss": "continue"}
+                scenarios.append(team.copy({**lost, **links, **changes(given.changes)}))
+            found = [results[0] for results in runs(scenarios)]
+            for number, (own, result) in enumerate(zip(deaths, found, strict=True)):
+                run, text = result.numbers, ", ".join(f"{agent} at {at_s:5.2f} s" for agent, at_s in own)
+                say(
+                    f"{uavs} UAVs, {number:2d}, agents {text}, {network:12s} {result.outcome:9s} cost "
+                    f"{run['cost_mean']:.3g}, {run['attitude_max_deg']:5.2f} deg, {run['separation_min_m']:.3f} m"
                 )
-                sys.stdout.flush()
-        for network, rows in found.items():
-            completed, attitude_deg, separation_m = np.array(rows).T
-            summaries.append(
-                f"{uavs} UAVs, {network}: {completed.sum():.0f} of {len(rows)} complete; largest attitude median "
-                f"{np.median(attitude_deg):.1f}, at most {attitude_deg.max():.1f} deg; least separation median "
-                f"{np.median(separation_m):.2f}, at least {separation_m.min():.2f} m\n"
+            names = ("attitude_max_deg", "separation_min_m")
+            attitude_deg, separation_m = (np.array([result.numbers[name] for result in found]) for name in names)
+            say(
+                f"{uavs} UAVs, {network}: {sum(result.outcome == 'completed' for result in found)} of {len(found)} "
+                f"complete; largest attitude median {np.median(attitude_deg):.1f}, at most {attitude_deg.max():.1f} "
+                f"deg; least separation median {np.median(separation_m):.2f}, at least {separation_m.min():.2f} m"
             )
-    sys.stdout.writelines(summaries)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,14 +1,10 @@
 """Honest estimates: `python -m benchmarks.estimates` compares the agents' Kalman filters with the ground truth.
 
-The squared error of an estimate in units of its covariance (NEES) has as many degrees of freedom as the state, and that
-of the measurements against their prediction (NIS) as many as there are measurements, if the covariance is right. Means
-are over agents and ticks, which are correlated: the band is that of a single instant.
+The squared error of an estimate in units of its covariance (NEES) has as many degrees of freedom as the state if the
+covariance is right. Means are over agents and ticks, which are correlated: the band is that of a single instant.
 """
 
-import argparse
 import math
-import sys
-import tomllib
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,7 +15,9 @@ from scipy.stats import chi2
 import transport
 from agent.kalman import Belief
 from agent.node import AgentNode
+from benchmarks.campaign import changes, options, say
 from benchmarks.runs import step_times
+from docs.tables import bar
 from model import state
 from model.arrays import Array
 from model.compiled import compile_functions
@@ -39,8 +37,8 @@ SENSORS: dict[str, Any] = {
 }
 
 
-def compared(setup: Setup) -> dict[str, float | str]:
-    """Return how a run in memory ended, its errors, and those of the estimates against their covariance."""
+def compared(setup: Setup) -> dict[str, float]:
+    """Return whether a run in memory completed, its errors, and those of the estimates against their covariance."""
     truth: dict[int, Array] = {}
     beliefs: list[tuple[int, Belief]] = []
 
@@ -55,7 +53,7 @@ def compared(setup: Setup) -> dict[str, float | str]:
 
     run = InMemoryRun(setup, record)
     with threadpoolctl.threadpool_limits(1):
-        outcome = run.run().outcome
+        completed = run.run().outcome == "completed"
     ticks = sorted(truth)
     path, _ = setup.maneuver.path(setup.settings.sampling_period_s * np.array(ticks, dtype=np.float64))
     x = np.array([truth[tick] for tick in ticks])
@@ -63,18 +61,15 @@ def compared(setup: Setup) -> dict[str, float | str]:
     n = len(errors[0][0])
     nees = np.array([xi @ np.linalg.solve(belief.covariance.P[:n, :n], xi) for xi, belief in errors])
     low, high = chi2.ppf([0.025, 0.975], n)
-    nis, count = np.array([belief.covariance.surprise for _, belief in errors]).sum(axis=0)
     places = np.array([xi[state.R0] for xi, _ in errors])
     return {
-        "outcome": outcome,
+        "completed": completed,
         "payload_cm": 100.0 * math.sqrt(np.mean(np.sum((x[:, state.R0] - path) ** 2, axis=1))),
         "attitude_deg": float(np.degrees(np.abs(x[:, state.THETA0]).max())),
         "estimate_cm": 100.0 * math.sqrt(np.mean(np.sum(places**2, axis=1))),
         "nees": float(nees.mean()),
         "low": float(low),
         "high": float(high),
-        "within": float(np.mean((nees > low) & (nees < high))),
-        "nis": float(nis / count),
     }
 
 
@@ -110,26 +105,28 @@ CASES: Sequence[tuple[str, dict[str, Any], int]] = (
 )
 
 
-def tabulate(seeds: int) -> int:
-    """Print a Markdown table of all cases; return how many runs with seeds of the first two were not consistent."""
-    columns = ("payload error, cm", "largest attitude, deg", "estimate's error, cm", "NEES of 52", "within its band")
-    sys.stdout.write(f"| case | seeds | {' | '.join(columns)} | payload error with measured states, cm |\n")
-    sys.stdout.write("|" + "---|" * (len(columns) + 3) + "\n")
-    missed = 0
-    for name, changes, most in CASES:
-        base = transport.Scenario("precise")
-        count = min(seeds, most)
-        rows = [compared(base.copy({**SENSORS, **changes, "seed": seed}).setup) for seed in range(count)]
-        within = sum(_honest(row) for row in rows)
-        missed += count - within if most == max(row[2] for row in CASES) else 0
-        told = [f"{min(of):.2f} - {max(of):.2f}" for of in ([row[key] for row in rows] for key in _TOLD)]
-        beside = {key: value for key, value in changes.items() if not key.startswith("plant.noise")}
-        state_m = transport.fly("precise", beside, progress=False).summary["payload_tracking"]["rms_m"]
-        ended = "" if all(row["outcome"] == "completed" for row in rows) else " (not completed)"
-        cells = (name + ended, count, *told, f"{within} of {count}", f"{100.0 * state_m:.2f}")
-        sys.stdout.write(f"| {' | '.join(map(str, cells))} |\n")
-        sys.stdout.flush()
-    return missed
+COLUMNS = (
+    "case",
+    "seeds",
+    "payload error, cm",
+    "largest attitude, deg",
+    "estimate's error, cm",
+    "NEES of 52",
+    "within its band",
+    "payload error with measured states, cm",
+)
+_TOLD = ("payload_cm", "attitude_deg", "estimate_cm", "nees")
+
+
+def cells(name: str, base: transport.Scenario, changes: dict[str, Any], seeds: int) -> list[str]:
+    """Simulate a case and return its row."""
+    rows = [compared(base.copy({**SENSORS, **changes, "seed": seed}).setup) for seed in range(seeds)]
+    within = sum(row["low"] < row["nees"] < row["high"] for row in rows)
+    told = [f"{min(of):.2f} - {max(of):.2f}" for of in ([row[key] for row in rows] for key in _TOLD)]
+    beside = {key: value for key, value in changes.items() if not key.startswith("plant.noise")}
+    state_m = transport.fly(base.copy(beside), progress=False).summary["payload_tracking"]["rms_m"]
+    ended = "" if all(row["completed"] for row in rows) else " (not completed)"
+    return [name + ended, str(seeds), *told, f"{within} of {seeds}", f"{100.0 * state_m:.2f}"]
 
 
 def step_ratio(uavs: int, turns: int = 3) -> float:
@@ -144,41 +141,25 @@ def step_ratio(uavs: int, turns: int = 3) -> float:
     return float(np.median(ratios))
 
 
-_TOLD = ("payload_cm", "attitude_deg", "estimate_cm", "nees")
-
-
-def _honest(row: dict[str, Any]) -> bool:
-    return bool(row["low"] < row["nees"] < row["high"])
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print a row for each seed and how many of them are within the band; return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.estimates", description=(__doc__ or "").split("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print a row for the scenario with the settings given, or for all cases."""
+    parser = options("estimates", __doc__, changes=True)
     parser.add_argument("--scenario", default="precise")
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--set", dest="changes", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--table", action="store_true", help="print a table of all cases instead")
     parser.add_argument("--steps", action="store_true", help="print the ratio of the times of a step instead")
-    options = parser.parse_args(arguments)
-    if options.steps:
+    given = parser.parse_args(arguments)
+    if given.steps:
         for uavs in (4, 8):
-            sys.stdout.write(f"{uavs} UAVs: a step takes {step_ratio(uavs):.2f} times as long as without the filter\n")
-        return 0
-    if options.table:
-        return int(tabulate(options.seeds) > 0.1 * 2 * options.seeds)
-    changes = {key: tomllib.loads(f"v={value}")["v"] for key, value in (c.split("=", 1) for c in options.changes)}
-    honest = 0
-    for seed in range(options.seeds):
-        scenario = transport.Scenario(options.scenario).copy({**SENSORS, **changes, "seed": seed})
-        row = compared(scenario.setup)
-        honest += _honest(row)
-        text = "payload {payload_cm:.2f} cm, {attitude_deg:.2f} deg; estimate {estimate_cm:.2f} cm; "
-        text += "NEES {nees:.1f} in [{low:.1f}, {high:.1f}], {within:.0%} of instants; NIS {nis:.3f}\n"
-        sys.stdout.write(f"seed {seed} {row['outcome']}: " + text.format(**row))
-        sys.stdout.flush()
-    sys.stdout.write(f"{honest} of {options.seeds} seeds have their mean NEES within the band of an instant\n")
-    return 0
+            say(f"{uavs} UAVs: a step takes {step_ratio(uavs):.2f} times as long as without the filter")
+        return
+    base, cases = transport.Scenario(given.scenario), CASES
+    if not given.table:
+        cases = [(", ".join([given.scenario, *given.changes]), changes(given.changes), given.seeds)]
+    say(bar(COLUMNS) + "\n|" + "---|" * len(COLUMNS))
+    for name, settings, most in cases:
+        say(bar(cells(name, base, settings, min(given.seeds, most))))
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

@@ -1,12 +1,12 @@
 """The whole loop in wall-clock time: ticks of runs with processes, start-up, memory, and the cost of certificates."""
 
+import contextlib
 import json
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import psutil
 import tomli_w
 
 from benchmarks.effort import Effort
-from benchmarks.page import BenchmarkError, Table
+from benchmarks.page import BenchmarkError, section
 from benchmarks.runs import setup
 from benchmarks.timing import digits, quiet
 from deploy.keys import LOOPBACK, OTHERS, make_certificates
@@ -24,25 +24,13 @@ from protocol.scenario.setup import Setup
 from protocol.wire.keys import RECORDER
 from transport.flight import memory
 
-# Time allowed besides the simulated time: sixteen agents need half a minute to start on two busy cores.
-_PATIENCE_S = 600.0
-_LEAVE_S = 20.0
 _LOOK_EVERY_S = 0.2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
-    """Summary of a recorded run, mean wall-clock time of a tick, and peak memory by process (shared by its share)."""
+def recorded(setup: Setup, folder: Path) -> tuple[dict[str, Any], dict[str, float]]:
+    """Run a scenario by `transport run` into a new folder; return its summary and peak memory by process, MB.
 
-    summary: dict[str, Any]
-    tick_ms: float
-    memory_MB: dict[str, float]
-
-
-def recorded(setup: Setup, folder: Path) -> Run:
-    """Run a scenario by `transport run` into a new folder.
-
-    Raises: BenchmarkError: the command fails or does not end.
+    Raises: BenchmarkError: the command fails.
     """
     scenario = folder.parent / f"{folder.name}.toml"
     scenario.write_text(tomli_w.dumps(setup.scenario.tree()), encoding="utf-8")
@@ -52,22 +40,19 @@ def recorded(setup: Setup, folder: Path) -> Run:
         # In a session of its own, so that Ctrl-C reaches this process only, which ends the run in order.
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True) as run:
             try:
-                patience_s = _PATIENCE_S + setup.maneuver.duration_s
-                deadline = time.monotonic() + patience_s
                 while run.poll() is None:
-                    if time.monotonic() > deadline:
-                        raise BenchmarkError(f"{' '.join(command)}: expected to end in {patience_s:g} s, it did not")
                     for name, pid in processes_of(run.pid).items():
-                        memory_MB[name] = max(_memory_MB(pid), memory_MB.get(name, 0.0))
+                        with contextlib.suppress(psutil.Error):  # it has ended
+                            used_MB = psutil.Process(int(pid)).memory_full_info().pss / 1e6
+                            memory_MB[name] = max(used_MB, memory_MB.get(name, 0.0))
                     time.sleep(_LOOK_EVERY_S)
             finally:
-                _end(run)
+                run.terminate()
         if run.returncode != 0:
             errors.seek(0)
             lines = errors.read().strip().splitlines() or [""]
             raise BenchmarkError(f"{' '.join(command)}: exit code {run.returncode}: {lines[-1]}")
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    return Run(summary=summary, tick_ms=1e3 * float(summary["wall_time_s"]) / setup.ticks, memory_MB=memory_MB)
+    return json.loads((folder / "summary.json").read_text(encoding="utf-8")), memory_MB
 
 
 def processes_of(run: int) -> dict[str, str]:
@@ -86,24 +71,6 @@ def processes_of(run: int) -> dict[str, str]:
     return found
 
 
-def _memory_MB(pid: str) -> float:
-    """Return the memory of a process, shared memory by its share; 0 if it has ended."""
-    try:
-        shares = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="utf-8")
-    except OSError:
-        return 0.0
-    return sum(float(line.split()[1]) for line in shares.splitlines() if line.startswith("Pss:")) * 1024 / 1e6
-
-
-def _end(run: subprocess.Popen[bytes]) -> None:
-    if run.poll() is None:
-        run.terminate()
-        try:
-            run.wait(_LEAVE_S)
-        except subprocess.TimeoutExpired:
-            run.kill()
-
-
 TEAMS = (
     "`resilient` resized to N UAVs, run by `transport run` as fast as possible; wall-clock times in ms. Tick: mean. "
     "Step of an agent, and network (rest of the tick without the slowest step, `rest_of_tick_ms`): median (99th "
@@ -113,21 +80,21 @@ MANEUVER = "The same {seconds:g} s of `paper` with processes and in memory, wall
 KEYS = "`{name}` without and with certificates (`network.keys`), in turns, with the same cost to the last digit."
 
 
-def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
+def measure(effort: Effort, log: Callable[[str], None]) -> list[str]:
     """Run with processes.
 
     Raises: BenchmarkError: a run fails, or its cost depends on certificates.
     """
     with tempfile.TemporaryDirectory(prefix="benchmarks-") as folder:
-        return [table(effort, Path(folder), log) for table in (_teams, _maneuver, _keys)]
+        return [part(effort, Path(folder), log) for part in (_teams, _maneuver, _keys)]
 
 
-def _teams(effort: Effort, folder: Path, log: Callable[[str], None]) -> Table:
-    rows: list[tuple[str, ...]] = []
+def _teams(effort: Effort, folder: Path, log: Callable[[str], None]) -> str:
+    rows = []
     for uavs in effort.processes:
         log(f"{uavs} UAVs with processes")
-        run = recorded(setup("resilient", effort.process_climb, uavs=uavs), folder / f"team-{uavs}")
-        summary, peaks_MB = run.summary, run.memory_MB
+        run = setup("resilient", effort.process_climb, uavs=uavs)
+        summary, peaks_MB = recorded(run, folder / f"team-{uavs}")
         spreads = [summary[name] for name in ("agent_step_ms", "rest_of_tick_ms")]
         numbers = (
             summary["real_time_factor"],
@@ -136,29 +103,25 @@ def _teams(effort: Effort, folder: Path, log: Callable[[str], None]) -> Table:
             peaks_MB.get(RECORDER, np.nan),
         )
         cells = [f"{digits(values['p50'])} ({digits(values['p99'])})" for values in spreads]
-        rows.append((str(uavs), digits(run.tick_ms), *cells, *map(digits, numbers)))
-    columns = (
-        "UAVs", "tick, ms", "an agent's step", "network", "real-time factor", "start-up, s", "agent, MB",
-        "recorder, MB",
-    )  # fmt: skip
-    return Table(text=TEAMS, columns=columns, rows=rows)
+        rows.append([str(uavs), digits(1e3 * summary["wall_time_s"] / run.ticks), *cells, *map(digits, numbers)])
+    columns = ["UAVs", "tick, ms", "an agent's step", "network", "real-time factor", "start-up, s", "agent, MB"]
+    return section(TEAMS, [*columns, "recorder, MB"], rows)
 
 
-def _maneuver(effort: Effort, folder: Path, log: Callable[[str], None]) -> Table:
+def _maneuver(effort: Effort, folder: Path, log: Callable[[str], None]) -> str:
     run = setup(*effort.maneuver)
     seconds = run.maneuver.duration_s
     log(f"{seconds:g} s of {run.scenario.name}, with processes and in memory")
-    wall_s = {"processes": float(recorded(run, folder / "maneuver").summary["wall_time_s"])}
+    wall_s = {"processes": recorded(run, folder / "maneuver")[0]["wall_time_s"]}
     with quiet():
         start = time.perf_counter()
         memory.simulate(run)
         wall_s["in memory"] = time.perf_counter() - start
     rows = [(name, *map(digits, (taken, 1e3 * taken / run.ticks, seconds / taken))) for name, taken in wall_s.items()]
-    columns = ("", "run, s", "tick, ms", "real-time factor")
-    return Table(text=MANEUVER.format(seconds=seconds), columns=columns, rows=rows)
+    return section(MANEUVER.format(seconds=seconds), ("", "run, s", "tick, ms", "real-time factor"), rows)
 
 
-def _keys(effort: Effort, folder: Path, log: Callable[[str], None]) -> Table:
+def _keys(effort: Effort, folder: Path, log: Callable[[str], None]) -> str:
     keys = folder / "keys"
     names = [*process_names(setup(*effort.maneuver).scenario), *OTHERS]
     make_certificates(keys, dict.fromkeys(names, LOOPBACK), days=1)
@@ -167,14 +130,13 @@ def _keys(effort: Effort, folder: Path, log: Callable[[str], None]) -> Table:
     for turn in range(effort.turns):
         log(f"without and with certificates: {turn + 1} of {effort.turns}")
         for name, settings in (("without", []), ("with", [f"network.keys={keys}"])):
-            run = recorded(setup(*effort.maneuver, *settings), folder / f"{name}-{turn}")
-            factors[name].append(float(run.summary["real_time_factor"]))
-            costs.add(str(run.summary["cost"]))
+            summary, _ = recorded(setup(*effort.maneuver, *settings), folder / f"{name}-{turn}")
+            factors[name].append(summary["real_time_factor"])
+            costs.add(str(summary["cost"]))
     if len(costs) != 1:
         raise BenchmarkError(f"expected the same cost every time, got {sorted(costs)}")
     rows = [
-        (f"{name} certificates", *(digits(value) for value in (float(np.median(own)), min(own), max(own))))
+        (f"{name} certificates", *map(digits, (float(np.median(own)), min(own), max(own))))
         for name, own in factors.items()
     ]
-    text = KEYS.format(name=effort.maneuver[0])
-    return Table(text=text, columns=("real-time factor", "median", "least", "most"), rows=rows)
+    return section(KEYS.format(name=effort.maneuver[0]), ("real-time factor", "median", "least", "most"), rows)

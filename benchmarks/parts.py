@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 from benchmarks.effort import Effort
-from benchmarks.page import BenchmarkError, Table
+from benchmarks.page import BenchmarkError, section
 from benchmarks.runs import messages, setup
 from benchmarks.timing import WARM_UP, Times, in_turns, joined
 from model.arrays import Array
@@ -22,7 +22,7 @@ TEXT = (
 )
 
 
-def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
+def measure(effort: Effort, log: Callable[[str], None]) -> list[str]:
     """Integrate the states and encode and decode the plans of short runs."""
     rows = []
     for uavs in effort.teams:
@@ -34,7 +34,7 @@ def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
     plans = [message for message in messages(run) if isinstance(message, Plan) and message.agent == 1]
     rows += [(name, *times.cells) for name, times in coding(run, plans, effort.repetitions).items()]
     text = TEXT.format(horizon=run.settings.horizon, size=len(encode(plans[-1])))
-    return [Table(text=text, columns=("", "median", "p99"), rows=rows)]
+    return [section(text, ("", "median", "p99"), rows)]
 
 
 def integration(run: Setup, sent: list[Message], repetitions: int) -> Times:

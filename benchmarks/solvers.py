@@ -5,16 +5,16 @@ The time includes the conversion to the solver's form.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from benchmarks.effort import Effort
-from benchmarks.page import Table
+from benchmarks.page import section
 from benchmarks.runs import programs, setup
 from benchmarks.timing import Times, in_turns, joined
 from model.arrays import Array
@@ -40,21 +40,13 @@ TEXT = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Solver:
-    """A solver of the table.
+class Solver(NamedTuple):
+    """A solver of the table."""
 
-    Attributes:
-        name: As in the table.
-        package: Package that has to be installed.
-        solve: Function that returns the decision, or None for a program reported as not solved.
-        tolerance: Largest difference of its decisions from Clarabel's.
-    """
-
-    name: str
-    package: str
-    solve: Callable[[QP], Array | None]
-    tolerance: float
+    name: str  # as in the table
+    package: str  # that has to be installed
+    solve: Callable[[QP], Array | None]  # returns the decision, or None for a program reported as not solved
+    tolerance: float = APPROXIMATE  # largest difference of its decisions from Clarabel's
 
     @property
     def installed(self) -> bool:
@@ -62,38 +54,36 @@ class Solver:
         return find_spec(self.package) is not None
 
 
-@dataclass(slots=True)
-class Outcome:
-    """Results of a solver: times, largest differences of its decisions from others', number of programs not solved."""
+class Outcome(NamedTuple):
+    """Results of a solver: times, differences of its decisions from others', which of the programs are not solved."""
 
-    times: Times = field(default_factory=lambda: Times(np.zeros(0)))
-    from_clarabel: float = 0.0
-    from_daqp: float = 0.0
-    unsolved: int = 0
+    times: list[Times]
+    from_clarabel: list[float]
+    from_daqp: list[float]
+    unsolved: list[QP]
 
 
 def compare(compared: Sequence[Solver], qps: Sequence[QP], repetitions: int) -> dict[str, Outcome]:
     """Call all solvers in turns, program by program; return the outcomes by name."""
-    outcomes = {solver.name: Outcome() for solver in compared}
+    outcomes = {solver.name: Outcome([], [], [], []) for solver in compared}
     for qp in qps:
         clarabel, daqp = np.asarray(solve_clarabel(qp).z), np.asarray(_daqp(qp))
         tasks = {solver.name: partial(solver.solve, qp) for solver in compared}
         for name, times in in_turns(tasks, repetitions).items():
             outcome, z = outcomes[name], tasks[name]()
-            outcome.times = joined([outcome.times, times])
+            outcome.times.append(times)
             if z is None:
-                outcome.unsolved += 1
+                outcome.unsolved.append(qp)
                 continue
-            outcome.from_clarabel = max(outcome.from_clarabel, float(np.abs(z - clarabel).max()))
-            outcome.from_daqp = max(outcome.from_daqp, float(np.abs(z - daqp).max()))
+            outcome.from_clarabel.append(float(np.abs(z - clarabel).max()))
+            outcome.from_daqp.append(float(np.abs(z - daqp).max()))
     return outcomes
 
 
-def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
+def measure(effort: Effort, log: Callable[[str], None]) -> list[str]:
     """Compare all installed solvers on programs of short runs."""
     compared = [solver for solver in SOLVERS if solver.installed]
-    rows: list[tuple[str, ...]] = []
-    sizes = []
+    rows, sizes = [], []
     for name, count in (("paper", effort.programs), ("centralized", effort.large_programs)):
         if count == 0:
             continue
@@ -104,15 +94,17 @@ def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
             outcomes.append(compare(compared, qps, min(effort.repetitions, count)))
         sizes.append(f"{len(qps[0].g)} variables and {len(qps[0].A)} rows")
         for solver in SOLVERS:
-            if not solver.installed:
-                rows.append((f"`{name}`", solver.name, "not installed", "", "", "", ""))
-                continue
-            usual, tight = (outcome[solver.name] for outcome in outcomes)
-            differences = (max(usual.from_clarabel, tight.from_clarabel), max(usual.from_daqp, tight.from_daqp))
-            cells = (str(usual.times), str(tight.times), *(f"{value:.0e}" for value in differences))
-            rows.append((f"`{name}`", solver.name, *cells, str(usual.unsolved + tight.unsolved)))
+            cells = ["not installed", "", "", "", ""]
+            if solver.installed:
+                both = [outcome[solver.name] for outcome in outcomes]
+                cells = [str(joined(one.times)) for one in both]
+                for other in ("from_clarabel", "from_daqp"):
+                    differences = [value for one in both for value in getattr(one, other)]
+                    cells.append(f"{max(differences, default=0.0):.0e}")
+                cells.append(str(sum(len(one.unsolved) for one in both)))
+            rows.append([f"`{name}`", solver.name, *cells])
     columns = ("programs of", "solver", "few active limits", "many active", "from Clarabel", "from DAQP", "unsolved")
-    return [Table(text=TEXT.format(sizes=" and ".join(sizes)), columns=columns, rows=rows)]
+    return [section(TEXT.format(sizes=" and ".join(sizes)), columns, rows)]
 
 
 def _decision(solution: Solution) -> Array | None:
@@ -190,11 +182,11 @@ def _all_bounds(qp: QP) -> tuple[Array, Array]:
 
 
 SOLVERS = (
-    Solver(name="this project's", package="daqp", solve=lambda qp: _decision(solve(qp, "daqp")), tolerance=EXACT),
-    Solver(name="DAQP alone", package="daqp", solve=_daqp, tolerance=EXACT),
-    Solver(name="Clarabel", package="clarabel", solve=lambda qp: _decision(solve_clarabel(qp)), tolerance=EXACT),
-    Solver(name="quadprog", package="quadprog", solve=_quadprog, tolerance=EXACT),
-    Solver(name="OSQP", package="osqp", solve=_osqp, tolerance=APPROXIMATE),
-    Solver(name="PIQP", package="piqp", solve=_piqp, tolerance=APPROXIMATE),
-    Solver(name="ProxQP", package="proxsuite", solve=_proxqp, tolerance=APPROXIMATE),
+    Solver("this project's", "daqp", lambda qp: _decision(solve(qp, "daqp")), EXACT),
+    Solver("DAQP alone", "daqp", _daqp, EXACT),
+    Solver("Clarabel", "clarabel", lambda qp: _decision(solve_clarabel(qp)), EXACT),
+    Solver("quadprog", "quadprog", _quadprog, EXACT),
+    Solver("OSQP", "osqp", _osqp),
+    Solver("PIQP", "piqp", _piqp),
+    Solver("ProxQP", "proxsuite", _proxqp),
 )

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from benchmarks.effort import Effort
-from benchmarks.page import Table
+from benchmarks.page import section
 from benchmarks.runs import messages, setup, step_times
 from benchmarks.timing import Times, digits
 from model import native
@@ -33,7 +33,7 @@ NETWORK = (
 )
 
 
-def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
+def measure(effort: Effort, log: Callable[[str], None]) -> list[str]:
     """Run every team at every horizon until each has enough steps."""
     cases = [("resilient", uavs, horizon) for uavs, horizon in product(effort.teams, effort.horizons)]
     cases += [("resilient", uavs, 20) for uavs in effort.large_teams]
@@ -56,7 +56,7 @@ def measure(effort: Effort, log: Callable[[str], None]) -> list[Table]:
     teams = [*effort.teams, *effort.large_teams][-4:]
     exponent = np.polyfit(np.log(teams), np.log([medians["resilient", uavs, 20] for uavs in teams]), 1)[0]
     text = TEXT.format(steps=effort.steps, least=teams[0], most=teams[-1], exponent=exponent)
-    return [Table(text=f"{text} {network(effort, 64)}", columns=columns, rows=rows)]
+    return [section(f"{text} {network(effort, 64)}", columns, rows)]
 
 
 def network(effort: Effort, agents: int) -> str:

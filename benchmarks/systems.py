@@ -5,16 +5,13 @@ on a perfect network and with a delay up to 0.4 s and packet loss up to 60 %. On
 actuators, sampling period, horizon and links differ from the scenario that is given.
 """
 
-import argparse
 import math
-import sys
-import tomllib
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 import transport
+from benchmarks.campaign import changes, completed, options, runs, say
 
 # A diagonal leg excites the modes that the paper's maneuver leaves at rest by symmetry.
 PHASES = [
@@ -61,47 +58,41 @@ def drawn(base: str, number: int, seed: int) -> tuple[transport.Scenario, dict[s
     return transport.Scenario(base, allow_large=True).resized(N).copy(settings), links
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Simulate the systems and print a row for each; return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.systems", description=(__doc__ or "").split("\n")[0])
+def main() -> None:
+    """Simulate the systems and print a row for each."""
+    parser = options("systems", __doc__, changes=True)
     parser.add_argument("--scenario", default="resilient", help="scenario that the systems are put into")
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", type=int, action="append", help="the system of this number; may be repeated")
     parser.add_argument("--perfect", action="store_true", help="on a perfect network only")
-    parser.add_argument("--set", dest="changes", action="append", default=[], metavar="KEY=VALUE")
-    options = parser.parse_args(arguments)
-    changes = {key: tomllib.loads(f"v={value}")["v"] for key, value in (c.split("=", 1) for c in options.changes)}
-    sys.stdout.write("number  N  T_s, ms  N_p  mass, kg  delay, ms  loss  perfect  impaired  cost ratio\n")
-    ratios, completed = [], [0, 0]
-    numbers = options.only or range(options.count)
-    for number in numbers:
-        scenario, links = drawn(options.scenario, number, options.seed)
-        scenario = scenario.copy(changes)
-        runs = [transport.fly(scenario, progress=False)]
-        if not options.perfect:
-            runs.append(transport.fly(scenario, links, progress=False))
-        costs = [run.summary["cost"]["mean"] for run in runs]
-        for i, run in enumerate(runs):
-            completed[i] += run.completed
-        if len(runs) == 2 and all(run.completed for run in runs):
-            ratios.append(costs[1] / costs[0])
-        ends = [run.outcome if run.completed else f"{run.summary['sim_time_s']:.1f} s" for run in runs]
-        uavs, controller = scenario.tree()["system"]["uav"], scenario.tree()["controller"]
-        sys.stdout.write(
+    given = parser.parse_args()
+    numbers = given.only or range(given.count)
+    systems = [drawn(given.scenario, number, given.seed) for number in numbers]
+    perfect = [scenario.copy(changes(given.changes)) for scenario, _ in systems]
+    impaired = [] if given.perfect else [one.copy(links) for one, (_, links) in zip(perfect, systems, strict=True)]
+    found = [result for (result,) in runs([*perfect, *impaired])]
+    say("number  N  T_s, ms  N_p  mass, kg  delay, ms  loss  perfect  impaired  cost ratio")
+    ratios = []
+    for i, number in enumerate(numbers):
+        own = found[i :: len(numbers)]
+        if len(there := completed(own)) == 2:
+            ratios.append(there[1]["cost_mean"] / there[0]["cost_mean"])
+        tree, links = perfect[i].tree(), systems[i][1]
+        uavs, controller = tree["system"]["uav"], tree["controller"]
+        ends = (f"{run.numbers['lost_s']:.1f} s" if run.numbers["lost_s"] else run.outcome for run in own)
+        costs = (f"{end:>9s} {run.numbers['cost_mean']:9.3g}" for end, run in zip(ends, own, strict=True))
+        say(
             f"{number:6d} {len(uavs):2d} {1e3 * controller['sampling_period_s']:8.0f} {controller['horizon']:4d} "
             f"{uavs[0]['mass_kg']:9.2f} {1e3 * links['links.delay_s']:10.0f} {links['links.loss']:5.2f} "
-            + " ".join(f"{end:>9s} {cost:9.3g}" for end, cost in zip(ends, costs, strict=True)) + "\n"
-        )  # fmt: skip
-        sys.stdout.flush()
-    text = f"completed: {completed[0]} of {len(numbers)} perfect"
-    if not options.perfect:
-        text += f", {completed[1]} impaired"
+            + " ".join(costs)
+        )
+    for name, own in (("perfect", found[: len(numbers)]), ("impaired", found[len(numbers) :])):
+        if own:
+            say(f"{name}: {len(completed(own))} of {len(own)} complete")
     if ratios:
-        text += f"; cost ratio: median {np.median(ratios):.3f}, nine in ten at most {np.quantile(ratios, 0.9):.3f}"
-    sys.stdout.write(text + "\n")
-    return 0
+        say(f"cost ratio: median {np.median(ratios):.3f}, nine in ten at most {np.quantile(ratios, 0.9):.3f}")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -64,28 +64,22 @@ def _row(parameter: object) -> list[str] | None:
         name = ", ".join(f"`{option}{value}`" for option in (*parameter.opts, *parameter.secondary_opts))
     else:
         return None
-    given = parameter.default
-    has_none = given in (None, False, ()) or callable(given) or not isinstance(given, str | int | float | tuple)
-    default = "required" if parameter.required else "" if has_none else f"`{_plain(given)}`"
+    given = getattr(parameter.default, "value", parameter.default)  # of an enumeration
+    default = f"`{given}`" if isinstance(given, str | int | float) else ""
+    if isinstance(given, bool):
+        default = f"`{parameter.opts[0]}`" if given else ""
+    if parameter.required:
+        default = "required"
     meaning = " ".join((parameter.help or "").split()) + _range(parameter)
-    if parameter.required or not isinstance(given, bool):
-        return [cell.replace("|", "\\|") for cell in (name, default, meaning.replace("<", "&lt;"))]
-    return [name, f"`{parameter.opts[0]}`" if given else "", meaning]
-
-
-def _plain(value: object) -> str:
-    """Return a default as it is written on the command line; an entry of an enumeration by its value."""
-    return str(getattr(value, "value", value))
+    return [cell.replace("|", "\\|") for cell in (name, default, meaning.replace("<", "&lt;"))]
 
 
 def _range(parameter: TyperArgument | TyperOption) -> str:
     """Return the limits of a number as text; "" for none."""
     low, high = (getattr(parameter, end, None) for end in ("min", "max"))
-    if low is None and high is None:
-        return ""
-    if low is None or high is None:
-        return f" (>= {low:g})" if high is None else f" (<= {high:g})"
-    return f" ({low:g} to {high:g})"
+    if low is not None and high is not None:
+        return f" ({low:g} to {high:g})"
+    return f" (>= {low:g})" if low is not None else f" (<= {high:g})" if high is not None else ""
 
 
 if __name__ == "__main__":

@@ -12,9 +12,8 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from tables import ROOT, commit, put, table
 
@@ -24,8 +23,7 @@ DOCUMENT = ROOT / "docs" / "realtime.md"
 COMMAND = ("run", "resilient", "--set", "clock.mode=realtime", "--set", "clock.speed=1")
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(NamedTuple):
     """Runs of one row."""
 
     loops: int  # endless loops beside them
@@ -86,20 +84,21 @@ def simulate(row: Row, folder: Path) -> dict[str, Any] | None:
     return found
 
 
-def cells(row: Row, runs: Sequence[dict[str, Any]]) -> list[str]:
+def cells(runs: Sequence[dict[str, Any]]) -> list[str]:
     """Return the cells of a row; the times are those of its first run."""
     if not runs:
-        return [row.name, "not permitted here", "", "", "", ""]
-    missed = "; ".join(f"{run['deadline']['missed']} of {run['deadline']['plans']}" for run in runs)
-    late, step = runs[0]["deadline"]["tick_late_ms"], runs[0]["agent_step_ms"]
-    ends = [f"{count} x {end}" if count > 1 else end for end, count in Counter(map(ended, runs)).items()]
-    took = "; ".join(f"{run['wall_time_s']:.1f}" for run in runs)
-    return [row.name, missed, times(late), times(step), "; ".join(ends), took]
-
-
-def times(found: dict[str, float]) -> str:
-    """Return median, 99th percentile and maximum, ms."""
-    return ", ".join(f"{float(f'{found[name]:.2g}'):g}" for name in ("p50", "p99", "max"))
+        return ["not permitted here", "", "", "", ""]
+    late, step = (
+        ", ".join(f"{float(f'{found[name]:.2g}'):g}" for name in ("p50", "p99", "max"))
+        for found in (runs[0]["deadline"]["tick_late_ms"], runs[0]["agent_step_ms"])
+    )
+    return [
+        "; ".join(f"{run['deadline']['missed']} of {run['deadline']['plans']}" for run in runs),
+        late,
+        step,
+        "; ".join(f"{count} x {end}" if count > 1 else end for end, count in Counter(map(ended, runs)).items()),
+        "; ".join(f"{run['wall_time_s']:.1f}" for run in runs),
+    ]
 
 
 def ended(run: dict[str, Any]) -> str:
@@ -115,10 +114,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="realtime-") as folder:
         for number, row in enumerate(ROWS):
             with load(row.loops, row.core):
-                places = [Path(folder) / f"{number}-{i}" for i in range(row.runs)]
-                runs = [run for run in (simulate(row, place) for place in places) if run is not None]
-            sys.stderr.write(f"{row.name}: {'; '.join(map(ended, runs)) or 'not permitted'}\n")
-            rows.append(cells(row, runs))
+                found = (simulate(row, Path(folder) / f"{number}-{i}") for i in range(row.runs))
+                runs = [run for run in found if run is not None]
+            rows.append([row.name, *cells(runs)])
+            sys.stderr.write(f"{', '.join(rows[-1])}\n")
     headings = ["", "plans that missed", "ticks late, ms", "agent step, ms", "end of the run", "duration, s"]
     put(DOCUMENT, "measured", f"{table(headings, rows)}\n\n*Commit {commit()}. {machine()}.*")
 

@@ -6,12 +6,11 @@ writes their parts of docs/results.md, docs/images/ and the tables of the README
 
 import csv
 import json
-import math
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from tables import ROOT, commit, place, put, table
 
@@ -30,11 +29,8 @@ def number(name: str, factor: float = 1.0, digits: int = 2, *, interval: bool = 
     """Return a cell with a number of a row, ± half its confidence interval if it has one."""
 
     def cell(row: Row) -> str:
-        if not row[name]:
-            return ""
-        half = row.get(f"{name}_ci95", "") if interval else ""
-        text = f"{factor * float(row[name]):.{digits}f}"
-        return f"{text} ± {factor * float(half):.{digits}f}" if half else text
+        found = [row[name], row.get(f"{name}_ci95", "") if interval else ""]
+        return " ± ".join(f"{factor * float(value):.{digits}f}" for value in found if value)
 
     return cell
 
@@ -57,12 +53,7 @@ def done(row: Row) -> str:
 
 def spread(name: str, digits: int = 2) -> Callable[[Row], str]:
     """Return a cell with median, smallest and largest of repetitions."""
-
-    def cell(row: Row) -> str:
-        middle, low, high = (f"{float(row[name + end]):.{digits}f}" for end in ("", "_min", "_max"))
-        return f"{middle} ({low} to {high})"
-
-    return cell
+    return lambda row: "{} ({} to {})".format(*(f"{float(row[name + end]):.{digits}f}" for end in ("", "_min", "_max")))
 
 
 def periods(row: Row) -> str:
@@ -75,11 +66,8 @@ def periods(row: Row) -> str:
 
 def cost_range(row: Row) -> str:
     """Return the range of cost ratios at these periods."""
-    if not row["cost_ratio_low"]:
-        return ""
-    ratios = [float(row[name]) for name in ("cost_ratio_low", "cost_ratio_high")]
-    low, high = (f"{ratio:.2f}" if math.isfinite(ratio) else "diverged" for ratio in ratios)
-    return low if low == high else f"{low} to {high}"
+    ratios = (row["cost_ratio_low"], row["cost_ratio_high"])
+    return " to ".join(dict.fromkeys(f"{float(ratio):.2f}".replace("inf", "diverged") for ratio in ratios if ratio))
 
 
 def compared_at(row: Row) -> str:
@@ -156,8 +144,7 @@ DELAY, LOST = {"delay, ms": plain("delay_s", 1e3)}, {"lost": plain("loss", 100.0
 NETWORK_OF: Columns = {**SCENARIO, "network": "network"}
 
 
-@dataclass(frozen=True, slots=True)
-class Section:
+class Section(NamedTuple):
     """An experiment: tables by the file that the command writes, its further arguments, and further figures."""
 
     tables: Mapping[str, Columns]
@@ -235,52 +222,51 @@ def part_of(name: str) -> str:
 
 def between(values: Sequence[float]) -> str:
     """Return the range of values, two digits each; a single value if both ends round to the same."""
-    low, high = f"{min(values):.2f}", f"{max(values):.2f}"
-    return high if low == high else f"{low} to {high}"
+    return " to ".join(dict.fromkeys(f"{end:.2f}" for end in (min(values), max(values))))
+
+
+# Rows of the README's table on the network: text, experiment, and labels of the points.
+GLANCE: Sequence[tuple[str, str, Row]] = (
+    ("`transport experiment latency`: 100 ms delay", "latency", {"delay_s": "0.1"}),
+    ("400 ms delay", "latency", {"delay_s": "0.4"}),
+    ("`transport experiment loss`: 10 % packet loss", "loss", {"loss": "0.1", "model": "bernoulli"}),
+    ("60 % burst loss", "loss", {"loss": "0.6", "model": "bursts"}),
+    ("`transport experiment kill`: an agent killed and restarted after 2 s", "kill", {"restart_s": "10.0"}),
+    ("never restarted", "kill", {"restart_s": "never"}),
+    ("`transport experiment deaths`: killed for good at 20 random times", "deaths", {}),
+)
 
 
 def at_a_glance() -> str:
     """Return the README's table: effect of the network on the two algorithms."""
 
-    def cell(name: str, scenario: str, **labels: str) -> str:
-        rows = [
-            row
-            for row in read(name)
-            if row["scenario"] == scenario and all(row[label] == value for label, value in labels.items())
-            if row.get("agent") != "none"  # the run without a death
-        ]
-        flights, completed = (sum(int(row[what]) for row in rows) for what in ("flights", "completed"))
-        ratios = [float(row["cost_ratio"]) for row in rows if row["cost_ratio"]]
+    def cell(name: str, labels: Row) -> str:
+        rows = [row for row in read(name) if row.items() >= labels.items() and row.get("agent") != "none"]
         if not rows:
             return ""
+        flights, completed = (sum(int(row[what]) for row in rows) for what in ("flights", "completed"))
+        ratios, attitudes, swings = (
+            [float(row[number]) for row in rows if row[number]]
+            for number in ("cost_ratio", "attitude_max_deg", "swing_m")
+        )
         if not completed:
             first = min(float(row["first_lost_s"]) for row in rows)
             return f"diverges at {first:.1f} s" if flights == 1 else f"all {flights} diverge, from {first:.1f} s on"
         count = "completes" if flights == 1 else f"{completed} of {flights} complete"
-        attitude = max(float(row["attitude_max_deg"]) for row in rows if row["attitude_max_deg"])
-        swings = [float(row["swing_m"]) for row in rows if row["swing_m"]]
-        return f"{count}: cost x{between(ratios)}, attitude {attitude:.1f} deg, swing {between(swings)} m"
+        return f"{count}: cost x{between(ratios)}, attitude {max(attitudes):.1f} deg, swing {between(swings)} m"
 
-    wanted: Sequence[tuple[str, str, dict[str, str]]] = (
-        ("`transport experiment latency`: 100 ms delay", "latency", {"delay_s": "0.1"}),
-        ("400 ms delay", "latency", {"delay_s": "0.4"}),
-        ("`transport experiment loss`: 10 % packet loss", "loss", {"loss": "0.1", "model": "bernoulli"}),
-        ("60 % burst loss", "loss", {"loss": "0.6", "model": "bursts"}),
-        ("`transport experiment kill`: an agent killed and restarted after 2 s", "kill", {"restart_s": "10.0"}),
-        ("never restarted", "kill", {"restart_s": "never"}),
-        ("`transport experiment deaths`: killed for good at 20 random times", "deaths", {}),
-    )
-    lines = ["| | `paper`: the paper's algorithm with our weights | `resilient` |", "|---|---|---|"]
-    for what, name, labels in wanted:
-        lines.append(f"| {what} | {cell(name, 'paper', **labels)} | {cell(name, 'resilient', **labels)} |")
-    return "\n".join(lines)
+    rows = [
+        [what, *(cell(name, {"scenario": scenario, **labels}) for scenario in ("paper", "resilient"))]
+        for what, name, labels in GLANCE
+    ]
+    return table(["", "`paper`: the paper's algorithm with our weights", "`resilient`"], rows)
 
 
 def claim() -> str:
     """Return the README's table of the paper's algorithm against the centralized controller, one row a comparison."""
     rows = [row for row in read("paper", "verdict.csv") if row["controller"] == "paper's algorithm"]
     weathers = list(dict.fromkeys(row["weather"] for row in rows))
-    lines = [f"| the paper's algorithm with our weights | {' | '.join(weathers)} |", "|" + "---|" * (1 + len(weathers))]
+    lines = []
     for key in dict.fromkeys((row["budget"], row["kept"]) for row in rows):
         found = {row["weather"]: row for row in rows if (row["budget"], row["kept"]) == key}
         cells = [
@@ -289,26 +275,23 @@ def claim() -> str:
         ]
         period = periods(found[weathers[0]])
         where = f" (T_s {period} ms)" if period != "none of the grid" else ""
-        lines.append(f"| at {compared_at(found[weathers[0]])}{where} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append([f"at {compared_at(found[weathers[0]])}{where}", *cells])
+    return table(["the paper's algorithm with our weights", *weathers], lines)
 
 
 def hover() -> str:
     """Return the README's sentence about the stability of the paper's algorithm in a long hover."""
     rows = read("hover")
     longest = max(float(row["hover_s"]) for row in rows)
-    by_scenario = {row["scenario"]: row for row in rows if float(row["hover_s"]) == longest}
-    own = by_scenario.pop("paper")
+    own, *others = (row for row in rows if float(row["hover_s"]) == longest)
     if own["first_lost_s"]:
         found = f"is unstable: it diverges at {float(own['first_lost_s']):.1f} s"
     else:
         found = f"completes, with a payload attitude of up to {number('attitude_max_deg')(own)} deg"
-    others = "; ".join(
-        f"`{name}` {'diverges' if row['first_lost_s'] else 'completes'}" for name, row in by_scenario.items()
-    )
+    ends = "; ".join(f"`{row['scenario']}` {'diverges' if row['first_lost_s'] else 'completes'}" for row in others)
     return (
         f"In a hover of {longest:g} s at the end of the maneuver the paper's algorithm with our weights {found}; "
-        f"{others} ([table](docs/results.md#is-a-long-hover-stable))."
+        f"{ends} ([table](docs/results.md#is-a-long-hover-stable))."
     )
 
 

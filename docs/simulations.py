@@ -1,23 +1,19 @@
 """Simulations behind the measured tables of documents: in memory, on all cores, kept for each commit."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
 from tables import ROOT, commit, place, put, table
 
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Control
 from transport.analysis.series import series_of
 from transport.experiments.cases import Case, Point, Team, cases_of
-from transport.experiments.declaration import Experiment, axis
 from transport.experiments.simulation import Result
-from transport.experiments.sweep import Results, sweep
-from transport.experiments.workers import on_cores
+from transport.experiments.sweep import simulated
 from transport.flight.header import machine, versions
 from transport.log.run_log import RunLog
 
@@ -25,8 +21,7 @@ RESULTS = ROOT / "runs" / "figures" / "simulations"
 DIVERGED = "diverged"
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
+class Run(NamedTuple):
     """A scenario with changes, or a team in place of its own, simulated with the seeds 0, 1, ..."""
 
     scenario: str
@@ -40,21 +35,13 @@ class Run:
 Flown = Any
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """A table of a document.
+class Measured(NamedTuple):
+    """A table of a document."""
 
-    Attributes:
-        name: Name of its markers.
-        headings: Headings of its columns.
-        rows: Simulations of each row, None for those left out, by its first cell or cells.
-        cells: Function that returns the other cells, given the first one and the results.
-    """
-
-    name: str
+    name: str  # of its markers
     headings: Sequence[str]
-    rows: Mapping[Any, Sequence[Run | None]]
-    cells: Callable[..., Sequence[str]]
+    rows: Mapping[Any, Sequence[Run | None]]  # runs of each row, None for those left out, by its first cell or cells
+    cells: Callable[..., Sequence[str]]  # returns the other cells, given the first one and the results
 
     def text(self, found: Mapping[Run, Flown]) -> str:
         """Return the table in Markdown."""
@@ -109,7 +96,9 @@ def renew(
     """
     for name in ("origin", *(part.name for part in tables), *(texts or {})):
         place(document, name)  # refused before minutes are spent
-    now, found = _results([run for part in tables for runs in part.rows.values() for run in runs if run])
+    now = commit()
+    kept = None if "changes" in now or now == "unknown" else RESULTS / now
+    found = _results([run for part in tables for runs in part.rows.values() for run in runs if run], kept)
     for part in tables:
         put(document, part.name, part.text(found))
     for name, text in (texts or {}).items():
@@ -117,37 +106,18 @@ def renew(
     put(document, "origin", f"*Commit {now}; {versions()}{version}; {machine()}.*")
 
 
-def _results(runs: Sequence[Run]) -> tuple[str, Mapping[Run, Flown]]:
-    """Run the missing simulations; return the commit and all results."""
-    now, different = commit(), list(dict.fromkeys(runs))
-    kept = None if "changes" in now or now == "unknown" else RESULTS / now
-    cases: list[Case] = []
-    owner: list[Run] = []
-    points = []
-    for index, run in enumerate(different):
-        points.append(
-            Point(scenario=run.scenario, labels={}, text=" ".join(run.settings), settings=run.settings, team=run.team)
-        )
-        own = cases_of(points[-1:], (), run.seeds, more=more)
-        cases += [replace(case, point=index) for case in own]
-        owner += [run] * len(own)
-    experiment = Experiment(name="pages", points=tuple(points), x=axis("point"))
-    with Results("pages", kept) as results:
-        # Large teams and long runs first: no core is idle while the last of them ends.
-        def simulated(missing: Sequence[Case]) -> Any:
-            return on_cores(sorted(missing, key=_effort, reverse=True))
-
-        swept = sweep(experiment, cases, simulated, results, Console(stderr=True))
-    swept.check()
-    found: dict[Run, list[Flown]] = {}
-    for run, case, result in zip(owner, cases, swept.results, strict=True):
-        found.setdefault(run, []).append(_flown(case, result))
-    return now, {run: several if run.seeds > 1 else several[0] for run, several in found.items()}
-
-
-def _flown(case: Case, result: Result) -> Flown:
-    phase = _phase_name(case, int(result.numbers["phase"] or 0))
-    return SimpleNamespace(**{**result.numbers, "completed": result.outcome == "completed", "phase": phase})
+def _results(runs: Sequence[Run], kept: Path | None) -> Mapping[Run, Flown]:
+    """Run the missing simulations; return all results."""
+    groups = {}
+    for run in dict.fromkeys(runs):
+        point = Point({}, " ".join(run.settings), run.settings, team=run.team, scenario=run.scenario)
+        groups[run] = cases_of([point], (), run.seeds, more=more)
+    results = simulated("pages", list(groups.values()), kept)
+    found: dict[Run, Flown] = {}
+    for (run, cases), own in zip(groups.items(), results, strict=True):
+        several = [_flown(case, result) for case, result in zip(cases, own, strict=True)]
+        found[run] = several if run.seeds > 1 else several[0]
+    return found
 
 
 def more(setup: Setup, summary: Any, log: RunLog) -> dict[str, float | None]:
@@ -168,14 +138,11 @@ def more(setup: Setup, summary: Any, log: RunLog) -> dict[str, float | None]:
     }
 
 
-def _phase_name(case: Case, index: int) -> str:
-    """Return the name of a phase; of two with the same name, which one."""
+def _flown(case: Case, result: Result) -> Flown:
+    """Return the numbers; of two phases with the same name, the phase says which one."""
     names = [phase.name for phase in case.scenario.maneuver.phase]
+    index = int(result.numbers["phase"] or 0)
     same = [i for i, name in enumerate(names) if name == names[index]]
-    which = "first " if index == same[0] else "last " if index == same[-1] else ""
-    return f"{which}{names[index]}" if len(same) > 1 else names[index]
-
-
-def _effort(case: Case) -> float:
-    """Return about how long a case takes, in any unit."""
-    return float(len(case.scenario.system.uav) ** 2 * sum(p.duration_s or 0.0 for p in case.scenario.maneuver.phase))
+    which = "" if len(same) == 1 else "first " if index == same[0] else "last " if index == same[-1] else ""
+    found = {"completed": result.outcome == "completed", "phase": f"{which}{names[index]}"}
+    return SimpleNamespace(**{**result.numbers, **found})

@@ -57,14 +57,12 @@ def commit() -> str:
 
     A tree with uncommitted changes there has no commit of its own: its name ends with " and changes".
     """
+
+    def git(*arguments: str) -> str:
+        command = ["git", *arguments, "--", *FLOWN]
+        return subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout.strip()
+
     try:
-        last = _git("log", "-1", "--format=%h", "--", *FLOWN)
-        return f"{last} and changes" if _git("status", "--porcelain", "--", *FLOWN) else last or "unknown"
+        return (git("log", "-1", "--format=%h") or "unknown") + " and changes" * bool(git("status", "--porcelain"))
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-
-
-def _git(*arguments: str) -> str:
-    command = ["git", *arguments]
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, check=True, cwd=ROOT)
-    return done.stdout.strip()

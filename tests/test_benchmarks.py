@@ -26,17 +26,17 @@ def test_solvers_agree(solver: Solver) -> None:
     if not solver.installed:
         pytest.skip(f"{solver.package} is not installed")
     outcome = solvers.compare([solver], asked(), 1)[solver.name]
-    assert outcome.unsolved == 0
-    assert outcome.from_clarabel < solver.tolerance
+    assert not outcome.unsolved
+    assert max(outcome.from_clarabel) < solver.tolerance
     if solver.name in ACTIVE_SETS:
-        assert outcome.from_daqp < solvers.SAME
-    assert outcome.times.median > 0.0
+        assert max(outcome.from_daqp) < solvers.SAME
+    assert min(times.median for times in outcome.times) > 0.0
 
 
 def test_estimates_are_compared_with_the_truth(capsys: pytest.CaptureFixture[str]) -> None:
     """The error of the filters over a second of hover with delay is within the band of its covariance."""
     hover = "maneuver.phase=[{name='hover',duration_s=1.0,displacement_m=[0.0,0.0,0.0]}]"
-    assert estimates.main(["--seeds", "1", "--set", hover, "--set", "links.delay_s=0.1"]) == 0
-    row, summary = capsys.readouterr().out.splitlines()
-    assert row.startswith("seed 0 completed: payload ")
-    assert summary == "1 of 1 seeds have their mean NEES within the band of an instant"
+    estimates.main(["--seeds", "1", "--set", hover, "--set", "links.delay_s=0.1"])
+    _, _, row = capsys.readouterr().out.splitlines()
+    assert "(not completed)" not in row
+    assert "| 1 of 1 |" in row

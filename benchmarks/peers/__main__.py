@@ -6,24 +6,22 @@ so that none is late however long it computes. Needs the packages of `pip instal
 
 import argparse
 import logging
-import platform
 import sys
-import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.page import BenchmarkError, Table, check, write
+from benchmarks.page import BenchmarkError, origin, section
 from benchmarks.runs import messages, setup
 from benchmarks.timing import WARM_UP, digits, quiet
+from docs.tables import place, put
 from model.arrays import Array
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
 from protocol.wire.messages import STAGES, PlantState, StepReport
-from transport.flight.header import machine
 
 HERE = Path(__file__).resolve().parent
 DOCUMENT = HERE.parents[1] / "docs" / "performance.md"
@@ -81,37 +79,33 @@ def _rows(horizon: int) -> Iterator[tuple[str, Callable[[], tuple[float, float]]
         )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Fly all controllers, print the table or write it; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.peers", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--horizon", type=int, default=10, help="N_p of all controllers (10)")
     parser.add_argument("--document", type=Path, help=f"file to write, such as docs/{DOCUMENT.name}; by default none")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     warnings.simplefilter("ignore")  # of the other frameworks: optional parts that are not installed
     logging.disable(logging.WARNING)
+    if options.document:
+        place(options.document, "bench: peers")
     rows, first = [], None
     try:
-        if options.document:
-            check(options.document, ["peers"])
         for name, fly, file in _rows(options.horizon):
             cost, step_ms = fly()
             first = first or (cost, step_ms)
             lines = str(_statements(HERE / file)) if file else "scenario file"
             rows.append((name, f"{cost / first[0]:.3f}", digits(step_ms), digits(step_ms / first[1]), lines))
             print(*rows[-1], sep=", ", file=sys.stderr, flush=True)  # noqa: T201
-    except ImportError as error:
-        sys.stderr.write(f"benchmarks.peers: {error}; pip install 'payload-transport[bench]'\n")
-        return 1
-    except BenchmarkError as error:
-        sys.stderr.write(f"benchmarks.peers: {error}\n")
+    except (ImportError, BenchmarkError) as error:
+        sys.stderr.write(f"benchmarks.peers: {error} (packages: pip install 'payload-transport[bench]')\n")
         return 1
     columns = ("controller", "cost", "step, ms", "step, times the first", "lines")
-    table = str(Table(text=TEXT.format(horizon=options.horizon), columns=columns, rows=rows))
-    where = f"*{machine()}, Python {platform.python_version()}; {time.strftime('%Y-%m-%d')}.*"
+    content = f"{section(TEXT.format(horizon=options.horizon), columns, rows)}\n\n*{origin()}.*"
     if options.document:
-        write(options.document, {"peers": f"{table}\n\n{where}"})
+        put(options.document, "bench: peers", content)
     else:
-        sys.stdout.write(f"{table}\n\n{where}\n")
+        sys.stdout.write(f"{content}\n")
     return 0
 
 

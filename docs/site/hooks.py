@@ -6,7 +6,7 @@ formulas become MathML. A page that cannot be converted ends the build.
 
 import re
 import sys
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
@@ -40,19 +40,18 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, name, content=(ROOT / source).read_text(encoding="utf-8")))
     for asset in sorted((FOLDER / "assets").iterdir()):
         files.append(File.generated(config, f"assets/{asset.name}", abs_src_path=str(asset)))
-    linked: set[PurePosixPath] = set()
+    linked = set()
     for file in files.documentation_pages():
-        base = PurePosixPath("." if file.src_uri in OUTSIDE else "docs")
-        text = FENCE.sub("", file.content_string)
-        linked |= {path for _, target, _ in LINK.findall(text) if (path := _copied(base, target)) is not None}
-    for path in sorted(linked):
-        files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
+        base = _base(file)
+        linked |= {_target(base, found[2]) for found in LINK.finditer(FENCE.sub("", file.content_string))}
+    for target in sorted(target for target in linked if target.startswith("files/")):
+        files.append(File.generated(config, target, abs_src_path=str(ROOT / target.removeprefix("files/"))))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
     """Point links at the files of the site, and name pages by their titles."""
-    base = PurePosixPath("." if page.file.src_uri in OUTSIDE else "docs")
+    base = _base(page.file)
     if page.file.src_uri == "keys.md":
         page.meta["search"] = {"boost": 4}  # the definition of a key comes before pages that mention it
 
@@ -79,31 +78,19 @@ def on_page_content(html: str, page: Page, **_: object) -> str:
         raise PluginError(str(error)) from error
 
 
-def _resolved(base: PurePosixPath, target: str) -> PurePosixPath | None:
-    """Return the file of the project that a link leads to, relative to the project; None for an address."""
-    if "://" in target or target.startswith("mailto:"):
-        return None
+def _base(file: File) -> str:
+    """Return the folder at which the links of a page start."""
+    return "." if file.src_uri in OUTSIDE else "docs"
+
+
+def _target(base: str, target: str) -> str:
+    """Return a link as the site needs it: all its pages are in one folder, copies of other files in files/."""
     path = (ROOT / base / target).resolve()
-    return PurePosixPath(path.relative_to(ROOT).as_posix()) if path.is_file() and path.is_relative_to(ROOT) else None
-
-
-def _copied(base: PurePosixPath, target: str) -> PurePosixPath | None:
-    """Return the path of a file that the site needs a copy of; None if it has it as a page or a picture."""
-    path = _resolved(base, target)
-    if path is None or str(path) in OUTSIDE.values():
-        return None
-    inside = path.parts[0] == "docs" and (path.suffix == ".md" or path.parts[1] == "images")
-    return None if inside else path
-
-
-def _target(base: PurePosixPath, target: str) -> str:
-    """Return a link of a page as the site needs it; all pages of the site are in one folder."""
-    path = _resolved(base, target)
-    if path is None:
+    if "://" in target or target.startswith("mailto:") or not path.is_file() or not path.is_relative_to(ROOT):
         return target
+    own = path.relative_to(ROOT).as_posix()
     for name, source in OUTSIDE.items():
-        if str(path) == source:
+        if own == source:
             return name
-    if _copied(base, target) is not None:
-        return f"files/{path}"
-    return str(path.relative_to("docs"))
+    is_inside = own.startswith("docs/images/") or (own.startswith("docs/") and path.suffix == ".md")
+    return own.removeprefix("docs/") if is_inside else f"files/{own}"

@@ -24,7 +24,7 @@ FLIGHTS = 5  # 2 and 4 UAVs distributed and centralized, 4 in pairs
 @pytest.mark.slow
 def test_sizes_and_ownerships() -> None:
     """Sizes go up to the largest team requested, also an unusual one; pairs exist only for even numbers above two."""
-    points = design_experiments.scaling(9, SIZES).points
+    points = list(design_experiments.scaling(9, SIZES))
     sizes = {
         name: [point.labels["uavs"] for point in points if point.labels["ownership"] == name]
         for name in design_experiments.OWNERSHIPS

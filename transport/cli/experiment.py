@@ -5,13 +5,14 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import joblib
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from typer import Option
@@ -22,13 +23,7 @@ from protocol.scenario.schema import Scenario
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO
 from transport.cli.options import RUNS, FormatOption, LargeOption, with_options
 from transport.cli.output import Format, exit_on, fail, show_json
-from transport.experiments import (
-    agile_experiment,
-    comparison,
-    comparison_report,
-    design_experiments,
-    network_experiments,
-)
+from transport.experiments import comparison, comparison_report, design_experiments, network_experiments
 from transport.experiments.cases import Case, ExperimentError, cases_of, refused
 from transport.experiments.conclusions import conclusions, scaling_conclusions
 from transport.experiments.declaration import EXPERIMENTS, Declaration, Values
@@ -38,13 +33,7 @@ from transport.experiments.sweep import Results, Simulate, sweep
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.header import machine
 
-__all__ = [
-    "EXPERIMENTS",
-    "agile_experiment",
-    "design_experiments",
-    "network_experiments",
-    "paper",
-]  # declared when imported
+__all__ = ["EXPERIMENTS", "design_experiments", "network_experiments", "paper"]  # declared when imported
 
 _OUT = "Folder, by default a new one in runs/; an existing folder of the same experiment is resumed."
 _SCENARIO = (
@@ -168,9 +157,12 @@ def _command(name: str, declared: Declaration) -> Callable[..., None]:
 def _parameter(name: str, values: Values) -> inspect.Parameter:
     """Return an option as a parameter of its command; None stands for a default that depends on `--quick`."""
     several = isinstance(values.default, list)
-    help_text = f"{values.help} Repeatable." if several else values.help
-    option = Option(f"--{name}", metavar=values.metavar, min=values.least, help=help_text)
     depends = several or values.quick is not None
+    help_text = values.help
+    if depends:
+        shown = (value if isinstance(value, str) else f"{value:g}" for value in np.atleast_1d(values.default).tolist())
+        help_text = f"{help_text.rstrip('.')}; by default {', '.join(shown)}.{' Repeatable.' * several}"
+    option = Option(f"--{name}", metavar=values.metavar, help=help_text)
     kind: Any = list[values.kind] if several else values.kind  # type: ignore[name-defined]
     return inspect.Parameter(
         name,
@@ -238,7 +230,7 @@ def paper(
             raise refused("--gust", "a speed >= 0 m/s", f"{gust:g}")
         folder, console = _new_folder(options, "paper"), Console(stderr=True)
         _trial_note(options, console)
-        lines, table, swept = comparison_report.compare(
+        lines, table = comparison_report.compare(
             options.changes(),
             options.repetitions,
             gust,
@@ -249,7 +241,6 @@ def paper(
         )
         content = {"experiment": "paper", "report": [line.strip() for line in lines if line.strip()]}
         _show(table, comparison_report.WIDTH, lines, content, options.output)
-        swept.check()
 
 
 @contextmanager
@@ -286,7 +277,7 @@ def _content(m: PointStatistics) -> dict[str, Any]:
         "errors": m.errors,
         "diverged_s": list(m.diverged_s),
         "cost_ratio": m.cost_ratio,
-        "numbers": {name: None if value is None else asdict(value) for name, value in m.numbers.items()},
+        "numbers": {name: None if value is None else value._asdict() for name, value in m.numbers.items()},
     }
 
 

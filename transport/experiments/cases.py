@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from agent.own import controller_version
 from plant.engines import engine_version
@@ -41,28 +41,31 @@ _RANDOM = {"jitter_s", "loss", "duplicate", "reorder", "gust_mps", "noise"}
 _TEAM_SECTIONS = ("system", "agents")
 
 
-@dataclass(frozen=True, slots=True)
-class Team:
+class Team(NamedTuple):
     """A team that replaces the scenario's own, made as by `transport scenario new`."""
 
     uavs: int  # number of UAVs
     group: int  # UAVs per agent
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Point:
     """A point of a sweep: a scenario and its changes.
 
     A baseline is what the scenario's other points with the same group and number of UAVs are compared to.
     """
 
-    scenario: str  # file or name
     labels: Mapping[str, str | float]  # values by column that tell the point from the scenario's others
     text: str  # the same in words, such as "200 ms"
     settings: tuple[str, ...] = ()  # changes of the scenario, as for `--set`
     baseline: bool = False
     group: str = ""  # name of points that share a baseline of their own
     team: Team | None = None  # replaces the scenario's own team
+    scenario: str = ""  # file or name
+
+
+# Further numbers of a run, from its setup, summary and log.
+More = Callable[[Setup, Any, RunLog], Mapping[str, float | None]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,11 +77,7 @@ class Case:
     source: str  # file the scenario comes from
     key: str  # fingerprint of everything that determines the result
     timed: bool = False  # whether processor time and messages are measured as well
-    # Further numbers of the run, from its setup, summary and log.
-    more: "More | None" = None
-
-
-More = Callable[[Setup, Any, RunLog], Mapping[str, float | None]]
+    more: More | None = None
 
 
 def cases_of(
@@ -118,12 +117,11 @@ def cases_of_point(
         # In real time the result would depend on the machine and its load.
         raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
     setup = Setup.of(scenario, str(path))  # refuses an impossible setup before the first run
-    samples_s = setup.samples_s
     checked(setup)
     cases = []
     for seed in range(seeds if timed or is_random(scenario) else 1):
         seeded = scenario.model_copy(update={"seed": seed})
-        key = key_of(seeded, samples_s)
+        key = key_of(seeded, setup.samples_s)
         cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, timed=timed, more=more))
     return cases
 
@@ -138,8 +136,8 @@ def _scenario(path: Path, point: Point, settings: Sequence[str]) -> Scenario:
         key = setting.partition("=")[0].strip()
         if key.partition(".")[0] in _TEAM_SECTIONS and key != "system.gravity_mps2":
             raise ScenarioError(f"--set {setting}", "", "expected a key that every team has, got one of a single team")
-    team = point.team
-    return resized(scenario, path.parent, team.uavs, group=team.group, name=None, source=f"{path}, {point.text}")
+    uavs, group = point.team
+    return resized(scenario, path.parent, uavs, group=group, name=None, source=f"{path}, {point.text}")
 
 
 def key_of(scenario: Scenario, samples_s: Mapping[str, tuple[float, ...]]) -> str:
@@ -161,7 +159,7 @@ def is_random(scenario: Scenario) -> bool:
 
 def _draws(tree: Any) -> bool:
     if isinstance(tree, list):
-        return any(_draws(entry) for entry in tree)
+        return any(map(_draws, tree))
     if not isinstance(tree, dict):
         return False
     if tree.get("distribution") == "empirical" or "gilbert_elliott" in tree:
@@ -172,5 +170,5 @@ def _draws(tree: Any) -> bool:
 def _is_positive(part: Any) -> bool:
     """Return whether any number of a value, list or section is more than zero."""
     if isinstance(part, dict):
-        return any(_is_positive(value) for value in part.values())
+        return any(map(_is_positive, part.values()))
     return any(part) if isinstance(part, list) else part > 0

@@ -1,6 +1,5 @@
 """Conclusions of an experiment: one sentence per scenario or ownership, made from its numbers."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,12 +20,15 @@ def conclusions(measured: Sequence[PointStatistics]) -> list[str]:
     sentences = []
     for name in dict.fromkeys(m.point.scenario for m in measured):
         own = [m for m in measured if m.point.scenario == name]
-        parts = (survival(own), _attitude(own), _cost(own), errors_text(own))
-        sentences.append(f"{name}: {'; '.join(part for part in parts if part)}")
+        sentences.append(_sentence(name, _survival(own), _attitude(own), _cost(own), _errors(own)))
     return sentences
 
 
-def survival(measured: Sequence[PointStatistics]) -> str:
+def _sentence(name: str, *parts: str) -> str:
+    return f"{name}: {'; '.join(filter(None, parts))}"
+
+
+def _survival(measured: Sequence[PointStatistics]) -> str:
     """Return how many runs were completed, and at which points others diverged."""
     simulated = [m for m in measured if m.runs]
     if not simulated:
@@ -43,8 +45,7 @@ def survival(measured: Sequence[PointStatistics]) -> str:
     return f"completes {count}, {without}; first diverged at {first.diverged_s[0]:.1f} s ({first.point.text})"
 
 
-def errors_text(measured: Sequence[PointStatistics]) -> str:
-    """Return how many runs could not be simulated; nothing if all could."""
+def _errors(measured: Sequence[PointStatistics]) -> str:
     errors = sum(m.errors for m in measured)
     return f"{errors} run{'s' * (errors > 1)} could not be simulated" if errors else ""
 
@@ -54,12 +55,12 @@ def _divergence(m: PointStatistics) -> str:
 
 
 def _attitude(measured: Sequence[PointStatistics]) -> str:
-    found = [(value.mean, m) for m in measured if (value := m.numbers["attitude_max_deg"]) is not None]
+    found = [(value, i) for i, m in enumerate(measured) if (value := m.mean("attitude_max_deg")) is not None]
     if not found:
         return ""
-    worst, m = max(found, key=lambda entry: entry[0])
-    mean = "on average " if m.completed > 1 else ""
-    return f"largest payload attitude {mean}{worst:.2f} deg ({m.point.text})"
+    worst, i = max(found, key=lambda entry: entry[0])
+    mean = "on average " if measured[i].completed > 1 else ""
+    return f"largest payload attitude {mean}{worst:.2f} deg ({measured[i].point.text})"
 
 
 def _cost(measured: Sequence[PointStatistics]) -> str:
@@ -71,67 +72,50 @@ def _cost(measured: Sequence[PointStatistics]) -> str:
     return "cost " + ", ".join(f"x{ratio:.2f} ({text})" for ratio, text in named)
 
 
-def exponent(uavs: Sequence[float], values: Sequence[float]) -> float | None:
-    """Return p of the power law value ~ N^p, fitted by least squares to log value over log N.
-
-    Args:
-        uavs: N.
-        values: Value at each N, > 0.
-    Returns: p, or None for fewer than two team sizes.
-    """
-    if len(set(uavs)) < 2:
-        return None
-    logs = np.log(np.array([uavs, values], dtype=np.float64))
-    x, y = logs - logs.mean(axis=1, keepdims=True)
-    return float(x @ y / (x @ x))
-
-
 def scaling_conclusions(measured: Sequence[PointStatistics]) -> list[str]:
     """Return one sentence for each ownership, and one for each comparison with the centralized team."""
-    ownerships = dict.fromkeys(str(m.point.labels["ownership"]) for m in measured)
-    lines = []
-    for ownership in ownerships:
-        parts = [
-            survival([m for m in measured if m.point.labels["ownership"] == ownership]),
-            _growth("CPU of an agent's step", _means(measured, ownership, "cpu_step_p50_ms"), "ms", 1.0),
-            _growth("CPU of the team per tick", _means(measured, ownership, "cpu_team_tick_ms"), "ms", 1.0),
-            _growth("volume of plans", _means(measured, ownership, "plan_bytes_per_s"), "kB/s", 1e-3),
-            errors_text([m for m in measured if m.point.labels["ownership"] == ownership]),
-        ]
-        lines.append(f"{ownership}: {'; '.join(part for part in parts if part)}")
-    return [*lines, *(_comparison(measured, other) for other in ownerships if other != CENTRALIZED)]
+    teams: dict[str, list[PointStatistics]] = {}
+    for m in measured:
+        teams.setdefault(str(m.point.labels["ownership"]), []).append(m)
+    lines = [
+        _sentence(
+            ownership,
+            _survival(own),
+            _growth("CPU of an agent's step", _means(own, "cpu_step_p50_ms"), "ms"),
+            _growth("CPU of the team per tick", _means(own, "cpu_team_tick_ms"), "ms"),
+            _growth("volume of plans", _means(own, "plan_bytes_per_s", 1e-3), "kB/s"),
+            _errors(own),
+        )
+        for ownership, own in teams.items()
+    ]
+    others = [ownership for ownership in teams if ownership != CENTRALIZED]
+    return [*lines, *(_comparison(teams[ownership], teams[CENTRALIZED], ownership) for ownership in others)]
 
 
-def _means(measured: Sequence[PointStatistics], ownership: str, name: str) -> dict[int, float]:
-    """Return the mean of a number by team size for one ownership, where any run was completed."""
-    return {
-        int(m.point.labels["uavs"]): value.mean
-        for m in measured
-        if m.point.labels["ownership"] == ownership and (value := m.numbers[name]) is not None
-    }
+def _means(measured: Sequence[PointStatistics], name: str, factor: float = 1.0) -> dict[float, float]:
+    """Return the mean of a number by team size, where any run was completed."""
+    return {float(m.point.labels["uavs"]): factor * value for m in measured if (value := m.mean(name)) is not None}
 
 
-def _growth(name: str, values: dict[int, float], unit: str, factor: float) -> str:
-    """Return how a number grows from `FEWEST` to `MOST` UAVs; nothing for fewer than two teams."""
+def _growth(name: str, values: dict[float, float], unit: str) -> str:
+    """Return how a number grows from `FEWEST` to `MOST` UAVs: p of N^p by least squares; nothing for a single team."""
     fitted = {uavs: value for uavs, value in values.items() if FEWEST <= uavs <= MOST and value > 0.0}
-    power = exponent(list(fitted), list(fitted.values()))
-    if power is None:
+    if len(fitted) < 2:
         return ""
+    power = np.polyfit(np.log(list(fitted)), np.log(list(fitted.values())), 1)[0]
     first, last = min(fitted), max(fitted)
-    ends = " to ".join(f"{float(f'{factor * fitted[uavs]:.3g}'):g}" for uavs in (first, last)) + f" {unit}"
-    return f"{name} grows as N^{power:.2f} from {first} to {last} UAVs ({ends})"
+    ends = " to ".join(f"{float(f'{fitted[uavs]:.3g}'):g}" for uavs in (first, last)) + f" {unit}"
+    return f"{name} grows as N^{power:.2f} from {first:g} to {last:g} UAVs ({ends})"
 
 
-def _comparison(measured: Sequence[PointStatistics], ownership: str) -> str:
+def _comparison(measured: Sequence[PointStatistics], whole: Sequence[PointStatistics], ownership: str) -> str:
     """Return computation and cost over the centralized team's, for the largest team that both completed."""
-    own, central = (_means(measured, name, "cpu_step_p50_ms") for name in (ownership, CENTRALIZED))
+    own, central = (_means(of, "cpu_step_p50_ms") for of in (measured, whole))
     both = own.keys() & central.keys()
     if not both:
         return f"{ownership} against {CENTRALIZED}: no team of both completed its run"
     uavs = max(both)
-    cost, reference = (_means(measured, name, "cost_mean")[uavs] for name in (ownership, CENTRALIZED))
-    ratio = cost / reference if reference > 0.0 else math.nan
-    return (
-        f"{ownership} against {CENTRALIZED}, {uavs} UAVs: "
-        f"CPU of an agent's step x{own[uavs] / central[uavs]:.3g}, cost x{ratio:.2f}"
-    )
+    (m,) = (m for m in measured if m.point.labels["uavs"] == uavs)
+    cost = "" if m.cost_ratio is None else f", cost x{m.cost_ratio:.2f}"
+    ratio = own[uavs] / central[uavs]
+    return f"{ownership} against {CENTRALIZED}, {uavs:g} UAVs: CPU of an agent's step x{ratio:.3g}{cost}"

@@ -12,21 +12,20 @@ from typing import Any, NamedTuple
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 
-from transport.experiments.declaration import NONE, Experiment
-from transport.experiments.statistics import PointStatistics
+from transport.experiments.declaration import NONE, Experiment, axis
+from transport.experiments.statistics import COST_RATIO, PointStatistics
 from transport.report.column import column_panels, draw_legend, head, legend_height_in
-from transport.report.style import CURVES, DIVERGED, MARKER, REFERENCE, SMALL, label_decades
+from transport.report.style import CURVES, DIVERGED, MARKER, REFERENCE, label_decades
 
 
 class Panel(NamedTuple):
-    """A panel: title, name of the number or `COST_RATIO`, factor, whether the axis begins at zero."""
+    """A panel: title, name of the number, factor."""
 
     title: str
     number: str
     factor: float = 1.0
-    from_zero: bool = True
 
 
 class _Curve(NamedTuple):
@@ -38,19 +37,27 @@ class _Curve(NamedTuple):
     style: dict[str, Any]
 
 
-COST_RATIO = "cost_ratio"
 _ATTITUDE = Panel("largest payload attitude (deg)", "attitude_max_deg")
-_PANELS = (Panel("mean cost of completed runs ($10^{-3}$)", "cost_mean", 1e3), _ATTITUDE)
-_SHARING_PANELS = (
-    Panel("plans sent (%)", "plans_shared_share", 100.0),
-    Panel("mean cost over that with all plans sent", COST_RATIO, from_zero=False),
-    _ATTITUDE,
-)
-_TRACKING_PANELS = (
-    Panel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
-    Panel("largest payload error (cm)", "payload_max_m", 100.0),
-    _ATTITUDE,
-)
+# Panels by how an experiment is drawn.
+_PANELS: Mapping[str, Sequence[Panel]] = {
+    "curves": (Panel("mean cost of completed runs ($10^{-3}$)", "cost_mean", 1e3), _ATTITUDE),
+    "sharing": (
+        Panel("plans sent (%)", "plans_shared_share", 100.0),
+        Panel("mean cost over that with all plans sent", COST_RATIO),
+        _ATTITUDE,
+    ),
+    "tracking": (
+        Panel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
+        Panel("largest payload error (cm)", "payload_max_m", 100.0),
+        _ATTITUDE,
+    ),
+    "scaling": (
+        Panel("agent's CPU per step (ms)", "cpu_step_p50_ms"),
+        Panel("team's CPU per tick (ms)", "cpu_team_tick_ms"),
+        Panel("plans sent (kB/s)", "plan_bytes_per_s", 1e-3),
+        Panel("mean cost ($10^{-3}$)", "cost_mean", 1e3),
+    ),
+}
 _DIVERGED = "time at which runs diverge (s, hollow), or never"
 
 # Height of a panel, and of the title of the first, in.
@@ -62,8 +69,6 @@ _APART, _APART_MANY, _TOGETHER = 0.035, 0.004, 0.7
 
 # Height of a run that never diverges, over the time of the last divergence.
 _NEVER = 1.25
-# Share of it from which on the number of diverged runs stands below the marker; height of a line, in font sizes.
-_MIDDLE, _LINE = 0.4, 0.9
 
 # Limits of the upper end of the vertical axis over the highest mean; wide intervals, as of two runs, are cut off.
 _HIGHEST, _LOWEST = 2.0, 1.12
@@ -77,59 +82,57 @@ _MOST_TICKS = 10
 
 
 def draw_curves(figure: Figure, experiment: Experiment, measured: Sequence[PointStatistics]) -> None:
-    """Draw the panels: when runs diverge, if any does, cost and attitude; each with the curves of all scenarios.
+    """Draw the panels: when runs diverge, if any does, and the numbers; each with the curves of all scenarios.
 
-    Of shared plans: plans sent, cost over that with all sent, and attitude over the threshold, in equal distances.
+    Names and thresholds are in equal distances; growth with the team has logarithmic axes.
     """
-    is_sharing = experiment.drawn_as == "sharing"
-    shown = {"sharing": _SHARING_PANELS, "tracking": _TRACKING_PANELS}.get(experiment.drawn_as, _PANELS)
-    column = experiment.x.label
+    column, is_growth = experiment.x.label, experiment.drawn_as == "scaling"
     values = list(dict.fromkeys(m.point.labels[column] for m in measured))
     joined = not isinstance(values[0], str) and len(values) <= _MOST_TICKS  # no line between names or random times
-    apart_from_axis = [m for m in measured if not joined and _is_beside(m, column)]
-    values = list(dict.fromkeys(m.point.labels[column] for m in measured if m not in apart_from_axis)) or values
-    places = {v: v if isinstance(v, float) and not is_sharing else float(i) for i, v in enumerate(values)}
+    beside = [m for m in measured if not joined and _is_beside(m, column)]
+    values = list(dict.fromkeys(m.point.labels[column] for m in measured if m not in beside)) or values
+    is_number = is_growth or (isinstance(values[0], float) and experiment.drawn_as != "sharing")
+    places = {value: float(value) if is_number else float(i) for i, value in enumerate(values)}
     curves = _styled_curves(experiment, measured, joined=joined)
-    rows = _legend(curves, apart_from_axis)
+    legend = _legend(curves, beside)
     diverged_s = [time_s for m in measured for time_s in m.diverged_s]
-    first = bool(diverged_s)
+    never_s = _NEVER * max(diverged_s, default=0.0)
+    shown = _PANELS[experiment.drawn_as]
     panels = column_panels(
         figure,
-        [_PANEL_IN] * (len(shown) + first),
+        [_PANEL_IN] * (len(shown) + bool(diverged_s)),
         x_label=experiment.x.title,
-        top_in=legend_height_in(rows) + _ABOVE_IN,
+        top_in=legend_height_in(legend) + _ABOVE_IN,
     )
-    draw_legend(figure, rows)
-    apart = _apart(list(places.values()), len(curves))
-    ends = _ends(list(places.values()), apart * (len(curves) + 1))
-    # Numbers of diverged runs stand upright beside one another.
-    distance_pt = 72.0 * apart / (ends[1] - ends[0]) * panels[0].get_position().width * figure.get_figwidth()
-    counted = len(values) <= _MOST_TICKS and (len(curves) == 1 or distance_pt > _LINE * SMALL)
+    draw_legend(figure, legend)
+    above = panels.pop(0) if diverged_s else None
+    apart = 0.0 if is_growth else _apart(list(places.values()), len(curves))
     for index, curve in enumerate(curves):
-        points = [m for m in curve.points if m not in apart_from_axis]
+        points = [m for m in curve.points if m not in beside]
         shift = apart * (index - (len(curves) - 1) / 2.0)
         x = [places[m.point.labels[column]] + shift for m in points]
-        if diverged_s:
-            _draw_divergence(panels[0], x, points, curve.style, _NEVER * max(diverged_s), counted=counted)
-        for panel, (_, number, factor, _) in zip(panels[first:], shown, strict=True):
-            draw_means(panel, x, points, number, factor, curve.style)
-            for m in apart_from_axis:
-                if m in curve.points and (value := _mean(m, number)) is not None:
+        if above is not None:
+            _draw_divergence(above, x, points, curve.style, never_s)
+        for panel, (_, number, factor) in zip(panels, shown, strict=True):
+            _draw_means(panel, x, points, number, factor, curve.style)
+            for m in beside:
+                if m in curve.points and (value := m.mean(number)) is not None:
                     panel.axhline(factor * value, color=curve.style["color"], linewidth=0.8, linestyle="--")
-    for panel in panels:
-        panel.set_xlim(ends)
-        _name_values(panel, experiment, places)
-    drawn = [m for curve in curves for m in curve.points]
-    for panel, (title, number, factor, from_zero) in zip(panels[first:], shown, strict=True):
+    for panel, (title, number, factor) in zip(panels, shown, strict=True):
         head(panel, title, legend=False)
-        means = [factor * value for m in drawn if (value := _mean(m, number)) is not None]
-        if from_zero:
-            _scale(panel, means)
-        else:
+        means = [factor * value for curve in curves for m in curve.points if (value := m.mean(number)) is not None]
+        if is_growth:
+            _scale_growth(panel, means)
+        elif number == COST_RATIO:
             panel.margins(y=0.12)
-    if diverged_s:
-        head(panels[0], _DIVERGED, legend=False)
-        _name_never(panels[0], _NEVER * max(diverged_s))
+        else:
+            _scale(panel, means)
+    if above is not None:
+        head(above, _DIVERGED, legend=False)
+        _name_never(above, never_s)
+    for panel in [*panels, *([above] if above is not None else [])]:
+        panel.set_xlim(_ends(list(places.values()), apart * (len(curves) + 1)))
+        _name_values(panel, places, experiment.x.factor)
 
 
 def _apart(places: Sequence[float], curves: int) -> float:
@@ -162,6 +165,21 @@ def _styled_curves(experiment: Experiment, measured: Sequence[PointStatistics], 
     return found
 
 
+def _curves(experiment: Experiment, measured: Sequence[PointStatistics]) -> dict[str, list[PointStatistics]]:
+    """Return the points of each curve by its name in the legend, in the order of the horizontal axis."""
+    column = experiment.curves
+    if column is None:
+        return {measured[0].point.scenario: list(measured)}
+    curves = {}
+    for value in dict.fromkeys(m.point.labels[column] for m in measured):
+        if value != NONE:
+            # The last of several points at one x belongs to the curve: the constant delay, not the perfect network.
+            own = {m.point.labels[experiment.x.label]: m for m in measured if m.point.labels[column] in (NONE, value)}
+            text = value if isinstance(value, str) else axis(column).text(value)
+            curves[experiment.legend.get(value, text)] = list(own.values())
+    return curves
+
+
 def _legend(curves: Sequence[_Curve], beside: Sequence[PointStatistics]) -> dict[str, list[Line2D]]:
     """Return the handles of the curves: a row for each scenario with several, else one for all."""
     rows: dict[str, list[Line2D]] = {}
@@ -171,22 +189,8 @@ def _legend(curves: Sequence[_Curve], beside: Sequence[PointStatistics]) -> dict
     if beside:
         colour = curves[0].style["color"] if len(curves) == 1 else REFERENCE
         line = Line2D([], [], label=beside[0].point.text, color=colour, linewidth=0.8, linestyle="--")
-        rows[next(iter(rows))].append(line)
+        next(iter(rows.values())).append(line)
     return rows
-
-
-def _curves(experiment: Experiment, measured: Sequence[PointStatistics]) -> dict[str, list[PointStatistics]]:
-    """Return the points of each curve by its name in the legend, in the order of the horizontal axis."""
-    column = experiment.curves
-    if column is None:
-        return {measured[0].point.scenario: list(measured)}
-    values = dict.fromkeys(m.point.labels[column] for m in measured)
-    curves = {}
-    for value in (value for value in values if value != NONE):
-        # The last of several points at one x belongs to the curve: the constant delay, not the perfect network.
-        own = {m.point.labels[experiment.x.label]: m for m in measured if m.point.labels[column] in (NONE, value)}
-        curves[experiment.legend.get(value, str(value))] = list(own.values())
-    return curves
 
 
 def _ends(places: Sequence[float], margin: float) -> tuple[float, float]:
@@ -194,13 +198,17 @@ def _ends(places: Sequence[float], margin: float) -> tuple[float, float]:
     return min(places) - width, max(places) + width
 
 
-def _name_values(panel: Axes, experiment: Experiment, places: Mapping[str | float, float]) -> None:
+def _name_values(panel: Axes, places: Mapping[str | float, float], factor: float) -> None:
     """Name the values of the horizontal axis."""
+
+    def text(value: str | float) -> str:
+        return value if isinstance(value, str) else f"{factor * value:g}"
+
     if len(places) <= _MOST_TICKS:
-        panel.set_xticks(list(places.values()), [_tick(value, experiment.x.factor) for value in places])
+        panel.set_xticks(list(places.values()), [text(value) for value in places])
     else:
         panel.xaxis.set_major_locator(MaxNLocator(6))
-        panel.xaxis.set_major_formatter(lambda value, _: _tick(value, experiment.x.factor))
+        panel.xaxis.set_major_formatter(lambda value, _: text(value))
 
 
 def _name_never(panel: Axes, never_s: float) -> None:
@@ -223,55 +231,38 @@ def _scale(axes: Axes, means: Sequence[float]) -> None:
         axes.set_ylim(0.0, top or 1.0)
 
 
-def _draw_divergence(
-    axes: Axes,
-    x: Sequence[float],
-    points: Sequence[PointStatistics],
-    style: dict[str, Any],
-    never_s: float,
-    *,
-    counted: bool,
-) -> None:
-    """Draw the mean time at which runs diverged and its range; a run that completes at the height of "never".
+def _scale_growth(axes: Axes, means: Sequence[float]) -> None:
+    """Make both axes logarithmic and fit the vertical one to the means: a power of N is a straight line."""
+    positive = [mean for mean in means if mean > 0.0]
+    axes.set_xscale("log")
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_yscale("log")
+    if positive:
+        axes.set_ylim(min(positive) / 1.4, max(positive) * 1.4)
+    label_decades(axes.yaxis)
 
-    Where some complete and some do not, both are drawn, if `counted` with the number of the latter.
-    """
+
+def _draw_divergence(
+    axes: Axes, x: Sequence[float], points: Sequence[PointStatistics], style: dict[str, Any], never_s: float
+) -> None:
+    """Draw the mean time at which runs diverged and its range; a run that completes at the height of "never"."""
     dots = {"color": style["color"], "marker": style["marker"], "markersize": MARKER, "linestyle": "none"}
     for at, m in zip(x, points, strict=True):
         if m.completed:
             axes.plot([at], [never_s], **dots)
         if m.diverged_s:
-            mean_s = statistics.fmean(m.diverged_s)
             axes.plot([at, at], [min(m.diverged_s), max(m.diverged_s)], color=style["color"], linewidth=0.8)
-            axes.plot([at], [mean_s], **dots | DIVERGED)
-            if m.completed and counted:
-                below = mean_s > _MIDDLE * never_s
-                how: Any = {"textcoords": "offset points", "ha": "center", "va": "top" if below else "bottom"}
-                how |= {"rotation": 90, "color": style["color"], "fontsize": SMALL}
-                axes.annotate(f"{len(m.diverged_s)} of {m.runs}", (at, mean_s), (0.0, -3.5 if below else 3.5), **how)
+            axes.plot([at], [statistics.fmean(m.diverged_s)], **dots | DIVERGED)
 
 
-def draw_means(
+def _draw_means(
     axes: Axes, x: Sequence[float], points: Sequence[PointStatistics], number: str, factor: float, style: dict[str, Any]
-) -> list[float]:
-    """Draw and return means over the completed runs, with confidence intervals; nan where no run was completed."""
+) -> None:
+    """Draw means over the completed runs, with confidence intervals; a gap where no run was completed."""
     means, halves = [], []
     for m in points:
-        mean, value = _mean(m, number), m.numbers.get(number)
+        mean, value = m.mean(number), m.numbers.get(number)
         means.append(math.nan if mean is None else factor * mean)
         halves.append(0.0 if value is None or value.half_width is None else factor * value.half_width)
     axes.plot(x, means, **{"markersize": MARKER, **style})
     axes.errorbar(x, means, halves, color=style["color"], linestyle="none", capsize=1.5, elinewidth=0.8)
-    return means
-
-
-def _mean(m: PointStatistics, number: str) -> float | None:
-    """Return the mean of a number over the completed runs; None where no run was completed."""
-    if number == COST_RATIO:
-        return m.cost_ratio
-    value = m.numbers[number]
-    return None if value is None else value.mean
-
-
-def _tick(value: str | float, factor: float) -> str:
-    return value if isinstance(value, str) else f"{factor * value:g}"

@@ -1,14 +1,14 @@
 """Declaration of an experiment: its points, its options with their checks, and how it is drawn.
 
-The function of an experiment is declared with its options; the command line and its help are made from the declaration.
+The function of an experiment yields the points of one scenario; it is declared with its options, from which the command
+line and its help are made.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from mpc.settings import Key
 from protocol.scenario.keys import UNITS, ending_of, fields, key_of, unit_of
 from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point, refused
@@ -16,17 +16,9 @@ from transport.experiments.cases import Point, refused
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """Axis of a figure."""
+    """A quantity in a figure: its column, its name and unit, and the factor from the column to that unit."""
 
-    label: str  # name of the column along the axis
-    title: str  # name of the quantity, with unit
-    factor: float = 1.0  # conversion from the column to that unit
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """Name and unit of a quantity in a figure, and the factor from its value, SI, to that unit."""
-
+    label: str
     name: str
     unit: str = ""
     factor: float = 1.0
@@ -45,39 +37,43 @@ class Quantity:
 # Factors from SI to the units of figures.
 _FACTORS = {"ms": 1e3, "%": 100.0, "mm": 1e3, "mm/s": 1e3}
 
-# Columns of experiments that are no keys of the scenario.
-_COLUMNS: Mapping[str, Quantity] = {
-    "std_s": Quantity("standard deviation of the delay", "ms", 1e3),
-    "killed_s": Quantity("time at which the agent is killed", "s"),
-    "hover_s": Quantity("duration of the last hover", "s"),
-    "speed_mps": Quantity("largest speed", "m/s"),
-    "uavs": Quantity("number of UAVs"),
-    "terminal": Quantity("terminal weight"),
+# Columns of experiments that are no keys of the scenario: name, unit, factor.
+_COLUMNS: Mapping[str, tuple[Any, ...]] = {
+    "std_s": ("standard deviation of the delay", "ms", 1e3),
+    "agent": ("agent killed",),
+    "restart_s": ("restart", "s"),
+    "killed_s": ("time at which the agent is killed", "s"),
+    "hover_s": ("duration of the last hover", "s"),
+    "speed_mps": ("largest speed", "m/s"),
+    "uavs": ("number of UAVs",),
+    "terminal": ("terminal weight",),
+    "share_threshold": ("threshold", "% of the input's range; 0: all plans sent", 100.0),
+}
+# Keys of columns with a short name.
+_KEYS = {
+    "delay_s": "links.delay_s",
+    "loss": "links.loss",
+    "horizon": "controller.horizon",
+    "period_s": "controller.sampling_period_s",
 }
 
 
-def quantity(key: str) -> Quantity:
-    """Return name and unit of a key of the scenario, or of a column; from its words if it has no label."""
+def axis(column: str, key: str | None = None) -> Axis:
+    """Return the axis of a column: of a key of the scenario, in its words if it has no label, or of `_COLUMNS`."""
+    key = key or _KEYS.get(column, column)
     if key in _COLUMNS:
-        return _COLUMNS[key]
-    field = fields().get(key)
-    entry = Key() if field is None else key_of(field)
-    if field is None or not entry.label:
+        return Axis(column, *_COLUMNS[key])
+    found = fields().get(key)
+    label = key_of(found).label if found is not None else ""
+    if found is None or not label:
         ending = ending_of(key)
-        return Quantity(key.removesuffix(ending).replace(".", " ").replace("_", " "), UNITS[ending][0])
-    label = entry.label  # those of links name plans
-    if key.startswith("links.measurement."):
+        return Axis(column, key.removesuffix(ending).replace(".", " ").replace("_", " "), UNITS[ending][0])
+    if key.startswith("links.measurement."):  # labels of links name plans
         label = label.replace("plans", "measurements")
     if key.startswith("links.actuation."):
         label = f"{label.removesuffix(' of plans')} to the actuators"
-    unit = entry.shown or unit_of(key, field)
-    return Quantity(label, unit, _FACTORS.get(unit.partition(" ")[0], 1.0))
-
-
-def axis(column: str, key: str | None = None) -> Axis:
-    """Return the axis of a column; its key is given where the column has a name of its own."""
-    found = quantity(key or column)
-    return Axis(column, found.title, found.factor)
+    unit = key_of(found).shown or unit_of(key, found)
+    return Axis(column, label, unit, _FACTORS.get(unit.partition(" ")[0], 1.0))
 
 
 # Label of points to which a column does not apply.
@@ -89,21 +85,19 @@ QUICK_MANEUVER = (
     "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]}]"
 )
 
-_SMALLEST = math.ulp(0.0)  # lower bound of numbers that must be positive
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """A sweep and how it is drawn.
+    """A sweep and how it is drawn: as curves over x, a map over x and y, or a row for each variant.
 
-    It is drawn as curves, a map, curves over team size, a row for each variant, or curves of shared plans or of errors.
+    Curves have the panels of costs, of processor time, of shared plans or of errors.
     """
 
     name: str  # of the command
     points: tuple[Point, ...]
-    x: Axis  # horizontal
-    y: Axis | None = None  # vertical axis of a map
-    drawn_as: Literal["curves", "map", "scaling", "variants", "sharing", "tracking"] = "curves"
+    x: Axis
+    y: Axis | None = None
+    drawn_as: Literal["curves", "scaling", "variants", "sharing", "tracking"] = "curves"
     # Column that tells the curves of a scenario apart, and names of its values in the figure. Points labelled `NONE`
     # belong to all curves.
     curves: str | None = None
@@ -116,7 +110,7 @@ class Range:
     """Range of a number, low <= number < below, and its description."""
 
     expected: str
-    low: float = _SMALLEST
+    low: float = math.ulp(0.0)
     below: float = math.inf
 
     def check(self, option: str, *values: float) -> None:
@@ -135,10 +129,9 @@ class Values:
 
     default: Any
     metavar: str = ""  # empty: not an option of the command
-    help: str = ""
+    help: str = ""  # without the default
     quick: Any = None  # default with --quick, where it differs
     within: Range | None = None
-    least: int | None = None  # smallest value, checked by the command line
 
     @property
     def kind(self) -> type:
@@ -150,24 +143,29 @@ class Values:
 
         Raises: ExperimentError: a value is outside the range, or given twice.
         """
+        several = isinstance(self.default, list)
         default = self.quick if quick and self.quick is not None else self.default
-        found = given if given or (given is not None and not isinstance(default, list)) else default
-        values = found if isinstance(default, list) else [found]
+        found = default if given is None or (several and not given) else given
+        values = found if several else [found]
         if self.within is not None:
             self.within.check(f"--{name}", *values)
-        return distinct(f"--{name}", found) if isinstance(default, list) else found
+        for value in values:
+            if values.count(value) > 1:
+                raise refused(f"--{name}", "each value once", f"{value} {values.count(value)} times")
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declaration:
-    """An experiment: its function of scenarios by name and of its options, which returns the sweep, and its defaults.
+    """An experiment: its function of a scenario and of its options, which yields the points, and its defaults.
 
     Without scenarios it has teams or controllers of its own, and its function takes only its options.
     """
 
-    build: Callable[..., Experiment]
+    build: Callable[..., Iterable[Point]]
     options: Mapping[str, Values]
-    scenarios: Sequence[str] = ()
+    drawn: Mapping[str, Any]  # fields of `Experiment`
+    scenarios: Sequence[str] = ("paper", "resilient")
     seeds: int = 1
     jobs: int | None = None  # runs at a time; None: one for each core
     maneuver: str = ""  # setting; empty: the scenario's own
@@ -181,35 +179,39 @@ class Declaration:
         Raises: ExperimentError: an option is refused.
         """
         options = {name: values.checked(name, given.get(name), quick=quick) for name, values in self.options.items()}
-        return self.build(scenarios, **options) if self.scenarios else self.build(**options)
+        if self.scenarios:
+            points = [
+                replace(point, scenario=name)
+                for name, scenario in scenarios.items()
+                for point in self.build(scenario, **options)
+            ]
+        else:
+            points = list(self.build(**options))
+        return Experiment(name=self.build.__name__, points=tuple(points), **self.drawn)
 
 
 # Experiments by the name of the command.
 EXPERIMENTS: dict[str, Declaration] = {}
 
+Build = Callable[..., Iterable[Point]]
+
 
 def declared(
-    *, scenarios: Sequence[str] = ("paper", "resilient"), defaults: Mapping[str, Any] | None = None, **options: Values
-) -> Callable[[Callable[..., Experiment]], Callable[..., Experiment]]:
+    x: str, *, drawn: Mapping[str, Any] | None = None, defaults: Mapping[str, Any] | None = None, **options: Values
+) -> Callable[[Build], Build]:
     """Return a decorator that declares an experiment by its function, whose docstring is the help of the command.
 
-    The defaults are further ones of the declaration.
+    Args:
+        x: Column along the horizontal axis.
+        drawn: Further fields of `Experiment`.
+        defaults: Further fields of `Declaration`.
+        options: Options of the function by name.
     """
 
-    def declare(build: Callable[..., Experiment]) -> Callable[..., Experiment]:
-        found = Declaration(build=build, options=options, scenarios=scenarios, **(defaults or {}))
-        EXPERIMENTS[build.__name__] = found
+    def declare(build: Build) -> Build:
+        EXPERIMENTS[build.__name__] = Declaration(
+            build=build, options=options, drawn={"x": axis(x), **(drawn or {})}, **(defaults or {})
+        )
         return build
 
     return declare
-
-
-def distinct(option: str, values: Sequence[Any]) -> Sequence[Any]:
-    """Return the values of an option.
-
-    Raises: ExperimentError: a value is given twice.
-    """
-    for value in values:
-        if values.count(value) > 1:
-            raise refused(option, "each value once", f"{value} {values.count(value)} times")
-    return values

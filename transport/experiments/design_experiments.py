@@ -1,14 +1,16 @@
-"""Experiments with the algorithm and the team: its parts, horizon, a long hover, team size, and agents that fail."""
+"""Experiments with the algorithm and the team: its parts, horizon, a long hover, team size, faults, and fast flight."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import reduce
+from operator import getitem
 from typing import Any
 
 import numpy as np
 
 from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point, Team, refused
-from transport.experiments.declaration import NONE, Axis, Experiment, Range, Values, axis, declared
+from transport.experiments.declaration import NONE, Range, Values, declared
 from transport.experiments.network_experiments import NETWORKS
 
 AS_IT_IS, NEVER, CENTRALIZED = "as it is", "never", "centralized"
@@ -33,51 +35,35 @@ _COST_TO_GO = "cost-to-go"
 # UAVs per agent, by ownership; None: one agent for all.
 OWNERSHIPS: Mapping[str, int | None] = {"distributed": 1, "pairs": 2, CENTRALIZED: None}
 
-# Beyond 16 UAVs a tick of the centralized team takes most of a second.
-_LARGEST = 16
-
 _CONTINUE = "clock.on_agent_loss=continue"
 
 
-@declared(defaults={"seeds": 3})
-def ablation(scenarios: Mapping[str, Scenario]) -> Experiment:
+@declared("value", drawn={"drawn_as": "variants"}, defaults={"seeds": 3})
+def ablation(scenario: Scenario) -> Iterator[Point]:
     """Contribution of each part of the algorithm.
 
     Changes one setting at a time, on a perfect network and on one with delay and packet loss.
 
     Example: transport experiment ablation --scenario resilient
     """
-    points = []
-    for name, scenario in scenarios.items():
-        variants = [(AS_IT_IS, "", "")] + [
-            (part, value, f"{key}={value}")
-            for part, (key, values) in PARTS.items()
-            for value in values
-            if not _has(scenario, key, value) and _is_possible(scenario, key, value)
-        ]
-        points += [
-            Point(
-                scenario=name,
-                labels={"network": network, "part": part, "value": value},
-                text=f"{part}{' ' if value else ''}{value}, {network}",
-                settings=(*links, setting) if setting else links,
-                baseline=part == AS_IT_IS and network == "perfect",
-            )
-            for network, links in NETWORKS.items()
-            for part, value, setting in variants
-        ]
-    return Experiment(name="ablation", points=tuple(points), x=Axis("value", "variant"), drawn_as="variants")
+    for network, links in NETWORKS.items():
+        labels: dict[str, str | float] = {"network": network, "part": AS_IT_IS, "value": ""}
+        yield Point(labels, f"{AS_IT_IS}, {network}", links, baseline=network == "perfect")
+        for part, (key, values) in PARTS.items():
+            for value in values:
+                if not _has(scenario, key, value) and _is_possible(scenario, key, value):
+                    labels = {"network": network, "part": part, "value": value}
+                    yield Point(labels, f"{part} {value}, {network}", (*links, f"{key}={value}"))
 
 
 def _has(scenario: Scenario, key: str, value: str) -> bool:
     """Return whether a scenario has a value already."""
     if key == "clock.actuation":
         return value == ("next_tick" if scenario.clock.next_tick else "immediate")
-    own: Any = scenario.tree()
-    for name in key.split("."):
-        own = own[name]
-    text = str(own).lower() if isinstance(own, bool) else str(own)
-    return text == value or (own == "auto" and value == str(1.0 / len(scenario.owned)))
+    own: Any = reduce(getitem, key.split("."), scenario.tree())
+    if own == "auto":
+        own = 1.0 / len(scenario.owned)
+    return value == (str(own).lower() if isinstance(own, bool) else str(own))
 
 
 def _is_possible(scenario: Scenario, key: str, value: str) -> bool:
@@ -95,101 +81,74 @@ def _is_possible(scenario: Scenario, key: str, value: str) -> bool:
 
 
 @declared(
-    horizon=Values(
-        [5, 10, 20, 30],
-        "STEPS",
-        "Steps N_p; by default 5, 10, 20, 30.",
-        quick=[10],
-        within=Range("a number of steps >= 1", 1.0),
-    ),
+    "horizon",
+    drawn={"drawn_as": "variants"},
+    horizon=Values([5, 10, 20, 30], "STEPS", "Steps N_p.", [10], Range("a number of steps >= 1", 1.0)),
     terminal=Values(
-        [1.0, 5.0, 20.0],
-        "WEIGHT",
-        "Terminal weight, for open-loop prediction; by default 1, 5, 20.",
-        quick=[5.0],
-        within=Range("a weight > 0"),
+        [1.0, 5.0, 20.0], "WEIGHT", "Terminal weight, for open-loop prediction.", [5.0], Range("a weight > 0")
     ),
-    delay=Values(0.2, "SECONDS", "Delay of every plan on the second network, s.", within=Range("a delay > 0 s")),
+    delay=Values(0.2, "SECONDS", "Delay of every plan on the second network, s.", None, Range("a delay > 0 s")),
 )
-def horizon(
-    scenarios: Mapping[str, Scenario], horizon: Sequence[int], terminal: Sequence[float], delay: float
-) -> Experiment:
+def horizon(scenario: Scenario, horizon: Sequence[int], terminal: Sequence[float], delay: float) -> Iterator[Point]:
     """Effect of horizon and terminal weight.
 
     Each horizon with each weight, on a perfect network and with a delay.
 
     Example: transport experiment horizon --horizon 10 --horizon 20 --scenario paper
     """
-    points = []
-    for name, scenario in scenarios.items():
-        # The scenario's own horizon and weight are always included: on a perfect network they are the baseline.
-        own_horizon, own_end = scenario.controller.horizon, float(scenario.controller.weights.terminal)
-        ends: dict[float | str, tuple[str, list[str]]] = {
-            weight: (f"terminal weight {weight:g}", [f"controller.weights.terminal={weight!r}"])
-            for weight in sorted({own_end, *terminal})
-        }
-        baseline: tuple[int, float | str] = own_horizon, own_end
-        if scenario.controller.terminal == "riccati":
-            baseline, ends = (own_horizon, _COST_TO_GO), {_COST_TO_GO: (_COST_TO_GO, [])}
-        points += [
-            Point(
-                scenario=name,
-                labels={"network": network, "horizon": steps, "terminal": end},
-                text=f"N_p {steps}, {text}, {network}",
-                settings=(f"links.delay_s={delay_s!r}", f"controller.horizon={steps}", *settings),
-                baseline=(steps, end) == baseline and delay_s == 0.0,
-            )
-            for network, delay_s in (("perfect", 0.0), (f"{1e3 * delay:g} ms delay", delay))
-            for steps in sorted({own_horizon, *horizon})
-            for end, (text, settings) in ends.items()
-        ]
-    along = axis("horizon", "controller.horizon")
-    return Experiment(name="horizon", points=tuple(points), x=along, drawn_as="variants")
+    # The scenario's own horizon and weight are always included: on a perfect network they are the baseline.
+    own_horizon, own_end = scenario.controller.horizon, float(scenario.controller.weights.terminal)
+    ends: Sequence[float | str] = sorted({own_end, *terminal})
+    if scenario.controller.terminal == "riccati":
+        ends = [_COST_TO_GO]
+    for network, delay_s in (("perfect", 0.0), (f"{1e3 * delay:g} ms delay", delay)):
+        for steps in sorted({own_horizon, *horizon}):
+            for end in ends:
+                has_weight = not isinstance(end, str)
+                text = f"terminal weight {end:g}" if has_weight else end
+                weight = (f"controller.weights.terminal={end!r}",) if has_weight else ()
+                yield Point(
+                    {"network": network, "horizon": steps, "terminal": end},
+                    f"N_p {steps}, {text}, {network}",
+                    (f"links.delay_s={delay_s!r}", f"controller.horizon={steps}", *weight),
+                    baseline=steps == own_horizon and end in (own_end, _COST_TO_GO) and delay_s == 0.0,
+                )
 
 
 @declared(
-    scenarios=("paper", "centralized", "resilient", "centralized_lq", "precise"),
+    "hover_s",
     defaults={
+        "scenarios": ("paper", "centralized", "resilient", "centralized_lq", "precise"),
         "quick_maneuver": "maneuver.phase=[{name='climb',duration_s=0.5,displacement_m=[0,0,-0.25]},"
-        "{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]"
+        "{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]",
     },
     duration=Values(
-        [5.0, 20.0, 65.0],
-        "SECONDS",
-        "Duration of the last phase, s; by default 5, 20, 65.",
-        quick=[0.5, 1.0],
-        within=Range("a duration > 0 s"),
+        [5.0, 20.0, 65.0], "SECONDS", "Duration of the last phase, s.", [0.5, 1.0], Range("a duration > 0 s")
     ),
 )
-def hover(scenarios: Mapping[str, Scenario], duration: Sequence[float]) -> Experiment:
+def hover(scenario: Scenario, duration: Sequence[float]) -> Iterator[Point]:
     """Stability in a long hover after the maneuver.
 
     Only the duration of the last phase changes.
 
     Example: transport experiment hover --duration 60 --scenario resilient
     """
-    points = []
-    for name, scenario in scenarios.items():
-        phases = scenario.maneuver.phase
-        if any(phases[-1].displacement_m):
-            raise refused("--scenario", "a maneuver that ends with a hover", f"{name}, whose last is {phases[-1].name}")
-        points += [  # no run is a baseline: mean costs of runs of different length are not comparable
-            Point(
-                scenario=name,
-                labels={"hover_s": duration_s},
-                text=f"{duration_s:g} s of hover",
-                settings=(f"maneuver.phase.{len(phases)}.duration_s={duration_s!r}",),
-            )
-            for duration_s in sorted(duration)
-        ]
-    return Experiment(name="hover", points=tuple(points), x=axis("hover_s"))
+    phases = scenario.maneuver.phase
+    if any(phases[-1].displacement_m):
+        got = f"{scenario.name}, whose last is {phases[-1].name}"
+        raise refused("--scenario", "a maneuver that ends with a hover", got)
+    for duration_s in sorted(duration):  # no run is a baseline: mean costs of different lengths are not comparable
+        setting = f"maneuver.phase.{len(phases)}.duration_s={duration_s!r}"
+        yield Point({"hover_s": duration_s}, f"{duration_s:g} s of hover", (setting,))
 
 
 @declared(
-    at=Values(8.0, "SECONDS", "Time of the kill, s; by default 8.", quick=0.5, within=Range("a time >= 0 s", 0.0)),
-    restart=Values(10.0, "SECONDS", "Time of the restart, s; by default 10.", quick=1.0),
+    "agent",
+    drawn={"curves": "restart_s", "legend": {NEVER: "not restarted"}},
+    at=Values(8.0, "SECONDS", "Time of the kill, s.", 0.5, Range("a time >= 0 s", 0.0)),
+    restart=Values(10.0, "SECONDS", "Time of the restart, s.", 1.0),
 )
-def kill(scenarios: Mapping[str, Scenario], at: float, restart: float) -> Experiment:
+def kill(scenario: Scenario, at: float, restart: float) -> Iterator[Point]:
     """Effect of the death of each agent.
 
     Kills each agent in turn, with and without a restart, while the others continue.
@@ -198,62 +157,44 @@ def kill(scenarios: Mapping[str, Scenario], at: float, restart: float) -> Experi
     """
     if not at < restart < math.inf:
         raise refused("--restart", f"a time after --at {at:g} s", f"{restart:g}")
-    points = []
-    for name, scenario in scenarios.items():
-        points.append(_without_kill(name, "restart_s", NONE))
-        for back_s in (restart, None):
-            how = "not restarted" if back_s is None else f"restarted after {back_s - at:g} s"
-            for agent in range(1, len(scenario.owned) + 1):
-                events = [_event(at, "kill", agent)] + ([_event(back_s, "restart", agent)] if back_s else [])
-                points.append(
-                    Point(
-                        scenario=name,
-                        labels={"agent": str(agent), "restart_s": back_s or NEVER},
-                        text=f"agent{agent} {how}",
-                        settings=(_CONTINUE, f"faults.event=[{','.join(events)}]"),
-                    )
-                )
-    legend: dict[str | float, str] = {restart: f"restarted at {restart:g} s", NEVER: "not restarted"}
-    along = Axis("agent", f"agent killed at {at:g} s")
-    return Experiment(name="kill", points=tuple(points), x=along, curves="restart_s", legend=legend)
+    yield Point({"agent": NONE, "restart_s": NONE}, "no agent killed", (_CONTINUE,), baseline=True)
+    for back_s in (restart, None):
+        how = "not restarted" if back_s is None else f"restarted after {back_s - at:g} s"
+        for agent in range(1, len(scenario.owned) + 1):
+            events = [_event(at, "kill", agent), *([_event(back_s, "restart", agent)] if back_s else [])]
+            yield Point(
+                {"agent": str(agent), "restart_s": back_s or NEVER},
+                f"agent{agent} {how}",
+                (_CONTINUE, f"faults.event=[{','.join(events)}]"),
+            )
 
 
 @declared(
-    scenarios=("resilient",),
-    count=Values(20, "COUNT", "Deaths per scenario; by default 20.", quick=2, least=1),
-    draw=Values(0, "SEED", "Random seed of the times and of the agents killed.", least=0),
+    "killed_s",
+    defaults={"scenarios": ("resilient",)},
+    count=Values(20, "COUNT", "Deaths per scenario.", 2, Range("a number >= 1", 1)),
+    draw=Values(0, "SEED", "Random seed of the times and of the agents killed.", None, Range("a seed >= 0", 0)),
 )
-def deaths(scenarios: Mapping[str, Scenario], count: int, draw: int) -> Experiment:
+def deaths(scenario: Scenario, count: int, draw: int) -> Iterator[Point]:
     """Effect of a permanent kill of a random agent.
 
     Each run kills one agent at a random time and never restarts it; the others continue.
 
     Example: transport experiment deaths --processes
     """
-    points = []
-    for name, scenario in scenarios.items():
-        period_s = scenario.controller.sampling_period_s
-        duration_s = sum(phase.duration_s for phase in scenario.maneuver.phase)
-        rng = np.random.default_rng(draw)
-        ticks = rng.choice(math.ceil(duration_s / period_s), size=count, replace=False)
-        killed = sorted((int(tick), 1 + int(rng.integers(len(scenario.owned)))) for tick in ticks)
-        points.append(_without_kill(name, "killed_s", 0.0))
-        points += [
-            Point(
-                scenario=name,
-                labels={"agent": str(agent), "killed_s": killed_s},
-                text=f"agent{agent} killed at {killed_s:g} s",
-                settings=(_CONTINUE, f"faults.event=[{_event(killed_s, 'kill', agent)}]"),
-            )
-            for tick, agent in killed
-            for killed_s in (round(tick * period_s, 6),)
-        ]
-    return Experiment(name="deaths", points=tuple(points), x=axis("killed_s"))
-
-
-def _without_kill(scenario: str, column: str, value: str | float) -> Point:
-    labels: dict[str, str | float] = {"agent": NONE, column: value}
-    return Point(scenario=scenario, labels=labels, text="no agent killed", settings=(_CONTINUE,), baseline=True)
+    period_s = scenario.controller.sampling_period_s
+    duration_s = sum(phase.duration_s for phase in scenario.maneuver.phase)
+    rng = np.random.default_rng(draw)
+    ticks = rng.choice(math.ceil(duration_s / period_s), size=count, replace=False)
+    killed = sorted((int(tick), 1 + int(rng.integers(len(scenario.owned)))) for tick in ticks)
+    yield Point({"agent": NONE, "killed_s": 0.0}, "no agent killed", (_CONTINUE,), baseline=True)
+    for tick, agent in killed:
+        killed_s = round(tick * period_s, 6)
+        yield Point(
+            {"agent": str(agent), "killed_s": killed_s},
+            f"agent{agent} killed at {killed_s:g} s",
+            (_CONTINUE, f"faults.event=[{_event(killed_s, 'kill', agent)}]"),
+        )
 
 
 def _event(at_s: float, action: str, agent: int) -> str:
@@ -261,24 +202,20 @@ def _event(at_s: float, action: str, agent: int) -> str:
 
 
 @declared(
-    scenarios=(),
+    "uavs",
+    drawn={"drawn_as": "scaling", "curves": "ownership", "timed": True},
     defaults={
+        "scenarios": (),
         "jobs": 1,
         # The paper's speed, 0.5 m/s, in a maneuver of 10 s instead of 25.
         "maneuver": "maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0,0,0]},"
         "{name='climb',duration_s=4.0,displacement_m=[0,0,-2]},"
         "{name='translate',duration_s=4.0,displacement_m=[2,0,0]}]",
     },
-    max=Values(
-        12,
-        "COUNT",
-        "UAVs of the largest team, 2 to 16; by default 12.",
-        quick=6,
-        within=Range(f"a number of UAVs from 2 to {_LARGEST}", 2, _LARGEST + 1),
-    ),
-    sizes=Values(default=[2, 3, 4, 6, 8, 10, 12, 16], quick=[2, 4, 6]),  # those below the largest
+    max=Values(12, "COUNT", "UAVs of the largest team, 2 to 16.", 6, Range("a number of UAVs from 2 to 16", 2, 17)),
+    sizes=Values([2, 3, 4, 6, 8, 10, 12, 16], quick=[2, 4, 6]),  # those below the largest
 )
-def scaling(max: int, sizes: Sequence[int]) -> Experiment:  # noqa: A002  # the name of the option
+def scaling(max: int, sizes: Sequence[int]) -> Iterator[Point]:  # noqa: A002  # the name of the option
     """Growth of cost, computation and messages.
 
     Teams of 2 to 12 UAVs made from `resilient`, each with an agent for every UAV, for every pair, and for all.
@@ -288,21 +225,70 @@ def scaling(max: int, sizes: Sequence[int]) -> Experiment:  # noqa: A002  # the 
 
     Example: transport experiment scaling --max 8 --seeds 3
     """
-    points = []
     for ownership, group in OWNERSHIPS.items():
         for uavs in [*(size for size in sizes if size < max), max]:
             if group == 2 and (uavs == 2 or uavs % 2):
                 continue  # a single pair is the centralized team; an odd number has no pairs
             own = group or uavs
-            points.append(
-                Point(
-                    scenario="resilient",
-                    labels={"ownership": ownership, "uavs": uavs, "agents": uavs // own},
-                    text=f"{uavs} UAVs {ownership}",
-                    baseline=ownership == CENTRALIZED,
-                    team=Team(uavs, own),
-                )
+            yield Point(
+                {"ownership": ownership, "uavs": uavs, "agents": uavs // own},
+                f"{uavs} UAVs {ownership}",
+                baseline=ownership == CENTRALIZED,
+                team=Team(uavs, own),
+                scenario="resilient",
             )
-    return Experiment(
-        name="scaling", points=tuple(points), x=axis("uavs"), drawn_as="scaling", curves="ownership", timed=True
-    )
+
+
+_PERFECT, _LATE = NETWORKS
+_UNIMPAIRED = "perfect network"
+_ESTIMATE = "controller.disturbance.estimate=true"
+# Networks, and what the controllers do not know on the late network, by the name of the case.
+AGILE: Mapping[str, tuple[str, ...]] = {
+    _UNIMPAIRED: NETWORKS[_PERFECT],
+    _LATE: NETWORKS[_LATE],
+    "400 ms delay, 30 % loss": ("links.delay_s=0.4", "links.loss=0.3"),
+    **{
+        f"payload {100.0 * (factor - 1.0):+.0f} %": (*NETWORKS[_LATE], _ESTIMATE, f"plant.payload_mass_factor={factor}")
+        for factor in (0.57, 0.8, 1.2, 1.43)
+    },
+    "motor lag 60 ms": (*NETWORKS[_LATE], "plant.motors.lag_s=0.06"),
+    "wind 5 m/s": (*NETWORKS[_LATE], _ESTIMATE, "plant.wind.speed_mps=[5.0,0.0,0.0]"),
+}
+
+
+@declared(
+    "speed_mps",
+    drawn={"curves": "case", "drawn_as": "tracking"},
+    defaults={
+        "scenarios": ("eight",),
+        "seeds": 3,
+        "quick_maneuver": "maneuver.phase=[{name='hover',duration_s=0.3,displacement_m=[0,0,0]},"
+        "{name='eight',kind='eight',size_m=[1.0,0.5,0],laps=0.5,speed_mps=1.0,ramp_s=2.0},"
+        "{name='hover',duration_s=0.3,displacement_m=[0,0,0]}]",
+    },
+    speed=Values([3.0, 4.0, 5.0, 6.0], "SPEED", "Largest speed, m/s.", [1.0], Range("a speed > 0 m/s")),
+)
+def agile(scenario: Scenario, speed: Sequence[float]) -> Iterator[Point]:
+    """Fast flight: the payload's error over speed.
+
+    One agent for each UAV on a perfect network and late ones, one agent for all UAVs, and on the late network another
+    payload mass, wind, both estimated, and motor lag.
+
+    A speed that thrust, tension, tilt or distances do not allow is refused with the least slowing that they do.
+
+    Example: transport experiment agile --speed 5 --seeds 10
+    """
+    paced = [i for i, phase in enumerate(scenario.maneuver.phase, start=1) if phase.speed_mps is not None]
+    if not paced:
+        raise refused("--scenario", "a maneuver with speed_mps in a phase", scenario.name)
+    whole = f"agents.owned=[{[uav.id for uav in scenario.system.uav]}]"
+    cases = {CENTRALIZED: (*NETWORKS[_PERFECT], whole, "controller.relaxation=1.0"), **AGILE}
+    for case, settings in cases.items():
+        for speed_mps in sorted(speed):
+            yield Point(
+                {"case": case, "speed_mps": speed_mps},
+                f"{case}, {speed_mps:g} m/s",
+                (*settings, *(f"maneuver.phase.{i}.speed_mps={speed_mps!r}" for i in paced)),
+                baseline=case == _UNIMPAIRED,
+                group=f"{speed_mps:g} m/s",
+            )

@@ -1,27 +1,23 @@
-"""Figures of an experiment as PNG, and as SVG for papers: curves, maps of two quantities, variants, growth of teams.
+"""Figures of an experiment as PNG, and as SVG for papers: curves, maps of two quantities, variants.
 
 A map has cost as colour and completed runs as numbers. Variants have a row each, and a colour for each network.
 """
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib as mpl
-from matplotlib.axes import Axes
+import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
-from matplotlib.ticker import FixedLocator, NullLocator
-from matplotlib.transforms import ScaledTranslation, blended_transform_factory
+from matplotlib.ticker import FixedLocator
+from matplotlib.transforms import Affine2D, ScaledTranslation
 
-from transport.experiments.conclusions import FEWEST
-from transport.experiments.curve_figure import draw_curves, draw_means
-from transport.experiments.declaration import Axis, Experiment, quantity
-from transport.experiments.design_experiments import CENTRALIZED
+from transport.experiments.curve_figure import draw_curves
+from transport.experiments.declaration import Axis, Experiment, axis
 from transport.experiments.statistics import PointStatistics
 from transport.report.column import column_panels, draw_legend, head, legend_height_in, text_width_in
 from transport.report.style import (
@@ -37,21 +33,11 @@ from transport.report.style import (
     save,
 )
 
-# Maps.
-_CELL_IN, _ABOVE_IN = 0.27, 0.2
-# Room at the right of the maps for the colour scale and its numbers.
-_RIGHT_IN, _SCALE_IN = 0.42, 0.09
-_COLOURS = "viridis"
+# Height of a row of a map; room above a panel, and at the right for the colour scale and its numbers.
+_CELL_IN, _ABOVE_IN, _RIGHT_IN = 0.27, 0.2, 0.42
 
-# A cell without a completed run.
-_DIVERGED: dict[str, Any] = {"facecolor": "#ffffff", "edgecolor": "#c8c8c8", "hatch": "////", "linewidth": 0.0}
-_LIGHT, _DARK = "#ffffff", "#000000"
-_MIDDLE = 0.55  # text is light below this share of the colour scale
-
-# Variants.
-_ROW_IN, _ABOVE_ROWS_IN, _GAP_IN, _BELOW_IN = 0.185, 0.2, 0.28, 0.38
-# Width of the strip of diverged runs, and its distance from the panel, inches.
-_STRIP_IN, _APART_IN = 0.5, 0.08
+# Height of a row of variants, room around their panels, and width of the strip of diverged runs beside them.
+_ROW_IN, _GAP_IN, _BELOW_IN, _STRIP_IN = 0.185, 0.28, 0.38, 0.58
 _TITLE = "mean cost over that of the unchanged scenario\non a perfect network"
 # Larger ratios are drawn at this value.
 _HIGHEST = 100.0
@@ -69,276 +55,109 @@ def draw(experiment: Experiment, measured: Sequence[PointStatistics], folder: Pa
 
 def fill(figure: Figure, experiment: Experiment, measured: Sequence[PointStatistics]) -> None:
     """Draw an experiment into an empty figure, in the style of `matplotlib.rcParams`."""
-    if experiment.drawn_as == "scaling":
-        draw_scaling(figure, measured)
-    elif experiment.drawn_as == "variants":
-        draw_variants(figure, measured)
+    if experiment.drawn_as == "variants":
+        _draw_variants(figure, measured)
     elif experiment.y is not None:
-        draw_maps(figure, experiment.x, experiment.y, measured)
+        _draw_maps(figure, experiment.x, experiment.y, measured)
     else:
         draw_curves(figure, experiment, measured)
 
 
-def draw_maps(figure: Figure, x: Axis, y: Axis, measured: Sequence[PointStatistics]) -> None:
+def _draw_maps(figure: Figure, x: Axis, y: Axis, measured: Sequence[PointStatistics]) -> None:
     """Draw a map of two axes for each scenario, one below another, with one colour scale."""
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
-    rows = len({m.point.labels[y.label] for m in measured})
-    panels = column_panels(
-        figure, [_CELL_IN * rows] * len(scenarios), x_label=x.title, right_in=_RIGHT_IN, top_in=_ABOVE_IN
-    )
-    costs = [value.mean for m in measured if (value := m.numbers["cost_mean"]) is not None and value.mean > 0.0]
-    low, high = (1e3 * min(costs), 1e3 * max(costs)) if costs else (1.0, 1.0)
-    high = max(high, 1.001 * low)
+    columns, rows = (sorted({float(m.point.labels[one.label]) for m in measured}) for one in (x, y))
+    heights_in = [_CELL_IN * len(rows)] * len(scenarios)
+    panels = column_panels(figure, heights_in, x_label=x.title, right_in=_RIGHT_IN, top_in=_ABOVE_IN)
+    costs = [1e3 * cost for m in measured if (cost := m.mean("cost_mean"))] or [1.0]
+    scale = LogNorm(min(costs), max(max(costs), 1.001 * min(costs)))
     for panel, scenario in zip(panels, scenarios, strict=True):
-        _draw_map(panel, x, y, [m for m in measured if m.point.scenario == scenario], low, high)
-        head(panel, scenario, legend=False)
-        panel.set_ylabel(y.title)
-    if costs:
-        _draw_scale(figure, panels, low, high)
-
-
-def _draw_scale(figure: Figure, panels: Sequence[Axes], low: float, high: float) -> None:
-    """Draw the colour scale beside all maps."""
-    bottom, top = panels[-1].get_position().y0, panels[0].get_position().y1
-    left = panels[0].get_position().x1 + 0.08 / COLUMN_IN
-    place = figure.add_axes((left, bottom, _SCALE_IN / COLUMN_IN, top - bottom))
-    bar = figure.colorbar(ScalarMappable(LogNorm(low, high), _COLOURS), cax=place)
-    label_decades(bar.ax.yaxis)
-    title = "mean cost ($10^{-3}$)"
-    figure.text(0.99, top + 2.0 / 72.0 / figure.get_figheight(), title, ha="right", va="bottom", fontsize=TEXT)
-    bar.outline.set_visible(False)
-
-
-def _draw_map(axes: Axes, x: Axis, y: Axis, measured: Sequence[PointStatistics], low: float, high: float) -> None:
-    columns = sorted({float(m.point.labels[x.label]) for m in measured})
-    rows = sorted({float(m.point.labels[y.label]) for m in measured})
-    for m in measured:
-        column, row = columns.index(float(m.point.labels[x.label])), rows.index(float(m.point.labels[y.label]))
-        cost = m.numbers["cost_mean"]
-        if cost is None:
-            style, ink = _DIVERGED, _DARK
+        shown = np.full((len(rows), len(columns)), np.nan)
+        for m in (m for m in measured if m.point.scenario == scenario):
+            column, row = (where.index(float(m.point.labels[one.label])) for where, one in ((columns, x), (rows, y)))
+            cost = m.mean("cost_mean")
             text = f"diverges\n{m.diverged_s[0]:.1f} s" if m.diverged_s else "-"
-        else:
-            value = 1e3 * cost.mean
-            share = math.log(max(value, low) / low) / math.log(high / low)
-            style = {"facecolor": mpl.colormaps[_COLOURS](share), "edgecolor": "none"}
-            ink = _LIGHT if share < _MIDDLE else _DARK
-            text = f"{value:.2f}" + (f"\n{m.completed} of {m.runs}" if m.completed < m.runs else "")
-        place = (column - 0.49, row - 0.48)
-        axes.add_patch(Rectangle(place, 0.98, 0.96, **style))
-        behind: Any = {"facecolor": "#ffffff", "edgecolor": "none", "pad": 0.6} if cost is None else None
-        how: Any = {"ha": "center", "va": "center", "color": ink, "fontsize": SMALL, "linespacing": 1.0}
-        axes.text(column, row, text, bbox=behind, **how)
-    axes.set_xlim(-0.5, len(columns) - 0.5)
-    axes.set_ylim(-0.5, len(rows) - 0.5)
-    axes.set_xticks(range(len(columns)), [f"{x.factor * value:g}" for value in columns])
-    axes.set_yticks(range(len(rows)), [f"{y.factor * value:g}" for value in rows])
-    axes.tick_params(length=0.0)
-    axes.grid(visible=False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+            if cost is not None:
+                shown[row, column] = max(1e3 * cost, min(costs))
+                text = f"{1e3 * cost:.2f}" + f"\n{m.completed} of {m.runs}" * (m.completed < m.runs)
+            dark = cost is not None and scale(shown[row, column]) < 0.55
+            how: Any = {"ha": "center", "va": "center", "fontsize": SMALL, "linespacing": 1.0}
+            behind = None if cost is not None else {"facecolor": "#ffffff", "edgecolor": "none", "pad": 0.6}
+            panel.text(column, row, text, color="#ffffff" if dark else "#000000", bbox=behind, **how)
+        panel.patch.set(hatch="////", edgecolor="#c8c8c8", linewidth=0.0)  # behind cells without a completed run
+        image = panel.pcolormesh(shown, norm=scale, edgecolors="#ffffff", linewidth=1.5)
+        image.set_transform(Affine2D().translate(-0.5, -0.5) + panel.transData)
+        head(panel, scenario, legend=False)
+        panel.set_xticks(range(len(columns)), [f"{x.factor * value:g}" for value in columns])
+        panel.set_yticks(range(len(rows)), [f"{y.factor * value:g}" for value in rows])
+        panel.set(xlim=(-0.5, len(columns) - 0.5), ylim=(-0.5, len(rows) - 0.5), ylabel=y.title)
+        panel.tick_params(length=0.0)
+        panel.grid(visible=False)
+        panel.spines[:].set_visible(False)
+    bottom, top = panels[-1].get_position().y0, panels[0].get_position().y1
+    place = (panels[0].get_position().x1 + 0.08 / COLUMN_IN, bottom, 0.09 / COLUMN_IN, top - bottom)
+    bar = figure.colorbar(ScalarMappable(scale), cax=figure.add_axes(place))
+    label_decades(bar.ax.yaxis)
+    bar.outline.set_visible(False)
+    above = top + 2.0 / 72.0 / figure.get_figheight()
+    figure.text(0.99, above, "mean cost ($10^{-3}$)", ha="right", va="bottom", fontsize=TEXT)
 
 
-def draw_variants(figure: Figure, measured: Sequence[PointStatistics]) -> None:
+def _draw_variants(figure: Figure, measured: Sequence[PointStatistics]) -> None:
     """Draw the cost over the baseline's: a panel for each scenario, a row for each variant.
 
     Diverged runs are beside the panel, with the time of divergence, or their number if there are several.
     """
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     networks = list(dict.fromkeys(str(m.point.labels["network"]) for m in measured))
-    styles = dict(zip(networks, (CURVES[i % len(CURVES)][:2] for i in range(len(networks))), strict=True))
-    dots: Any = {"linestyle": "none", "markersize": MARKER}
-    legend = {"": [Line2D([], [], label=n, color=c, marker=m, **dots) for n, (c, m) in styles.items()]}
+    styles: list[dict[str, Any]] = [
+        {"color": colour, "marker": marker, "markersize": MARKER, "linestyle": "none"}
+        for colour, marker, _ in (CURVES[i % len(CURVES)] for i in range(len(networks)))
+    ]
+    legend = {"": [Line2D([], [], label=name, **style) for name, style in zip(networks, styles, strict=True)]}
     rows = [list(dict.fromkeys(_name(m) for m in measured if m.point.scenario == name)) for name in scenarios]
     panels = column_panels(
         figure,
         [_ROW_IN * len(names) for names in rows],
         x_label="",
         left_in=max(text_width_in(name) for names in rows for name in names) + 0.08,
-        right_in=_STRIP_IN + _APART_IN,
-        top_in=legend_height_in(legend) + _ABOVE_ROWS_IN,
+        right_in=_STRIP_IN,
+        top_in=legend_height_in(legend) + _ABOVE_IN,
         gap_in=_GAP_IN,
         bottom_in=_BELOW_IN,
     )
     draw_legend(figure, legend)
     figure.text(0.5, 0.02 / figure.get_figheight(), _TITLE, ha="center", va="bottom", fontsize=TEXT, linespacing=1.1)
-    ratios = [m.cost_ratio for m in measured if m.cost_ratio is not None]
-    low, high = min([1.0, *ratios]), min(max([1.0, *ratios]), _HIGHEST)
+    ratios = [1.0, *(min(m.cost_ratio, _HIGHEST) for m in measured if m.cost_ratio is not None)]
+    low, high = min(ratios), max(ratios)
     for panel, scenario, names in zip(panels, scenarios, rows, strict=True):
-        own = [m for m in measured if m.point.scenario == scenario]
-        _draw_variants(panel, own, names, styles)
+        diverged = False
+        for m in (m for m in measured if m.point.scenario == scenario):
+            network = networks.index(str(m.point.labels["network"]))
+            y, style = names.index(_name(m)) + 0.25 * (2 * network - (len(networks) - 1)), styles[network]
+            if m.cost_ratio is not None:
+                panel.plot([min(m.cost_ratio, _HIGHEST)], [y], **style)
+            if m.completed < m.runs:
+                diverged = True
+                text = f"{m.runs - m.completed} of {m.runs}" if m.runs > 1 else f"{m.diverged_s[0]:.1f} s"
+                beside = panel.get_yaxis_transform() + ScaledTranslation(0.12, 0.0, figure.dpi_scale_trans)
+                panel.plot([1.0], [y], transform=beside, clip_on=False, **style | DIVERGED)
+                how: Any = {"xycoords": beside, "textcoords": "offset points", "color": style["color"]}
+                panel.annotate(text, (1.0, y), (5.0, 0.0), va="center_baseline", fontsize=SMALL, **how)
+        if diverged:
+            panel.annotate("diverged", (1.0, 1.0), (8.0, 2.0), "axes fraction", "offset points", fontsize=SMALL)
         head(panel, scenario, legend=False)
         panel.axvline(1.0, color=REFERENCE, linewidth=0.8, zorder=0)
         panel.set_yticks(range(len(names)), names)
-        panel.set_ylim(len(names) - 0.5, -0.5)
-        panel.set_xscale("log")
-        panel.set_xlim(low / 1.15, high * 1.15)
+        panel.set(xscale="log", xlim=(low / 1.15, high * 1.15), ylim=(len(names) - 0.5, -0.5))
         label_decades(panel.xaxis)
         if high / low < _NARROW:
             panel.xaxis.set_major_locator(FixedLocator(_FINE_TICKS))
 
 
-def _draw_variants(
-    panel: Axes, measured: Sequence[PointStatistics], names: Sequence[str], styles: dict[str, tuple[str, str]]
-) -> None:
-    """Draw the points of a scenario, and its diverged runs beside the panel."""
-    width_in = panel.get_position().width * COLUMN_IN
-    beside = blended_transform_factory(panel.transAxes, panel.transData)
-    left = 1.0 + (_APART_IN + 0.04) / width_in
-    if any(m.completed < m.runs for m in measured):
-        up = ScaledTranslation(0.0, 2.0 / 72.0, panel.figure.dpi_scale_trans)
-        panel.text(left, 1.0, "diverged", transform=panel.transAxes + up, va="bottom", fontsize=SMALL)
-    for place, (network, (colour, marker)) in enumerate(styles.items()):
-        shift = 0.25 * (2 * place - (len(styles) - 1))
-        for m in (m for m in measured if m.point.labels["network"] == network):
-            y = names.index(_name(m)) + shift
-            how: dict[str, Any] = {"color": colour, "marker": marker, "markersize": MARKER, "linestyle": "none"}
-            if m.cost_ratio is not None:
-                panel.plot([min(m.cost_ratio, _HIGHEST)], [y], **how)
-            if m.completed < m.runs:
-                text = f"{m.runs - m.completed} of {m.runs}" if m.runs > 1 else f"{m.diverged_s[0]:.1f} s"
-                panel.plot([left], [y], transform=beside, clip_on=False, **how | DIVERGED)
-                at = left + 0.07 / width_in
-                panel.text(at, y, text, transform=beside, va="center_baseline", fontsize=SMALL, color=colour)
-
-
 def _name(m: PointStatistics) -> str:
     """Return the name of a variant: its texts, and its numbers with their names."""
     labels = {name: value for name, value in m.point.labels.items() if name != "network"}
-    numbers = [f"{quantity(name).name} {value:g}" for name, value in labels.items() if not isinstance(value, str)]
+    numbers = [f"{axis(name).name} {value:g}" for name, value in labels.items() if not isinstance(value, str)]
     texts = [value for value in labels.values() if isinstance(value, str) and value]
     return ", ".join([*numbers, ": ".join(texts)] if texts else numbers).replace("_", " ")
-
-
-# Size of a panel; margins; gaps between panels, inches.
-_WIDTH_IN, _HEIGHT_IN = 1.22, 1.15
-_LEFT_IN, _TITLE_IN, _UNDER_IN = 0.36, 0.18, 0.34
-_BESIDE_IN, _BETWEEN_IN = 0.44, 0.34
-
-# Room for the names of the slopes beyond the largest team, as a factor; smallest distance of two names, points.
-_ROOM, _NAME_PT = 1.45, 7.5
-# Margin of the vertical axes around means and slopes, as a factor; wide intervals, as of two runs, are cut off.
-_MARGIN = 1.4
-# Team sizes closer than this factor leave no room for both their names.
-_CLOSE = 1.25
-# Size of the markers of the first curve, and by how much it falls, so that curves that coincide stay visible.
-_LARGEST, _SMALLER = 4.8, 1.2
-
-
-class _Panel(NamedTuple):
-    """Title, number, factor, and exponent of the reference slope by ownership."""
-
-    title: str
-    name: str
-    factor: float
-    slopes: Mapping[str, float]
-
-
-class _Slope(NamedTuple):
-    """A reference slope: exponent, and its upper end."""
-
-    power: float
-    end: float
-
-
-_PANELS = (
-    _Panel("agent's CPU per step (ms)", "cpu_step_p50_ms", 1.0, {"distributed": 1.5, CENTRALIZED: 3.0}),
-    _Panel("team's CPU per tick (ms)", "cpu_team_tick_ms", 1.0, {"distributed": 2.5, CENTRALIZED: 3.0}),
-    _Panel("plans sent (kB/s)", "plan_bytes_per_s", 1e-3, {"distributed": 2.0}),
-    _Panel("mean cost ($10^{-3}$)", "cost_mean", 1e3, {}),
-)
-
-
-def draw_scaling(figure: Figure, measured: Sequence[PointStatistics]) -> None:
-    """Draw four panels over the number of UAVs, with a curve for each ownership."""
-    ownerships = list(dict.fromkeys(str(m.point.labels["ownership"]) for m in measured))
-    styles = {name: _style(index) for index, name in enumerate(ownerships)}
-    slope = Line2D([], [], label="power of N", color=REFERENCE, linestyle=":", linewidth=1.0)
-    rows = {"": [*(Line2D([], [], label=name, **style) for name, style in styles.items()), slope]}
-    panels = _panels(figure, legend_height_in(rows))
-    draw_legend(figure, rows)
-    sizes = sorted({int(m.point.labels["uavs"]) for m in measured})
-    for axes, panel in zip(panels, _PANELS, strict=True):
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        heights: list[float] = []
-        slopes: list[_Slope] = []
-        for name, style in styles.items():
-            own = [m for m in measured if m.point.labels["ownership"] == name]
-            drawn, along = _draw(axes, panel, own, name, style)
-            heights += [*drawn, *(slope.end for slope in along)]
-            slopes += along
-        head(axes, panel.title, legend=False)
-        axes.set_xlim(sizes[0] / _ROOM**0.3, sizes[-1] * (_ROOM if slopes else _ROOM**0.3))
-        if heights:
-            axes.set_ylim(min(heights) / _MARGIN, max(heights) * _MARGIN)
-        label_decades(axes.yaxis)
-        axes.set_xticks(sizes, _names(sizes))
-        axes.xaxis.set_minor_locator(NullLocator())
-        _name_slopes(axes, slopes, sizes[-1])
-    for axes in panels[2:]:
-        axes.set_xlabel("number of UAVs N")
-
-
-def _panels(figure: Figure, legend_in: float) -> list[Axes]:
-    """Return the panels, two in a row, of an empty figure, which gets its size."""
-    rows = len(_PANELS) // 2
-    height_in = legend_in + rows * (_TITLE_IN + _HEIGHT_IN) + (rows - 1) * (_BETWEEN_IN - _TITLE_IN) + _UNDER_IN
-    figure.set_layout_engine("none")
-    figure.set_size_inches(COLUMN_IN, height_in)
-    found = []
-    for index in range(len(_PANELS)):
-        row, column = divmod(index, 2)
-        left_in = _LEFT_IN + column * (_WIDTH_IN + _BESIDE_IN)
-        bottom_in = _UNDER_IN + (rows - 1 - row) * (_HEIGHT_IN + _BETWEEN_IN)
-        place = left_in / COLUMN_IN, bottom_in / height_in, _WIDTH_IN / COLUMN_IN, _HEIGHT_IN / height_in
-        found.append(figure.add_axes(place))
-        found[-1].tick_params(labelbottom=row == rows - 1)
-    return found
-
-
-def _style(index: int) -> dict[str, Any]:
-    """Return the style of a curve."""
-    colour, marker, line = CURVES[index % len(CURVES)]
-    return {"color": colour, "marker": marker, "linestyle": line, "markersize": _LARGEST - _SMALLER * index}
-
-
-def _names(sizes: Sequence[int]) -> list[str]:
-    """Return the tick label of each size, ascending; empty where it would overlap the next."""
-    names: list[str] = []
-    named = math.inf
-    for size in reversed(sizes):
-        has_room = named > _CLOSE * size
-        names.insert(0, str(size) if has_room else "")
-        named = size if has_room else named
-    return names
-
-
-def _draw(
-    axes: Axes, panel: _Panel, measured: Sequence[PointStatistics], name: str, style: dict[str, Any]
-) -> tuple[list[float], list[_Slope]]:
-    """Draw a curve with confidence intervals and its reference slope; return the means, and the slope."""
-    shown = [m for m in measured if (value := m.numbers[panel.name]) is not None and value.mean > 0.0]
-    if not shown:
-        return [], []
-    x = [int(m.point.labels["uavs"]) for m in shown]
-    y = draw_means(axes, x, shown, panel.name, panel.factor, style)
-    if name not in panel.slopes or x[-1] <= FEWEST:
-        return y, []
-    power = panel.slopes[name]
-    first = next(i for i, uavs in enumerate(x) if uavs >= FEWEST)
-    end = y[first] * (x[-1] / x[first]) ** power
-    axes.plot([x[first], x[-1]], [y[first], end], color=REFERENCE, linestyle=":", linewidth=1.0, zorder=1.0)
-    return y, [_Slope(power, end)]
-
-
-def _name_slopes(axes: Axes, slopes: Sequence[_Slope], uavs: int) -> None:
-    """Write the powers at the ends of the slopes, apart from one another."""
-    low, high = axes.get_ylim()
-    decade_pt = 72.0 * _HEIGHT_IN / math.log10(high / low)
-    place_pt = math.inf
-    for power, end in sorted(slopes, key=lambda slope: slope.end, reverse=True):
-        own_pt = decade_pt * math.log10(end / low)
-        place_pt = min(own_pt, place_pt - _NAME_PT)
-        how: Any = {"textcoords": "offset points", "ha": "left", "va": "center", "color": "#555555", "fontsize": SMALL}
-        axes.annotate(f"$N^{{{power:g}}}$", (uavs, end), (4.5, place_pt - own_pt), **how)

@@ -1,6 +1,7 @@
 """Statistics of repetitions, means with 95 % confidence intervals for each point of a sweep, and their tables."""
 
 import math
+import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -13,9 +14,11 @@ from transport.experiments.simulation import ERROR, Result
 
 CONFIDENCE = 0.95
 
+# Numbers of a point beside those of its runs.
+FIRST_DIVERGED, COST_RATIO = "first_lost_s", "cost_ratio"
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+
+class Estimate(NamedTuple):
     """A mean with its uncertainty."""
 
     mean: float
@@ -35,9 +38,8 @@ def estimate(values: Sequence[float]) -> Estimate | None:
     mean = math.fsum(values) / n
     if n == 1:
         return Estimate(mean, None, 1)
-    variance = math.fsum((value - mean) ** 2 for value in values) / (n - 1)
     t = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2.0))
-    return Estimate(mean, t * math.sqrt(variance / n), n)
+    return Estimate(mean, t * statistics.stdev(values) / math.sqrt(n), n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,10 +58,21 @@ class PointStatistics:
     numbers: Mapping[str, Estimate | None]  # over the completed runs, by name (simulation.NUMBERS)
     cost_ratio: float | None
 
-    @property
-    def first_diverged_s(self) -> float | None:
-        """Scenario time of the first divergence, s."""
-        return min(self.diverged_s, default=None)
+    def mean(self, name: str) -> float | None:
+        """Return the mean of a number, or the cost ratio; None where no run was completed."""
+        if name == COST_RATIO:
+            return self.cost_ratio
+        value = self.numbers[name]
+        return None if value is None else value.mean
+
+    def row(self) -> dict[str, Any]:
+        """Return values by column, as in points.csv."""
+        row: dict[str, Any] = {"scenario": self.point.scenario, **self.point.labels, "flights": self.runs}
+        row |= {"completed": self.completed, "errors": self.errors}
+        row |= {FIRST_DIVERGED: min(self.diverged_s, default=None), COST_RATIO: self.cost_ratio}
+        for name, value in self.numbers.items():
+            row |= {name: value and value.mean, f"{name}_ci95": value and value.half_width}
+        return row
 
 
 def statistics_of(
@@ -69,29 +82,29 @@ def statistics_of(
 
     Costs of diverged runs are left out: they cover only part of the maneuver.
     """
+    numbers = [{name: estimate(_completed(found, name)) for name in names} for found in results]
     baselines = {
         _comparable(point): cost.mean
-        for point, found in zip(points, results, strict=True)
-        if point.baseline and (cost := estimate(_completed(found, "cost_mean"))) is not None
+        for point, own in zip(points, numbers, strict=True)
+        if point.baseline and (cost := own["cost_mean"]) is not None
     }
-    statistics = []
-    for point, found in zip(points, results, strict=True):
+    made = []
+    for point, found, own in zip(points, results, numbers, strict=True):
         simulated = [result for result in found if result.outcome != ERROR]
-        numbers = {name: estimate(_completed(found, name)) for name in names}
-        cost, baseline = numbers["cost_mean"], baselines.get(_comparable(point))
+        cost, baseline = own["cost_mean"], baselines.get(_comparable(point))
         ends_s = [result.numbers["lost_s"] for result in simulated]
-        statistics.append(
+        made.append(
             PointStatistics(
                 point=point,
                 runs=len(simulated),
                 completed=sum(result.outcome == "completed" for result in simulated),
                 errors=len(found) - len(simulated),
                 diverged_s=tuple(sorted(end_s for end_s in ends_s if end_s is not None)),
-                numbers=numbers,
+                numbers=own,
                 cost_ratio=cost.mean / baseline if cost is not None and baseline else None,
             )
         )
-    return statistics
+    return made
 
 
 def _comparable(point: Point) -> tuple[str, str, int]:
@@ -110,90 +123,73 @@ WIDTH, WIDTH_OF_VARIANTS = 100, 140
 # Numbers from here on are shown without decimals.
 _LARGE = 100.0
 
-_DIVERGED, _RATIO = "diverged", "ratio"
 
-
-class _Column(NamedTuple):
-    """A column of the console's table: heading, name of the number, factor, digits, whether intervals are shown.
-
-    `_DIVERGED` and `_RATIO` stand for `PointStatistics.first_diverged_s` and `cost_ratio`.
-    """
+class Column(NamedTuple):
+    """A column of the console's table: heading, name of the number, factor, digits, whether intervals are shown."""
 
     heading: str
     name: str
-    factor: float
-    digits: int
-    interval: bool
+    factor: float = 1.0
+    digits: int = 2
+    interval: bool = False
+
+    def cell(self, row: Mapping[str, Any]) -> str:
+        """Return the number of a row as text."""
+        values = [row[self.name], row.get(f"{self.name}_ci95") if self.interval else None]
+        shown = [self.factor * value for value in values if value is not None]
+        return " ±".join(f"{v:.{self.digits if abs(v) < _LARGE else 0}f}" for v in shown) or "-"
 
 
-_COLUMNS = [
-    _Column("div.\n(s)", _DIVERGED, 1.0, 1, False),
-    _Column("cost mean\n(1e-3)", "cost_mean", 1e3, 2, True),
-    _Column("cost\nratio", _RATIO, 1.0, 2, False),
-    _Column("max\n(1e-3)", "cost_max", 1e3, 1, False),
-    _Column("attitude\n(deg)", "attitude_max_deg", 1.0, 2, True),
-    _Column("swing\n(m)", "swing_m", 1.0, 2, False),
-    _Column("apart\n(m)", "separation_min_m", 1.0, 3, False),
-    _Column("age\n(tick)", "plan_age_mean_ticks", 1.0, 2, False),
-]
+_DIVERGED = Column("div.\n(s)", FIRST_DIVERGED, 1.0, 1)
+_COST = Column("cost mean\n(1e-3)", "cost_mean", 1e3, 2, True)
+_RATIO = Column("cost\nratio", COST_RATIO)
+_ATTITUDE = Column("attitude\n(deg)", "attitude_max_deg", 1.0, 2, True)
+_SWING = Column("swing\n(m)", "swing_m")
+_APART = Column("apart\n(m)", "separation_min_m", 1.0, 3)
+_AGE = Column("age\n(tick)", "plan_age_mean_ticks")
+_COLUMNS = [_DIVERGED, _COST, _RATIO, Column("max\n(1e-3)", "cost_max", 1e3, 1), _ATTITUDE, _SWING, _APART, _AGE]
 
-# Columns of runs in which agents do not send every plan.
-_SHARING_COLUMNS = [
-    _Column("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),
-    *(shown for shown in _COLUMNS if shown.name not in (_DIVERGED, "cost_max", "swing_m", "separation_min_m")),
-]
-
-# Columns of runs at several speeds.
-_TRACKING_COLUMNS = [
-    _Column("error rms\n(cm)", "payload_rms_m", 100.0, 2, True),
-    _Column("largest\n(cm)", "payload_max_m", 100.0, 1, False),
-    *(shown for shown in _COLUMNS if shown.name not in ("cost_mean", "cost_max", "swing_m")),
-]
+# Columns of runs in which agents do not send every plan, and of runs at several speeds, by a label that these have.
+_FURTHER = {
+    "share_threshold": [
+        Column("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),
+        *(_COST, _RATIO, _ATTITUDE, _AGE),
+    ],
+    "speed_mps": [
+        Column("error rms\n(cm)", "payload_rms_m", 100.0, 2, True),
+        Column("largest\n(cm)", "payload_max_m", 100.0, 1),
+        *(_DIVERGED, _RATIO, _ATTITUDE, _APART, _AGE),
+    ],
+}
 
 # Columns of timed runs.
 _TIMED_COLUMNS = [
-    _Column("CPU step\np50 (ms)", "cpu_step_p50_ms", 1.0, 2, True),
-    _Column("p99\n(ms)", "cpu_step_p99_ms", 1.0, 2, False),
-    _Column("team\n(ms)", "cpu_team_tick_ms", 1.0, 1, False),
-    _Column("run\n(s/s)", "cpu_flight_s_per_s", 1.0, 2, False),
-    _Column("plans\n/tick", "plans_per_tick", 1.0, 0, False),
-    _Column("\nkB/s", "plan_bytes_per_s", 1e-3, 1, False),
-    _Column("cost\n(1e-3)", "cost_mean", 1e3, 2, False),
-    _Column("cost\nratio", _RATIO, 1.0, 2, False),
-    _Column("attitude\n(deg)", "attitude_max_deg", 1.0, 2, False),
-    _Column("swing\n(m)", "swing_m", 1.0, 2, False),
+    Column("CPU step\np50 (ms)", "cpu_step_p50_ms", 1.0, 2, True),
+    Column("p99\n(ms)", "cpu_step_p99_ms"),
+    Column("team\n(ms)", "cpu_team_tick_ms", 1.0, 1),
+    Column("run\n(s/s)", "cpu_flight_s_per_s"),
+    Column("plans\n/tick", "plans_per_tick", 1.0, 0),
+    Column("\nkB/s", "plan_bytes_per_s", 1e-3, 1),
+    Column("cost\n(1e-3)", "cost_mean", 1e3),
+    _RATIO,
+    Column("attitude\n(deg)", "attitude_max_deg"),
+    _SWING,
 ]
 
 
 def cases_rows(points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result]) -> list[dict[str, Any]]:
     """Return one row for each run, values by column, in the order of the sweep."""
-    rows: list[dict[str, Any]] = []
-    for case, result in zip(cases, results, strict=True):
-        point = points[case.point]
-        rows.append(
-            {
-                "scenario": point.scenario,
-                **point.labels,
-                "seed": case.scenario.seed,
-                "outcome": result.outcome,
-                "reason": result.reason,
-                **result.numbers,
-            }
-        )
-    return rows
-
-
-def points_rows(measured: Sequence[PointStatistics]) -> list[dict[str, Any]]:
-    """Return one row for each point, values by column."""
-    rows = []
-    for m in measured:
-        row: dict[str, Any] = {"scenario": m.point.scenario, **m.point.labels, "flights": m.runs}
-        row |= {"completed": m.completed, "errors": m.errors}
-        row |= {"first_lost_s": m.first_diverged_s, "cost_ratio": m.cost_ratio}
-        for name, value in m.numbers.items():
-            row |= {name: value and value.mean, f"{name}_ci95": value and value.half_width}
-        rows.append(row)
-    return rows
+    return [
+        {
+            "scenario": points[case.point].scenario,
+            **points[case.point].labels,
+            "seed": case.scenario.seed,
+            "outcome": result.outcome,
+            "reason": result.reason,
+            **result.numbers,
+        }
+        for case, result in zip(cases, results, strict=True)
+    ]
 
 
 def means_in_words(measured: Sequence[PointStatistics]) -> str:
@@ -204,42 +200,27 @@ def means_in_words(measured: Sequence[PointStatistics]) -> str:
 
 def table_of(title: str, measured: Sequence[PointStatistics], *, timed: bool = False) -> Table:
     """Return the table for the console, `WIDTH` characters wide; timed points have one scenario and more columns."""
-    chosen = {"share_threshold": _SHARING_COLUMNS, "speed_mps": _TRACKING_COLUMNS}
-    columns = next((found for label, found in chosen.items() if label in measured[0].point.labels), _COLUMNS)
-    columns, named = (_TIMED_COLUMNS, False) if timed else (columns, True)
-    headings = [name.replace("_", "\n", 1) for name in measured[0].point.labels]
-    table = empty_table(title, [*["scenario"] * named, *headings], ["done", *[shown.heading for shown in columns]])
-    for m in measured:
-        texts = (value if isinstance(value, str) else f"{value:g}" for value in m.point.labels.values())
-        labels = [*[m.point.scenario] * named, *texts]
-        done = f"{m.completed}/{m.runs}" + (f" {m.errors}!" if m.errors else "")
-        table.add_row(*labels, done, *(_cell(m, shown) for shown in columns))
-    return table
+    names = list(measured[0].point.labels)
+    columns = next((_FURTHER[name] for name in names if name in _FURTHER), _COLUMNS)
+    headings = {name: name.replace("_", "\n", 1) for name in names}
+    if timed:
+        columns = _TIMED_COLUMNS
+    else:
+        headings = {"scenario": "scenario", **headings}
+    return console_table(title, headings, columns, [m.row() for m in measured])
 
 
-def empty_table(title: str, left: Sequence[str], right: Sequence[str]) -> Table:
-    """Return a table for the console with columns aligned left, then columns aligned right."""
+def console_table(
+    title: str, labels: Mapping[str, str], columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]
+) -> Table:
+    """Return a table for the console: labels with their headings, number of completed runs, columns of numbers."""
     table = Table(box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
-    for heading in left:
+    for heading in labels.values():
         table.add_column(heading, no_wrap=True)
-    for heading in right:
+    for heading in ("done", *(column.heading for column in columns)):
         table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        texts = [value if isinstance(value := row[name], str) else f"{value:g}" for name in labels]
+        done = f"{row['completed']}/{row['flights']}" + (f" {row['errors']}!" if row["errors"] else "")
+        table.add_row(*texts, done, *(column.cell(row) for column in columns))
     return table
-
-
-def _number(value: float | None, digits: int) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.{digits}f}" if abs(value) < _LARGE else f"{value:.0f}"
-
-
-def _cell(m: PointStatistics, shown: _Column) -> str:
-    if shown.name in (_DIVERGED, _RATIO):
-        return _number(m.first_diverged_s if shown.name == _DIVERGED else m.cost_ratio, shown.digits)
-    value = m.numbers[shown.name]
-    if value is None:
-        return "-"
-    text = _number(shown.factor * value.mean, shown.digits)
-    if value.half_width is None or not shown.interval:
-        return text
-    return f"{text} ±{_number(shown.factor * value.half_width, shown.digits)}"

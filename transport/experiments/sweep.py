@@ -1,23 +1,24 @@
 """A sweep from its cases to its tables and figure: simulate the missing cases, keep each result, report all."""
 
-import fcntl
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 import orjson
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from protocol.wire.exit_codes import EXIT_CASE_FAILED
-from transport.experiments.cases import Case, ExperimentError, refused
-from transport.experiments.declaration import Experiment
+from transport.experiments.cases import Case, ExperimentError, Point, refused
+from transport.experiments.declaration import Experiment, axis
 from transport.experiments.figures import draw
 from transport.experiments.simulation import ERROR, NUMBERS, RESOURCES, Result
-from transport.experiments.statistics import PointStatistics, cases_rows, points_rows, statistics_of
+from transport.experiments.statistics import PointStatistics, cases_rows, statistics_of
+from transport.experiments.workers import on_cores
 from transport.flight.header import machine
 from transport.flight.progress import ConsoleProgress
 from transport.report.report import write_csv, write_whole
@@ -29,36 +30,31 @@ class Results:
     """Results by case; with a folder each is written to disk at once, and earlier ones are read from it.
 
     The folder is created unless it exists; the machine is noted for the reader. Lines of the file that were ignored
-    are in `notices`, with the reason.
+    are in `notices`.
 
-    Raises: ExperimentError: the folder contains something else, is in use, or cannot be written.
+    Raises: ExperimentError: the folder contains something else, or cannot be written.
     """
 
     def __init__(self, experiment: str, folder: Path | None = None) -> None:
         self.folder = folder
         self.notices: list[str] = []
         self._by_key: dict[str, Result] = {}
-        self._file: int | None = None
+        self._file: BinaryIO | None = None
         if folder is None:
             return
         try:
             _identify(folder, experiment)
-            self._file = os.open(folder / _RESULTS, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+            self._file = (folder / _RESULTS).open("ab", buffering=0)
         except OSError as error:
             raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            os.close(self._file)
-            raise refused("--out", "a folder that no other experiment uses", f"{folder}, which is in use") from error
-        self._read(self._file, folder / _RESULTS)
+        self._read(folder / _RESULTS)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._file is not None:
-            os.close(self._file)
+            self._file.close()
 
     def __getitem__(self, key: str) -> Result:
         """Return the result of a simulated case."""
@@ -69,29 +65,26 @@ class Results:
         return key in self._by_key and self._by_key[key].outcome != ERROR
 
     def add(self, result: Result) -> None:
-        """Keep a result; on disk it survives a crash of this process or host."""
+        """Keep a result."""
         if self._file is not None:
-            os.write(self._file, orjson.dumps(asdict(result)) + b"\n")
-            os.fsync(self._file)
+            self._file.write(orjson.dumps(asdict(result)) + b"\n")
         self._by_key[result.key] = result
 
-    def _read(self, file: int, path: Path) -> None:
+    def _read(self, path: Path) -> None:
         content = path.read_bytes()
         whole = content.rfind(b"\n") + 1
         if whole < len(content):
-            os.ftruncate(file, whole)  # otherwise the next line would be appended to it
+            os.truncate(path, whole)  # otherwise the next line would be appended to it
             self.notices.append(f"{path}: the last line is incomplete; its case is simulated again")
         for number, line in enumerate(content[:whole].splitlines(), start=1):
             try:
                 result = Result(**orjson.loads(line))
-                missing = [name for name in NUMBERS if name not in result.numbers and result.outcome != ERROR]
-            except (ValueError, TypeError):
-                self.notices.append(f"{path}: line {number} is no result; its case is simulated again")
-                continue
-            if missing:
-                self.notices.append(f"{path}: line {number} has no {missing[0]}; its case is simulated again")
-            else:
+                if result.outcome != ERROR:
+                    itemgetter(*NUMBERS)(result.numbers)
                 self._by_key[result.key] = result
+            except (ValueError, TypeError, KeyError):
+                notice = f"{path}: line {number} is no result of this version; its case is simulated again"
+                self.notices.append(notice)
 
 
 def _identify(folder: Path, experiment: str) -> None:
@@ -103,14 +96,10 @@ def _identify(folder: Path, experiment: str) -> None:
     except FileExistsError as error:
         raise refused("--out", expected, f"{folder}, which is a file") from error
     if identity.exists():
-        try:
-            found = orjson.loads(identity.read_bytes())["experiment"]
-        except (ValueError, TypeError, KeyError) as error:
-            raise refused("--out", expected, f"{folder}, whose {_IDENTITY} cannot be read") from error
+        found = orjson.loads(identity.read_bytes())["experiment"]
         if found != experiment:
             raise refused("--out", expected, f"{folder}, which belongs to {found}")
-    # A kill can leave a partial identity file.
-    elif any(path.name != f"{_IDENTITY}.partial" for path in folder.iterdir()):
+    elif any(folder.iterdir()):
         raise refused("--out", expected, f"{folder}, which contains other files")
     else:
         content = {"experiment": experiment, "machine": machine()}
@@ -143,7 +132,7 @@ class Swept:
     def rows(self, table: str) -> list[dict[str, Any]]:
         """Return a row for each point or, if the table is not "points", for each run; values by column."""
         if table == "points":
-            return points_rows(self.measured)
+            return [m.row() for m in self.measured]
         return cases_rows(self.experiment.points, self.cases, self.results)
 
     def write(self, folder: Path, *, shown: tuple[Experiment, Sequence[PointStatistics]] | None = None) -> list[Path]:
@@ -179,9 +168,10 @@ def sweep(
     for notice in results.notices:
         console.print(notice, highlight=False, soft_wrap=True)
     every = {case.key: case for case in cases}
-    missing = [case for key, case in every.items() if not results.done(key)]
     # Seed by seed: a slow period of the machine affects the timing of all points alike.
-    missing.sort(key=lambda case: case.scenario.seed)
+    missing = sorted(
+        (case for case in every.values() if not results.done(case.key)), key=lambda case: case.scenario.seed
+    )
     try:
         with _Progress(experiment.name, len(every) - len(missing), len(every), console) as progress:
             for result in simulate(missing) if missing else ():
@@ -196,6 +186,31 @@ def sweep(
             console.print(hint, highlight=False, soft_wrap=True)
         raise
     return Swept(experiment=experiment, cases=cases, results=[results[case.key] for case in cases])
+
+
+def simulated(name: str, groups: Sequence[Sequence[Case]], folder: Path | None = None) -> list[list[Result]]:
+    """Simulate the cases of several points on all cores, and return the results of each point.
+
+    Large teams and long runs come first, so that no core is idle while the last of them ends.
+
+    Raises: ExperimentError: a run raised an error, a worker was lost, or the folder cannot be used.
+    """
+
+    def effort(case: Case) -> float:
+        duration_s = sum(phase.duration_s or 0.0 for phase in case.scenario.maneuver.phase)
+        return float(len(case.scenario.system.uav) ** 2 * duration_s)
+
+    def simulate(missing: Sequence[Case]) -> Iterable[Result]:
+        return on_cores(sorted(missing, key=effort, reverse=True))
+
+    cases = [replace(case, point=i) for i, group in enumerate(groups) for case in group]
+    points = tuple(Point({}, group[0].scenario.name, scenario="run") for group in groups)
+    with Results(name, folder) as results:
+        experiment = Experiment(name=name, points=points, x=axis("point"))
+        swept = sweep(experiment, cases, simulate, results, Console(stderr=True))
+    swept.check()
+    found = iter(swept.results)
+    return [[next(found) for _ in group] for group in groups]
 
 
 class _Progress(ConsoleProgress):

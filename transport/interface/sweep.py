@@ -12,7 +12,7 @@ import numpy as np
 
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
-from transport.experiments.declaration import Experiment, axis, quantity
+from transport.experiments.declaration import Experiment, axis
 from transport.experiments.figures import fill
 from transport.experiments.statistics import WIDTH, PointStatistics, means_in_words, table_of
 from transport.experiments.sweep import Results
@@ -175,12 +175,12 @@ class Sweep:
             if len(others) != 1 or any(isinstance(value, str) for point in points for value in point.labels.values()):
                 raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
             up = axis(others[0], key_of(others[0]))
-            return Experiment(name=_NAME, points=points, x=across, y=up, drawn_as="map"), self.points
+            return Experiment(name=_NAME, points=points, x=across, y=up), self.points
         measured = []
         for m in self.points:
             own: dict[str, str | float] = {along: m.point.labels[along]}
             if others:  # the settings that tell the curve
-                own[_CURVE] = ", ".join(quantity(key_of(name)).text(m.point.labels[name]) for name in others)
+                own[_CURVE] = ", ".join(axis(name, key_of(name)).text(m.point.labels[name]) for name in others)
             measured.append(replace(m, point=replace(m.point, labels=own)))
         curves, drawn_points = _CURVE if others else None, tuple(m.point for m in measured)
         return Experiment(name=_NAME, points=drawn_points, x=across, curves=curves), measured

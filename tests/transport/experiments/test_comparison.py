@@ -22,11 +22,11 @@ from transport.experiments.comparison import (
     STEPS,
     TEAM,
     Cell,
+    Curve,
     Load,
-    PeriodRange,
+    cost_curves,
     equal_periods,
 )
-from transport.experiments.comparison_verdict import COST, Curve, cost_curves
 from transport.experiments.simulation import NUMBERS, Result
 from transport.experiments.statistics import estimate
 from transport.experiments.sweep import Swept
@@ -39,15 +39,8 @@ PERIODS_S = [factor * REFERENCE.period_s for factor in comparison.GRID]
 
 def load(period_s: float, *ratios: float) -> Load:
     """Processor time of one agent over the reference's, a repetition each."""
-    return Load(
-        controller=PAPER,
-        period_s=period_s,
-        horizon=20,
-        agents=AGENTS,
-        reference_period_s=0.05,
-        step_ms=[8.0 * ratio * period_s / 0.05 for ratio in ratios],
-        reference_step_ms=[8.0] * len(ratios),
-    )
+    own_ms = [8.0 * ratio * period_s / 0.05 for ratio in ratios]
+    return Load(Cell(PAPER, period_s, 20), AGENTS, own_ms, [8.0] * len(ratios))
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.3])
@@ -56,9 +49,8 @@ def test_equal_computation(exponent: float, budget: str, agents: int) -> None:
     """The period at which a power law passes the reference's computation is found exactly, whatever the grid."""
     loads = [load(period_s, 0.2 * (period_s / LONGEST_S) ** -exponent) for period_s in PERIODS_S]
     exact_s = LONGEST_S * (0.2 * agents) ** (1.0 / exponent)
-    span = equal_periods(loads, budget)
-    assert span.low_s == span.high_s == pytest.approx(exact_s, rel=1e-12)
-    assert not span.is_open
+    low_s, high_s = equal_periods(loads, budget, 0.05)
+    assert low_s == high_s == pytest.approx(exact_s, rel=1e-12)
 
 
 # Costs of three seeds of wind, by controller and period.
@@ -80,12 +72,12 @@ def paper_curve(outcome: Callable[[Case], str] = lambda _: "completed", seeds: i
     for case in cases:
         numbers: dict[str, float | None] = dict.fromkeys(NUMBERS)
         labels = points[case.point].labels
-        numbers[COST] = COSTS[str(labels["controller"]), float(labels["period_s"])][case.scenario.seed]
+        numbers["cost_mean"] = COSTS[str(labels["controller"]), float(labels["period_s"])][case.scenario.seed]
         numbers["lost_s"] = None if outcome(case) == "completed" else 3.5
         results.append(Result(key=case.key, outcome=outcome(case), reason="", numbers=numbers))
     curves = {(CENTRALIZED, STEPS): cells[:1], (PAPER, STEPS): cells[1:]}
     swept = Swept(experiment=replace(experiment, points=tuple(points)), cases=cases, results=results)
-    _, curve = cost_curves(curves, swept)
+    _, curve = cost_curves(curves, swept, {cell: Load(cell, 1, [8.0], [8.0]) for cell in cells})
     return curve
 
 
@@ -98,8 +90,9 @@ def at(case: Case, controller: str, period_s: float) -> bool:
 def test_ratios_are_taken_seed_by_seed() -> None:
     """The mean of ratios in the same wind, not the ratio of means; the curve goes through them."""
     curve = paper_curve()
-    assert [node.cell.period_s for node in curve.nodes] == [0.1, 0.05, 0.025]
-    assert curve.nodes[1].ratio(COST) == estimate([1.2, 1.1, 1.2])
+    assert list(curve.periods_s) == [0.1, 0.05, 0.025]
+    mean = estimate([1.2, 1.1, 1.2])
+    assert mean == (curve.rows[1]["cost_mean_ratio"], curve.rows[1]["cost_mean_ratio_ci95"], 3)
     assert curve.cost_ratios(0.05) == pytest.approx([1.2, 1.1, 1.2])
 
 
@@ -112,9 +105,9 @@ def test_between_periods_the_cost_is_a_power_of_the_period() -> None:
 def test_diverged_runs_are_not_compared() -> None:
     """Next to a period with a diverged run the cost is infinite; elsewhere the curve is unchanged."""
     curve = paper_curve(lambda case: "diverged" if at(case, PAPER, 0.1) and case.scenario.seed == 0 else "completed")
-    assert (curve.nodes[0].runs, curve.nodes[0].completed, curve.nodes[0].diverged_s) == (3, 2, (3.5,))
-    assert curve.cost_range(PeriodRange(0.07, 0.08)) == (math.inf, math.inf)
-    assert (curve.cost_range(PeriodRange(0.04, 0.06)) or (0.0, 0.0))[1] == math.inf
+    assert [curve.rows[0][name] for name in ("flights", "completed", "first_lost_s")] == [3, 2, 3.5]
+    assert curve.cost_range(0.07, 0.08) == (math.inf, math.inf)
+    assert (curve.cost_range(0.04, 0.06) or (0.0, 0.0))[1] == math.inf
     assert curve.cost_ratios(0.05) == pytest.approx([1.2, 1.1, 1.2])
 
 
@@ -125,7 +118,7 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     arguments = ("experiment", "paper", "--quick", "--gust", "0", "--jobs", "1", "--out", out)
     result = here(*arguments, "--set", ticks(6))
     assert result.exit_code == 0, result.output
-    files = {"curves.csv", "verdict.csv", "computation.csv", "cases.csv", "verdict.txt"}
+    files = {"curves.csv", "verdict.csv", "computation.json", "cases.csv", "verdict.txt"}
     files |= {f"{figure}.{kind}" for figure in ("figure", "maneuver") for kind in ("png", "svg")}
     assert files <= {path.name for path in out.iterdir()}
     with (out / "curves.csv").open(newline="") as file:
@@ -145,7 +138,7 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     def never(*_: object, **__: object) -> None:
         raise AssertionError("measured or run again")
 
-    monkeypatch.setattr(comparison, "measure_in_turns", never)
+    monkeypatch.setattr(comparison, "measure", never)
     monkeypatch.setattr("transport.experiments.comparison_report.draw_maneuver", lambda *_: [])
     monkeypatch.setattr("transport.experiments.workers.simulate", never)
     again = here(*arguments, "--set", ticks(6))
@@ -154,7 +147,7 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     other = here(*arguments, "--set", ticks(7))
     assert other.exit_code == 2
     assert "--set: expected the settings" in other.stderr
-    (out / "computation.json").write_text((out / "computation.json").read_text().replace("reference_period_s", "of_s"))
+    (out / "computation.json").write_text((out / "computation.json").read_text().replace("0.025", "0.02"))
     older = here(*arguments, "--set", ticks(6))
     assert older.exit_code == 2
     assert "--out: expected a folder of this version of the experiment" in older.stderr

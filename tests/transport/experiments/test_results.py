@@ -64,11 +64,3 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
     with pytest.raises(ExperimentError, match="which is a file"):
         opened(tmp_path / "mine" / "thesis.tex", "loss")
-
-
-def test_two_commands_at_one_folder_are_refused(tmp_path: Path) -> None:
-    """A folder that a command uses is refused to a second one."""
-    with opened(tmp_path), pytest.raises(ExperimentError, match="expected a folder that no other experiment uses"):
-        opened(tmp_path)
-    with opened(tmp_path):
-        pass
