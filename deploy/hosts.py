@@ -10,10 +10,11 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from protocol.network.endpoints import DEFAULT_BASE_PORT, Endpoints
+from protocol.wire.errors import TransportError
 from protocol.wire.keys import RECORDER, ROUTER
 
 
-class InventoryError(ValueError):
+class InventoryError(TransportError, ValueError):
     """An invalid inventory: `file: field: expected ..., got ...`."""
 
 

@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from protocol.network.security import AUTHORITY, USERS
+from protocol.wire.errors import TransportError
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER
 
 # The authority's own key, needed to sign further certificates; no host has it.
@@ -33,7 +34,7 @@ _BEFORE = timedelta(days=2)
 _PASSWORD_BYTES = 24
 
 
-class KeysError(ValueError):
+class KeysError(TransportError, ValueError):
     """Keys that cannot be made; the text has expected and got."""
 
 

@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from protocol.scenario.files import path_problem
+from protocol.wire.errors import TransportError
+from protocol.wire.exit_codes import EXIT_SCENARIO
 from protocol.wire.keys import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
 
 # Files of a folder of keys; besides them NAME.pem and NAME.key, or NAME.password, for each name.
@@ -38,8 +40,10 @@ _ALL = (
 )
 
 
-class SecurityError(ValueError):
+class SecurityError(TransportError, ValueError):
     """Unusable keys: the text names the file or option, what was expected and what came."""
+
+    exit_code = EXIT_SCENARIO
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from protocol.wire.errors import TransportError
 from protocol.wire.message import MAX_POINTS
 
 # A path of 100,000 rows has some 5 MB.
@@ -21,7 +22,7 @@ COLUMNS = "t_s,x_m,y_m,z_m"
 MOST_ROWS = 100_000
 
 
-class TableError(ValueError):
+class TableError(TransportError, ValueError):
     """An invalid file of a scenario: the text has the row, counted from 1 below the heading, expected and got."""
 
 

@@ -22,6 +22,7 @@ from model.arrays import Array
 from protocol.scenario.errors import first_problem
 from protocol.scenario.keys import UNITS, key_of, out_of_range
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
+from protocol.wire.errors import TransportError
 from protocol.wire.messages import LinkChange, MessageError
 from protocol.wire.names import PLANT
 
@@ -55,7 +56,7 @@ _SLACK = 1e-9
 PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.model_fields.items()}
 
 
-class LinkError(MessageError):
+class LinkError(TransportError, MessageError):
     """An invalid change of links; the text names the key, what was expected and what came."""
 
     def __init__(self, text: str) -> None:

@@ -26,6 +26,7 @@ from protocol.scenario.errors import first_problem
 from protocol.scenario.keys import out_of_range
 from protocol.scenario.schema import FURTHEST_M, Scenario, TargetSection
 from protocol.wire import messages
+from protocol.wire.errors import TransportError
 from protocol.wire.message import MessageError
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox
@@ -127,7 +128,7 @@ class Run(Protocol):
 R = TypeVar("R", bound=Run)
 
 
-class TargetError(MessageError):
+class TargetError(TransportError, MessageError):
     """A target that cannot be flown; the text says what was expected and what came."""
 
     def __init__(self, text: str) -> None:

@@ -32,6 +32,8 @@ _POLL_S = 0.005
 class HarnessError(TransportError, RuntimeError):
     """The processes of a run could not be started."""
 
+    exit_code = EXIT_UNREACHABLE
+
 
 @dataclass(slots=True)
 class Child:

@@ -19,6 +19,8 @@ from model.arrays import Array
 from protocol.network.security import Security
 from protocol.network.session import BusError, ask
 from protocol.scenario.links import PERFECT
+from protocol.wire.errors import TransportError
+from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.keys import ROUTER
 from protocol.wire.messages import agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
@@ -40,7 +42,7 @@ class LiveRun:
     is_client: bool = False  # whether the endpoints belong to a router
 
 
-class LiveError(ValueError):
+class LiveError(TransportError, ValueError):
     """A file that should describe an active run and does not; one line with file, expected and got."""
 
 
@@ -117,12 +119,14 @@ def _pairs(process: psutil.Process) -> set[tuple[str, str]]:
     return set()
 
 
-class RefusedError(ValueError):
+class RefusedError(TransportError, ValueError):
     """The run refuses the request; the text says what was expected."""
 
 
-class UnansweredError(RuntimeError):
+class UnansweredError(TransportError, RuntimeError):
     """The process does not exist or does not answer."""
+
+    exit_code = EXIT_UNREACHABLE
 
 
 def request(

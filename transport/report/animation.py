@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import track
 
 from model.arrays import Array
+from protocol.wire.errors import TransportError
 from transport.analysis.series import Series, series_of
 from transport.log.run_folder import open_run
 from transport.report.figures_3d import draw_parts, frame, line
@@ -38,7 +39,7 @@ _DECADES = 4
 _GREYS = (1.0, 0.95, 0.9, 0.85, 0.7)
 
 
-class AnimationError(RuntimeError):
+class AnimationError(TransportError, RuntimeError):
     """The animation cannot be made; the text says what is needed."""
 
 
