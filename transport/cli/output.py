@@ -29,11 +29,12 @@ def fail(text: str, code: int = EXIT_USAGE) -> NoReturn:
 @contextmanager
 def blame(option: str, *errors: type[Exception]) -> Iterator[None]:
     """Name an option in front of an error that it has caused: one that the user can solve, of a file, or of a type."""
+    solvable: tuple[type[Exception], ...] = (TransportError, *errors)
     try:
         yield
     except OSError as error:
         fail(f"{option}: cannot write {error.filename} ({error.strerror or error})")
-    except (TransportError, *errors) as error:
+    except solvable as error:
         fail(f"{option}: {error}", getattr(error, "exit_code", EXIT_USAGE))
 
 

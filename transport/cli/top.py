@@ -289,8 +289,9 @@ def _find(run: str | None, connect: list[str] | None, scenario: str | None, sett
         setup = read_setup(str(folder / "scenario.toml"), changes, allow_large=True)
         endpoints = sorted({at for name, at in there.endpoints.items() if name != RECORDER})
         name, is_client = there.run, there.is_client
-    mode, security = "client" if is_client else "peer", security_of(setup.scenario)
-    return _Run(name, setup, Endpoints(listen=[], connect=endpoints, mode=mode, security=security), folder)
+    security = security_of(setup.scenario)
+    places = Endpoints(listen=[], connect=endpoints, mode="client" if is_client else "peer", security=security)
+    return _Run(name, setup, places, folder)
 
 
 def _follow(bus: Bus, run: _Run, watch: Watch) -> None:
