@@ -12,10 +12,11 @@ from mpc.settings import Section
 from protocol.network.endpoints import DEFAULT_BASE_PORT, Endpoints
 from protocol.scenario.errors import ScenarioError, validated
 from protocol.scenario.file import read_tree
+from protocol.wire.errors import TransportError
 from protocol.wire.keys import RECORDER, ROUTER
 
 
-class InventoryError(ValueError):
+class InventoryError(TransportError, ValueError):
     """An invalid inventory: `file: field: expected ..., got ...`."""
 
 

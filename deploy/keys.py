@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from protocol.network.security import AUTHORITY
+from protocol.wire.errors import TransportError
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER
 
 # The authority's own key, needed to sign further certificates; no host has it.
@@ -32,7 +33,7 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _BEFORE = timedelta(days=2)
 
 
-class KeysError(ValueError):
+class KeysError(TransportError, ValueError):
     """Keys that cannot be made; the text has expected and got."""
 
 

@@ -21,6 +21,7 @@ from protocol.network.security import Security
 from protocol.network.session import configuration
 from protocol.scenario.files import write_delays
 from protocol.scenario.setup import Setup
+from protocol.wire.errors import TransportError
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER, Keys
 from protocol.wire.names import COORDINATOR
 
@@ -33,7 +34,7 @@ _RESTARTED = ("agent", ROUTER)
 _TEMPLATES = importlib.resources.files("deploy") / "templates"
 
 
-class RenderError(ValueError):
+class RenderError(TransportError, ValueError):
     """A deployment that cannot be written; the text has expected and got."""
 
 

@@ -54,25 +54,15 @@ _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = list(_MODULES)  # a type checker reads the imports above
 
 _HERE = Path(__file__).resolve().parent.parent
-_PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "scenarios")
 
 
-def _hidden() -> str:
-    """Return an error text about the first package of this project that another file hides; empty if none."""
-    for name in _PACKAGES:
-        spec = find_spec(name)
-        if spec is None:
-            return f"payload-transport: expected its package {name!r} in {_HERE}, got none"
-        found = Path(spec.origin).resolve() if spec.origin else Path(next(iter(spec.submodule_search_locations or ())))
-        if found != _HERE / name / "__init__.py":
-            hint = "rename it, or start from another folder"
-            return f"payload-transport: {found} hides its package {name!r}: {hint}"
-    return ""
-
-
-_text = _hidden()
-if _text:
-    raise ImportError(_text)
+for _name in ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "scenarios"):
+    _spec = find_spec(_name)
+    if _spec is not None:  # otherwise the first import says so
+        _found = Path(_spec.origin or next(iter(_spec.submodule_search_locations or ("",)))).resolve()
+        if _found != _HERE / _name / "__init__.py":
+            _hint = "rename it, or start from another folder"
+            raise ImportError(f"payload-transport: {_found} hides its package {_name!r}: {_hint}")
 
 
 def __getattr__(name: str) -> Any:

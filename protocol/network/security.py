@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from protocol.wire.errors import TransportError
+from protocol.wire.exit_codes import EXIT_SCENARIO
 from protocol.wire.keys import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
 
 # File of a folder of keys; besides it NAME.pem and NAME.key for each name.
@@ -33,8 +35,10 @@ _ALL = (
 )
 
 
-class SecurityError(ValueError):
+class SecurityError(TransportError, ValueError):
     """Unusable keys: the text names the file or option, what was expected and what came."""
+
+    exit_code = EXIT_SCENARIO
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,8 @@ import zenoh
 from protocol.network.endpoints import Endpoints
 from protocol.network.security import Security, SecurityError
 from protocol.wire.codec import MAX_BYTES
+from protocol.wire.errors import TransportError
+from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 
 # How long closing may take: it blocks while a peer does not read (zenoh issue 2675).
@@ -27,8 +29,10 @@ _TRY_MS = 500
 _SOURCE_FILE = re.compile(r"\s*\bat \S+\.rs:\d+\.?")
 
 
-class BusError(RuntimeError):
+class BusError(TransportError, RuntimeError):
     """The network cannot be used: the text says what was tried and what to do."""
+
+    exit_code = EXIT_UNREACHABLE
 
 
 _first_user = 0  # process id of the process that opened the first session

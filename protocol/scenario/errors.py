@@ -13,6 +13,7 @@ from mpc.feedback import FeedbackError
 from mpc.settings import SettingsError
 from protocol.scenario.keys import names_of, out_of_range, section_in
 from protocol.wire.errors import TransportError
+from protocol.wire.exit_codes import EXIT_SCENARIO
 
 T = TypeVar("T")
 S = TypeVar("S", bound=BaseModel)
@@ -23,6 +24,8 @@ class ScenarioError(TransportError, ValueError):
 
     The field is the dotted path of the key, list entries counted from 1; it may be empty.
     """
+
+    exit_code = EXIT_SCENARIO
 
     def __init__(self, source: str, field: str, problem: str) -> None:
         text = ": ".join(part for part in (source, field, problem) if part)

@@ -10,10 +10,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from protocol.wire.errors import TransportError
+
 COLUMNS = "t_s,x_m,y_m,z_m"
 
 
-class TableError(ValueError):
+class TableError(TransportError, ValueError):
     """An invalid file of a scenario: the text has the row, counted from 1 below the heading, expected and got."""
 
 

@@ -20,6 +20,7 @@ from model.arrays import Array
 from protocol.scenario.errors import ScenarioError, validated
 from protocol.scenario.keys import UNITS, key_of
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
+from protocol.wire.errors import TransportError
 from protocol.wire.messages import LinkChange, Measurement, MessageError, Plan
 from protocol.wire.names import PLANT
 
@@ -53,7 +54,7 @@ _SLACK = 1e-9
 PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.model_fields.items()}
 
 
-class LinkError(MessageError):
+class LinkError(TransportError, MessageError):
     """An invalid change of links; the text names the key, what was expected and what came."""
 
     def __init__(self, text: str) -> None:

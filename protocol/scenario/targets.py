@@ -23,6 +23,7 @@ from mpc.settings import ControllerSettings
 from protocol.scenario.errors import ScenarioError, validated
 from protocol.scenario.schema import TargetSection
 from protocol.wire import messages
+from protocol.wire.errors import TransportError
 from protocol.wire.message import MessageError
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox
@@ -105,7 +106,7 @@ ON_GROUND_M = 1e-3
 _SLACK = 1e-9
 
 
-class TargetError(MessageError):
+class TargetError(TransportError, MessageError):
     """A target that cannot be flown; the text says what was expected and what came."""
 
     def __init__(self, text: str) -> None:

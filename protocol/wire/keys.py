@@ -16,6 +16,7 @@ Senders and receivers of each kind are in the `Route` of its class (docs/protoco
 import re
 from dataclasses import dataclass
 
+from protocol.wire.errors import TransportError
 from protocol.wire.messages import BUNDLES, KINDS, Measurement, Message, MessageError
 from protocol.wire.names import AGENT, COORDINATOR, OPERATOR, PLANT, RECORDER, ROUTER, WATCHER, agent_name, role_of
 
@@ -29,7 +30,7 @@ _CLASSES = (*KINDS.values(), *BUNDLES.values())
 READING, ACTING = ("status", "health"), ("link", "fault")
 
 
-class RunNameError(ValueError):
+class RunNameError(TransportError, ValueError):
     """A run name that cannot be part of a key expression."""
 
 

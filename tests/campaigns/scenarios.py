@@ -21,12 +21,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from protocol.scenario.budget import estimate
-from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_SCENARIO
 from protocol.wire.messages import Message, PlantState
 from tests.campaigns.harness import Result
 from tests.support.mutations import mutated
@@ -111,12 +108,11 @@ def _outcome(path: Path, ticks: int) -> tuple[str, str, float]:
 
 def _refusal(path: Path) -> str | None:
     """Return what `transport validate` says of a scenario it refuses, None of one it accepts."""
-    said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
             validate(str(path))
-    except typer.Exit as end:
-        return said.getvalue() if end.exit_code == EXIT_SCENARIO else f"exit code {end.exit_code}: {said.getvalue()}"
+    except ScenarioError as error:
+        return f"transport: {error}\n"
     return None
 
 

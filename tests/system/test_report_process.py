@@ -10,7 +10,7 @@ import pytest
 from tests.support import runs
 from tests.support.commands import command_of, wait_for
 from tests.support.logs import record_run
-from transport.cli.run_scenario import ReportProcess
+from transport.cli.run import ReportProcess
 from transport.report.report import write_report
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
@@ -52,7 +52,7 @@ def test_equal_reports(recorded: tuple[Path, dict[str, bytes]], waiting_s: float
 def test_ends_with_its_parent(tmp_path: Path) -> None:
     """A process that stands by ends when its parent is killed."""
     code = (
-        "import time\nfrom pathlib import Path\nfrom transport.cli.run_scenario import ReportProcess\n"
+        "import time\nfrom pathlib import Path\nfrom transport.cli.run import ReportProcess\n"
         "reporter = ReportProcess(Path('/none'))\nreporter.prepare()\nprint(reporter._child.process.pid, flush=True)\n"
         "time.sleep(60)\n"
     )

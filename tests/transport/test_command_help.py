@@ -15,7 +15,7 @@ from tests.support.command_tree import every_command, root
 from tests.support.logs import record_run
 from transport.cli.lazy import LazyGroup
 from transport.cli.main import app
-from transport.cli.recorded_run import newest_runs
+from transport.cli.options import newest_runs
 from transport.log.run_folder import point_latest
 
 ONE_LINE = {

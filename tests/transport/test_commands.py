@@ -59,14 +59,14 @@ def test_help_imports_no_command() -> None:
 def test_processes_of_a_run_import_only_what_they_need(role: str) -> None:
     """The command of a role imports neither reports, viewer, tables nor another command."""
     names = imported(f'import_module("transport.cli.processes"); import_module("{role}.node")')
-    own = {f"transport.cli.{name}" for name in ("options", "output", "processes", "scenario_setup")}
+    own = {f"transport.cli.{name}" for name in ("lazy", "options", "output", "processes")}
     assert {name for name in names if name.startswith("transport.cli.")} == own
     assert not names & {"rich", *FOREIGN}
 
 
 def test_a_run_imports_viewer_and_report_when_needed() -> None:
     """The start of `transport run` imports neither the viewer nor figures: the processes of the run wait for it."""
-    names = imported('import_module("transport.cli.run_scenario")')
+    names = imported('import_module("transport.cli.run")')
     assert not names & {"transport.cli.view", "transport.cli.run_report", *FOREIGN - {"mcap"}}
 
 

@@ -67,7 +67,7 @@ def test_the_command_tells_what_is_kept(moment: str, tmp_path: Path, monkeypatch
     def report(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("transport.cli.run_scenario.simulate", simulate)
+    monkeypatch.setattr("transport.cli.run.simulate", simulate)
     monkeypatch.setattr("transport.cli.run_report.report", report)
     result = CliRunner().invoke(app, ["run", "paper", "--no-figures", "--out", str(folder)])
     assert result.exit_code == EXIT_INTERRUPTED
@@ -82,7 +82,7 @@ def test_a_run_interrupted_before_its_log_says_so(tmp_path: Path, monkeypatch: p
     def simulate(*_: Any) -> Finished:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("transport.cli.run_scenario.simulate", simulate)
+    monkeypatch.setattr("transport.cli.run.simulate", simulate)
     result = CliRunner().invoke(app, ["run", "paper", "--no-figures", "--out", str(tmp_path / "run")])
     assert (result.exit_code, result.stderr) == (EXIT_INTERRUPTED, "transport: interrupted; nothing is recorded\n")
 

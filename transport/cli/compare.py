@@ -1,41 +1,29 @@
 """The command `transport compare`."""
 
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 from typer import Argument, Option
 
-from protocol.scenario.file import ScenarioError
-from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from transport.cli.options import FiguresOption, FormatOption
-from transport.cli.output import Format, exit_on, fail, show_json
-from transport.cli.recorded_run import complete_run, newest_runs, run_folder
+from transport.cli.options import FiguresOption, FormatOption, complete_run, newest_runs, run_folder
+from transport.cli.output import Format, blame, fail, rows, show
 from transport.flight.run_files import new_folder
 from transport.log.run_folder import open_run
-from transport.log.run_log import LogError
-from transport.report.compare import Compared, Row, doubts, draw_compared, rows
-from transport.report.report import write_whole
+from transport.report.compare import Compared, doubts, draw_compared
+from transport.report.compare import rows as quantities
+from transport.report.report import write_csv
 
 
 def compare(
-    runs: Annotated[
-        list[str] | None,
-        Argument(
-            metavar="RUN",
-            help="Run folders or names in runs/, by default the two most recent; LABEL=RUN names one.",
-            autocompletion=complete_run,
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, Option("--out", metavar="FOLDER", help="Folder to write; by default comparisons/<time>-<runs>.")
-    ] = None,
+    runs: list[str] | None = Argument(
+        None,
+        metavar="RUN",
+        help="Run folders or names in runs/, by default the two most recent; LABEL=RUN names one.",
+        autocompletion=complete_run,
+    ),
+    out: Path | None = Option(None, metavar="FOLDER", help="Folder to write; by default comparisons/<time>-<runs>."),
     figures: FiguresOption = True,
     output: FormatOption = Format.text,
 ) -> None:
@@ -48,22 +36,39 @@ def compare(
     """
     chosen = runs or [str(folder) for folder in reversed(newest_runs()[:2])]
     if len(chosen) < 2:
-        fail(f"RUN: expected at least two runs, got {len(chosen)}", EXIT_USAGE)
+        fail(f"RUN: expected at least two runs, got {len(chosen)}")
     compared = _read(chosen)
     usable = sum(len(one.series.ticks) > 0 for one in compared)
     if usable < 2:
-        fail(f"expected at least two logs with a simulated tick, got {usable} of {len(compared)}", EXIT_USAGE)
-    table = rows(compared)
-    notes = list(doubts(compared))
-    files = _write(compared, table, out, figures=figures)
+        fail(f"expected at least two logs with a simulated tick, got {usable} of {len(compared)}")
+    labels = [one.label for one in compared]
+    if len(set(labels)) < len(labels):
+        fail(f"RUN: expected each label once, got {', '.join(labels)}")
+    table, notes = quantities(compared), list(doubts(compared))
+    folder = out or new_folder(Path("comparisons"), f"{len(compared)}-runs")
+    columns = ["quantity", "unit", *labels, *(f"{label}, more than {labels[0]} (%)" for label in labels[1:])]
+    lines = ((row.name, row.unit, *row.values, *row.percent[1:]) for row in table)
+    with blame("--out"):
+        folder.mkdir(parents=True, exist_ok=True)
+        write_csv(folder / "compare.csv", (dict(zip(columns, line, strict=True)) for line in lines), columns)
+        files = [folder / "compare.csv", *(draw_compared(compared, folder) if figures else ())]
     for note in notes:
         typer.echo(f"note: {note}", err=True)
-    if output is Format.json:
-        show_json(_content(compared, table, notes, files))
-        return
-    _show(compared, table)
-    for file in files:
-        typer.echo(f" {file}")
+    content = {
+        "runs": [{"label": one.label, "folder": str(one.run.folder)} for one in compared],
+        "quantities": [
+            {"name": row.name, "unit": row.unit, "values": row.values, "percent_more_than_first": row.percent}
+            for row in table
+        ],
+        "notes": notes,
+        "files": [str(file) for file in files],
+    }
+    shown = [
+        {"": f"{row.name} ({row.unit})" if row.unit else row.name}
+        | dict(zip(labels, map(_cell, row.values, (None, *row.percent[1:])), strict=True))
+        for row in table
+    ]
+    show(output, content, rows(shown, ""), *(f" {file}" for file in files))
 
 
 def _read(arguments: Sequence[str]) -> list[Compared]:
@@ -78,38 +83,8 @@ def _read(arguments: Sequence[str]) -> list[Compared]:
     for i, (label, folder) in enumerate(named):
         # Folders of the same name are told apart by their place in the command.
         default = names[i] if names.count(names[i]) == 1 else f"{names[i]} ({i + 1})"
-        with exit_on(LogError, code=EXIT_USAGE), exit_on(ScenarioError, code=EXIT_SCENARIO):
-            found.append(Compared.of(label or default, open_run(folder, horizons=False)))
+        found.append(Compared.of(label or default, open_run(folder, horizons=False)))
     return found
-
-
-def _write(compared: Sequence[Compared], table: Sequence[Row], out: Path | None, *, figures: bool) -> list[Path]:
-    """Write table and figures; return their files."""
-    folder = out or new_folder(Path("comparisons"), f"{len(compared)}-runs")
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    labels = [one.label for one in compared]
-    writer.writerow(["quantity", "unit", *labels, *(f"{label}, more than {labels[0]} (%)" for label in labels[1:])])
-    for row in table:
-        writer.writerow([row.name, row.unit, *row.values, *row.percent[1:]])
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / "compare.csv", text.getvalue().encode())
-        return [folder / "compare.csv", *(draw_compared(compared, folder) if figures else ())]
-    except OSError as error:
-        fail(f"--out: cannot write to {folder} ({error.strerror or error})", EXIT_USAGE)
-
-
-def _show(compared: Sequence[Compared], table: Sequence[Row]) -> None:
-    shown = Table(box=None)
-    shown.add_column("", style="cyan", no_wrap=True)
-    for one in compared:
-        shown.add_column(Text(one.label, "bold"), justify="right")
-    for row in table:
-        name = f"{row.name} ({row.unit})" if row.unit else row.name
-        others = zip(row.values[1:], row.percent[1:], strict=True)
-        shown.add_row(name, _cell(row.values[0], None), *(_cell(value, percent) for value, percent in others))
-    Console().print(shown)
 
 
 def _cell(value: Any, percent: float | None) -> str:
@@ -117,17 +92,3 @@ def _cell(value: Any, percent: float | None) -> str:
     if percent is None:
         return text
     return f"{text}  {'=' if percent == 0.0 else f'{percent:+.1f}%':>7}"
-
-
-def _content(
-    compared: Sequence[Compared], table: Sequence[Row], notes: Sequence[str], files: Sequence[Path]
-) -> dict[str, Any]:
-    return {
-        "runs": [{"label": one.label, "folder": str(one.run.folder)} for one in compared],
-        "quantities": [
-            {"name": row.name, "unit": row.unit, "values": row.values, "percent_more_than_first": row.percent}
-            for row in table
-        ],
-        "notes": notes,
-        "files": [str(file) for file in files],
-    }

@@ -2,9 +2,7 @@
 
 import inspect
 import math
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -13,27 +11,27 @@ from typing import Annotated, Any
 
 import joblib
 import numpy as np
+import typer
 from rich.console import Console
-from rich.table import Table
 from typer import Option
 
 from protocol.scenario.budget import ADMITTED, MB, MOST_TOTAL_BYTES, most_workers
-from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.file import find_scenario, read_scenario
 from protocol.scenario.schema import Scenario
-from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO
-from transport.cli.options import RUNS, FormatOption, LargeOption, with_options
-from transport.cli.output import Format, exit_on, fail, show_json
+from transport.cli.lazy import with_options
+from transport.cli.options import RUNS, FormatOption, LargeOption
+from transport.cli.output import Format, show
 from transport.experiments import comparison, comparison_report, design_experiments, network_experiments
-from transport.experiments.cases import Case, ExperimentError, cases_of, refused
+from transport.experiments.cases import Case, cases_of, refused
 from transport.experiments.conclusions import conclusions, scaling_conclusions
 from transport.experiments.declaration import EXPERIMENTS, Declaration, Values
-from transport.experiments.simulation import simulate
+from transport.experiments.simulation import Result, simulate
 from transport.experiments.statistics import WIDTH, WIDTH_OF_VARIANTS, PointStatistics, means_in_words, table_of
-from transport.experiments.sweep import Results, Simulate, sweep
+from transport.experiments.sweep import Results, sweep
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.header import machine
 
-__all__ = ["EXPERIMENTS", "design_experiments", "network_experiments", "paper"]  # declared when imported
+__all__ = ["EXPERIMENTS", "design_experiments", "network_experiments"]  # declared when imported
 
 _OUT = "Folder, by default a new one in runs/; an existing folder of the same experiment is resumed."
 _SCENARIO = (
@@ -52,23 +50,27 @@ class ExperimentOptions:
     settings: Annotated[
         list[str] | None, Option("--set", metavar="KEY=VALUE", help="Change a value of every scenario. Repeatable.")
     ] = None
-    seeds: Annotated[
-        int | None, Option("--seeds", metavar="COUNT", min=1, help="Repetitions of random runs: seeds 0, 1, ...")
-    ] = None
-    out: Annotated[Path | None, Option("--out", metavar="FOLDER", help=_OUT)] = None
+    seeds: Annotated[int | None, Option(metavar="COUNT", min=1, help="Repetitions of random runs: seeds 0, 1, ...")] = (
+        None
+    )
+    out: Annotated[Path | None, Option(metavar="FOLDER", help=_OUT)] = None
     jobs: Annotated[
-        int | None, Option("--jobs", metavar="COUNT", min=1, help="Parallel runs; default: all cores (scaling: 1).")
+        int | None, Option(metavar="COUNT", min=1, help="Parallel runs; default: all cores (scaling: 1).")
     ] = None
     allow_large: LargeOption = False
     quick: Annotated[bool, Option("--quick", help="Few and short runs: a trial, no measurement.")] = False
     output: FormatOption = Format.text
+    scenarios: Annotated[list[str] | None, Option("--scenario", metavar="SCENARIO", help=_SCENARIO)] = None
+    dask: Annotated[str | None, Option(metavar="ADDRESS", help="Dask cluster, e.g. tcp://host:8786.")] = None
+    processes: Annotated[
+        bool, Option("--processes", help="Run each case with processes and a run folder, one at a time.")
+    ] = False
 
     @property
     def repetitions(self) -> int:
         """Number of seeds of random runs."""
         seeds = self.declared.seeds
-        default = min(seeds, _QUICK_SEEDS) if self.quick else seeds
-        return default if self.seeds is None else self.seeds
+        return self.seeds or (min(seeds, _QUICK_SEEDS) if self.quick else seeds)
 
     def changes(self) -> list[str]:
         """Return the changes of every scenario, the experiment's own maneuver first."""
@@ -80,37 +82,6 @@ class ExperimentOptions:
 
         Raises: ExperimentError: options exclude each other. ScenarioError: a scenario is refused.
         """
-        return {}
-
-    def simulator(self, _: Path) -> Simulate:
-        """Return the function that simulates the cases of a folder, some at a time; by default one for each core."""
-        return lambda cases: on_cores(cases, self._jobs(cases))
-
-    def _jobs(self, cases: Sequence[Case]) -> int:
-        """Return how many cases are simulated at a time: by default at most as many as fit into the memory of a run.
-
-        Raises: ExperimentError: more are asked for, without `--allow-large`.
-        """
-        jobs = min(len(cases), self.jobs or self.declared.jobs or joblib.cpu_count())
-        most = jobs if self.allow_large else most_workers(case.scenario for case in cases)
-        if jobs > most and self.jobs is not None:
-            memory = f"{MOST_TOTAL_BYTES / MB:,.0f} MB of memory in all"
-            raise refused("--jobs", f"at most {most}, which take {memory}", f"{jobs} ({ADMITTED})")
-        return min(jobs, most)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SweepOptions(ExperimentOptions):
-    """Options of experiments with any scenario."""
-
-    scenarios: Annotated[list[str] | None, Option("--scenario", metavar="SCENARIO", help=_SCENARIO)] = None
-    dask: Annotated[str | None, Option("--dask", metavar="ADDRESS", help="Dask cluster, e.g. tcp://host:8786.")] = None
-    processes: Annotated[
-        bool, Option("--processes", help="Run each case with processes and a run folder, one at a time.")
-    ] = False
-
-    def read(self) -> dict[str, Scenario]:
-        """Return the scenarios by name, with the changes of every scenario."""
         given = {"--processes": self.processes, "--dask": self.dask is not None, "--jobs": self.jobs is not None}
         chosen = [name for name, is_given in given.items() if is_given]
         if len(chosen) > 1:
@@ -124,34 +95,51 @@ class SweepOptions(ExperimentOptions):
             name: read_scenario(find_scenario(name), self.changes(), allow_large=self.allow_large) for name in names
         }
 
-    def simulator(self, folder: Path) -> Simulate:
-        """Return the function that simulates cases: on a cluster, in processes, or on the cores of this machine."""
+    def folder(self, name: str) -> Path:
+        """Return the folder of an experiment; say that `--quick` gives no measurement."""
+        if self.quick:
+            typer.echo("--quick: a trial, no measurement", err=True)
+        return self.out or RUNS / f"experiment-{name}-{datetime.now(UTC).strftime('%Y%m%d-%H%M%S')}"
+
+    def simulate(self, cases: Sequence[Case], folder: Path) -> Iterable[Result]:
+        """Simulate cases: on a cluster, in processes, or on the cores of this machine.
+
+        By default at most as many at a time as fit into the memory of a run.
+
+        Raises: ExperimentError: more are asked for, without `--allow-large`.
+        """
         if self.dask is not None:
-            return partial(on_cluster, address=self.dask)
+            return on_cluster(cases, address=self.dask)
         if self.processes:
-            return lambda cases: (simulate(case, folder / "runs") for case in cases)
-        return lambda cases: on_cores(cases, self._jobs(cases))
+            return (simulate(case, folder / "runs") for case in cases)
+        jobs = min(len(cases), self.jobs or self.declared.jobs or joblib.cpu_count())
+        most = jobs if self.allow_large else most_workers(case.scenario for case in cases)
+        if jobs > most and self.jobs is not None:
+            memory = f"{MOST_TOTAL_BYTES / MB:,.0f} MB of memory in all"
+            raise refused("--jobs", f"at most {most}, which take {memory}", f"{jobs} ({ADMITTED})")
+        return on_cores(cases, min(jobs, most))
+
+
+def _options_of(declared: Declaration) -> Callable[..., ExperimentOptions]:
+    """Return the options of an experiment; one with teams of its own takes no scenario and runs on this machine."""
+    fixed: dict[str, Any] = {} if declared.scenarios else {"scenarios": None, "dask": None, "processes": False}
+    return partial(ExperimentOptions, declared=declared, **fixed)
 
 
 def __getattr__(name: str) -> Callable[..., None]:
-    """Return the command of a declared experiment."""
+    """Return the command of a declared experiment: its own options, then the common ones."""
     if name not in EXPERIMENTS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return _command(name, EXPERIMENTS[name])
-
-
-def _command(name: str, declared: Declaration) -> Callable[..., None]:
-    """Return the command of an experiment: its own options, then the common ones."""
+    declared = EXPERIMENTS[name]
 
     def command(options: ExperimentOptions, **given: Any) -> None:
-        with _exit_codes():
-            _conduct(name, declared, options, given)
+        _conduct(name, declared, options, given)
 
     command.__name__, command.__doc__ = name, declared.build.__doc__
     first = inspect.Parameter("options", inspect.Parameter.POSITIONAL_OR_KEYWORD)
     own = [_parameter(option, values) for option, values in declared.options.items() if values.metavar]
     command.__signature__ = inspect.Signature([first, *own])  # type: ignore[attr-defined]
-    return with_options(partial(SweepOptions if declared.scenarios else ExperimentOptions, declared=declared))(command)
+    return with_options(_options_of(declared))(command)
 
 
 def _parameter(name: str, values: Values) -> inspect.Parameter:
@@ -178,43 +166,41 @@ def _conduct(name: str, declared: Declaration, options: ExperimentOptions, given
     Raises: ExperimentError: a case raised an error, a worker was lost, or the options are refused.
     """
     experiment = declared.experiment(options.read(), given, quick=options.quick)
-    timed, folder = experiment.timed, _new_folder(options, name)
+    timed = experiment.timed
     cases = cases_of(
         experiment.points, options.changes(), options.repetitions, timed=timed, allow_large=options.allow_large
     )
-    console = Console(stderr=True)
-    trial = _trial_note(options, console)
+    folder = options.folder(name)
     with Results(name, folder) as results:
         done = sum(results.done(case.key) for case in cases)
         if done:
-            console.print(f"{done} of {len(cases)} runs are done already", highlight=False)
-        swept = sweep(experiment, cases, options.simulator(folder), results, console)
-        files = swept.write(folder)
+            typer.echo(f"{done} of {len(cases)} runs are done already", err=True)
+        simulated = partial(options.simulate, folder=folder)
+        swept = sweep(experiment, cases, simulated, results, Console(stderr=True))
+        files = [str(file) for file in swept.write(folder)]
     measured = swept.measured
-    title = f"{name}: {means_in_words(measured)}" + (f" ({trial})" if trial else "")
+    title = f"{name}: {means_in_words(measured)}" + (" (trial, no measurement)" if options.quick else "")
     if timed:
         phases = cases[0].scenario.maneuver.phase  # the same in all cases
         title += f"\n{sum(phase.duration_s for phase in phases):g} s of {', '.join(phase.name for phase in phases)}"
-    width = WIDTH_OF_VARIANTS if experiment.drawn_as == "variants" else WIDTH
     sentences = scaling_conclusions(measured) if timed else conclusions(measured)
-    lines = ["", *sentences, "", f"machine: {machine()}", *(f" {path}" for path in files)]
     content = {
         "experiment": name,
         "points": [_content(m) for m in measured],
         "findings": sentences,
         "machine": machine(),
-        "files": [str(path) for path in files],
+        "files": files,
     }
-    _show(table_of(title, measured, timed=timed), width, lines, content, options.output)
+    width = WIDTH_OF_VARIANTS if experiment.drawn_as == "variants" else WIDTH
+    lines = ["", *sentences, "", f"machine: {machine()}", *(f" {path}" for path in files)]
+    show(options.output, content, table_of(title, measured, timed=timed), *lines, width=width)
     swept.check()
 
 
-@with_options(partial(ExperimentOptions, declared=comparison.DECLARED))
+@with_options(_options_of(comparison.DECLARED))
 def paper(
     options: ExperimentOptions,
-    gust: Annotated[
-        float, Option("--gust", metavar="SPEED", help="Standard deviation of gusts, m/s; 0 for still air only.")
-    ] = 1.0,
+    gust: float = Option(1.0, metavar="SPEED", help="Standard deviation of gusts, m/s; 0 for still air only."),
 ) -> None:
     """The paper's claim: centralized against distributed.
 
@@ -225,45 +211,20 @@ def paper(
 
     Example: transport experiment paper --seeds 10
     """
-    with _exit_codes():
-        if not 0.0 <= gust < math.inf:
-            raise refused("--gust", "a speed >= 0 m/s", f"{gust:g}")
-        folder, console = _new_folder(options, "paper"), Console(stderr=True)
-        _trial_note(options, console)
-        lines, table = comparison_report.compare(
-            options.changes(),
-            options.repetitions,
-            gust,
-            folder,
-            options.simulator(folder),
-            console,
-            quick=options.quick,
-        )
-        content = {"experiment": "paper", "report": [line.strip() for line in lines if line.strip()]}
-        _show(table, comparison_report.WIDTH, lines, content, options.output)
-
-
-@contextmanager
-def _exit_codes() -> Iterator[None]:
-    """End the command with the exit code of an error or interrupt."""
-    try:
-        with exit_on(ExperimentError), exit_on(ScenarioError, code=EXIT_SCENARIO):
-            yield
-    except KeyboardInterrupt:
-        fail("interrupted", EXIT_INTERRUPTED)
-
-
-def _new_folder(options: ExperimentOptions, name: str) -> Path:
-    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
-    return options.out or RUNS / f"experiment-{name}-{stamp}"
-
-
-def _trial_note(options: ExperimentOptions, console: Console) -> str:
-    """Return, and print, a note that `--quick` gives no measurement; empty without it."""
-    if not options.quick:
-        return ""
-    console.print("--quick: a trial, no measurement", highlight=False)
-    return "trial, no measurement"
+    if not 0.0 <= gust < math.inf:
+        raise refused("--gust", "a speed >= 0 m/s", f"{gust:g}")
+    folder = options.folder("paper")
+    lines, table = comparison_report.compare(
+        options.changes(),
+        options.repetitions,
+        gust,
+        folder,
+        partial(options.simulate, folder=folder),
+        Console(stderr=True),
+        quick=options.quick,
+    )
+    content = {"experiment": "paper", "report": [line.strip() for line in lines if line.strip()]}
+    show(options.output, content, table, *lines, width=comparison_report.WIDTH)
 
 
 def _content(m: PointStatistics) -> dict[str, Any]:
@@ -279,14 +240,3 @@ def _content(m: PointStatistics) -> dict[str, Any]:
         "cost_ratio": m.cost_ratio,
         "numbers": {name: None if value is None else value._asdict() for name, value in m.numbers.items()},
     }
-
-
-def _show(table: Table, width: int, lines: Sequence[str], content: Mapping[str, Any], form: Format) -> None:
-    """Print table and findings, or the same as JSON."""
-    if form is Format.json:
-        show_json(content)
-        return
-    output = Console()
-    output.width = max(output.width, width)
-    output.print(table)
-    sys.stdout.write("\n".join(lines) + "\n")

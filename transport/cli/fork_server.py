@@ -19,7 +19,7 @@ import setproctitle
 
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.cli.lazy import load
-from transport.cli.scenario_setup import read_setup
+from transport.cli.options import read_setup
 from transport.flight.fork_server import FORK_SERVER, REQUEST_BYTES
 
 

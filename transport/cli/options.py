@@ -1,14 +1,20 @@
-"""Options that several commands have, each defined once."""
+"""Arguments and options that several commands have, each defined once, and the scenario or run that they name."""
 
-import inspect
-from collections.abc import Callable
-from functools import wraps
+from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, get_origin
+from typing import Annotated
 
+import typer
 from typer import Argument, Option
 
-from transport.cli.output import Format
+from protocol.scenario.file import find_scenario, read_scenario
+from protocol.scenario.setup import Setup
+from transport.cli.output import Format, fail
+
+# Runs are recorded here, and runs are looked for here, unless an option names another folder.
+RUNS = Path("runs")
+_LOG = "run.mcap"
 
 
 def _scenarios(incomplete: str) -> list[str]:
@@ -17,8 +23,10 @@ def _scenarios(incomplete: str) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.toml") if path.stem.startswith(incomplete))
 
 
-# Runs are recorded here, and an active run is looked for here, unless an option names another folder.
-RUNS = Path("runs")
+def complete_run(incomplete: str) -> list[str]:
+    """Return the folders of runs that begin like an incomplete word, the most recent first, for the shell."""
+    return [str(folder) for folder in newest_runs() if str(folder).startswith(incomplete)]
+
 
 ScenarioArgument = Annotated[
     str,
@@ -32,12 +40,7 @@ ScenarioArgument = Annotated[
 ]
 ScenarioOption = Annotated[
     str,
-    Option(
-        "--scenario",
-        metavar="SCENARIO",
-        help="Scenario file or name; the same for all processes.",
-        autocompletion=_scenarios,
-    ),
+    Option(metavar="SCENARIO", help="Scenario file or name; the same for all processes.", autocompletion=_scenarios),
 ]
 SetOption = Annotated[
     list[str] | None,
@@ -46,38 +49,54 @@ SetOption = Annotated[
 LargeOption = Annotated[
     bool, Option("--allow-large", help="Accept a run beyond the limits on size, memory, log and computation.")
 ]
+RunArgument = Annotated[
+    Path | None,
+    Argument(
+        metavar="RUN",
+        help="Run folder, or its name in runs/; by default the most recent one.",
+        autocompletion=complete_run,
+    ),
+]
 FormatOption = Annotated[Format, Option("--format", metavar="FORMAT", help="Output format: text or json.")]
 FiguresOption = Annotated[bool, Option("--figures/--no-figures", help="Draw the figures.")]
 HostOption = Annotated[
     str,
-    Option(
-        "--host", metavar="ADDRESS", help="Address to listen on. Any host that reaches it can view and change the run."
-    ),
+    Option(metavar="ADDRESS", help="Address to listen on. Any host that reaches it can view and change the run."),
 ]
-PortOption = Annotated[int, Option("--port", metavar="PORT", min=0, max=65535, help="Port, or the next free one.")]
+PortOption = Annotated[int, Option(metavar="PORT", min=0, max=65535, help="Port, or the next free one.")]
 
 
-def with_options(*options: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that gives a command shared options, after its own.
+def read_setup(scenario: str, settings: Sequence[str] | None = None, *, allow_large: bool = False) -> Setup:
+    """Return the setup of a scenario, file or name, with changes KEY=VALUE.
 
-    The annotated parameters of all `options` become options, and their results the first arguments of the command.
+    With `allow_large` the run may exceed the limits of `protocol.scenario.budget`. The last setup is kept until its
+    file changes: the fork server reads it for all processes of a run.
+
+    Raises: ScenarioError: it is refused.
     """
+    path = find_scenario(scenario)
+    version = path.stat().st_mtime_ns if path.exists() else 0
+    return _setup(path, tuple(settings or ()), allow_large, version)
 
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        own = list(inspect.signature(command).parameters.values())[len(options) :]
-        shared = [
-            {name: parameter for name, parameter in every.items() if get_origin(parameter.annotation) is Annotated}
-            for every in (inspect.signature(option).parameters for option in options)
-        ]
 
-        @wraps(command)
-        def with_shared(**given: Any) -> None:
-            made = [{name: given.pop(name) for name in names} for names in shared]
-            command(*(option(**values) for option, values in zip(options, made, strict=True)), **given)
+@lru_cache(maxsize=1)
+def _setup(path: Path, settings: tuple[str, ...], allow_large: bool, _: int) -> Setup:
+    return Setup.of(read_scenario(path, settings, allow_large=allow_large), str(path))
 
-        parameters = [*own, *(parameter for of in shared for parameter in of.values())]
-        with_shared.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        with_shared.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        return with_shared
 
-    return decorate
+def newest_runs() -> list[Path]:
+    """Return the folders below runs/ that hold a log, the most recently written first."""
+    logs = [path for path in RUNS.glob(f"*/{_LOG}") if not path.parent.is_symlink()]  # `latest` is one of them
+    return [path.parent for path in sorted(logs, key=lambda path: path.stat().st_mtime, reverse=True)]
+
+
+def run_folder(given: Path | None) -> Path:
+    """Return the folder of the run that was named, or of the most recent one, which is told on standard error."""
+    if given is not None:
+        in_runs = RUNS / given
+        return in_runs if not given.exists() and in_runs.exists() else given
+    found = newest_runs()
+    if not found:
+        fail(f"RUN: expected a run folder, got none, and there is no run in {RUNS}/")
+    typer.echo(f"run: {found[0]}", err=True)
+    return found[0]

@@ -1,13 +1,16 @@
 """Answers of commands: results on standard output, errors on one line of standard error."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 from typing import Any, NoReturn
 
 import orjson
 import typer
+
+from protocol.wire.errors import TransportError
+from protocol.wire.exit_codes import EXIT_USAGE
 
 
 class Format(StrEnum):
@@ -17,27 +20,62 @@ class Format(StrEnum):
     json = "json"
 
 
-def fail(text: str, code: int) -> NoReturn:
+def fail(text: str, code: int = EXIT_USAGE) -> NoReturn:
     """End the command with one line of error and an exit code."""
     typer.echo(f"transport: {text}", err=True)
     raise typer.Exit(code)
 
 
 @contextmanager
-def exit_on(*errors: type[Exception], code: int = 1, option: str = "") -> Iterator[None]:
-    """End the command with the text of an error, if one of these types is raised.
-
-    Args:
-        errors: Types that are the user's to solve; others are bugs and keep their traceback.
-        code: Exit code, unless the error has one.
-        option: Option that caused it, for the beginning of the line.
-    """
+def blame(option: str, *errors: type[Exception]) -> Iterator[None]:
+    """Name an option in front of an error that it has caused: one that the user can solve, of a file, or of a type."""
+    solvable: tuple[type[Exception], ...] = (TransportError, *errors)
     try:
         yield
-    except errors as error:
-        fail(f"{option}: {error}" if option else str(error), getattr(error, "exit_code", code))
+    except OSError as error:
+        fail(f"{option}: cannot write {error.filename} ({error.strerror or error})")
+    except solvable as error:
+        fail(f"{option}: {error}", getattr(error, "exit_code", EXIT_USAGE))
 
 
-def show_json(content: Any) -> None:
-    """Write one JSON value to standard output."""
-    sys.stdout.write(orjson.dumps(content, option=orjson.OPT_INDENT_2).decode() + "\n")
+def show(output: Format, content: Any, *shown: Any, width: int = 0) -> None:
+    """Print a result: its content as one JSON value, or what is shown of it, texts and tables of at least a width."""
+    if output is Format.json:
+        sys.stdout.write(orjson.dumps(content, option=orjson.OPT_INDENT_2).decode() + "\n")
+        sys.stdout.flush()
+        return
+    from rich.console import Console  # no process of a run needs it
+
+    console = Console()
+    console.width = max(console.width, width)
+    for part in shown:
+        if isinstance(part, str):
+            typer.echo(part)
+        else:
+            console.print(part)
+
+
+def facts(content: Iterable[tuple[str, Any]], title: Any = None) -> Any:
+    """Return a table with a row for each name and value."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, show_header=False, title=title, title_justify="left")
+    table.add_column(style="cyan", no_wrap=True)
+    table.add_column()
+    for name, value in content:
+        table.add_row(name, value if isinstance(value, Text) else Text(str(value)))
+    return table
+
+
+def rows(content: Sequence[Mapping[str, Any]], *left: str) -> Any:
+    """Return a table with a column for each key of the rows; those named are aligned to the left."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, padding=(0, 1, 0, 0))
+    for name in content[0]:
+        table.add_column(name, justify="left" if name in left else "right")
+    for row in content:
+        table.add_row(*(value if isinstance(value, Text) else Text(str(value)) for value in row.values()))
+    return table

@@ -7,7 +7,6 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -18,46 +17,13 @@ from typer import Option
 from protocol.network.endpoints import Endpoints, endpoints_of, security_of
 from protocol.network.parent import stand_by
 from protocol.network.process import Journal, Place, run_node
-from protocol.network.security import SecurityError
-from protocol.network.session import BusError
 from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
-from protocol.wire.keys import ROUTER, Keys, RunNameError
+from protocol.wire.exit_codes import EXIT_UNREACHABLE
+from protocol.wire.keys import ROUTER, Keys
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name
-from transport.cli.options import (
-    RUNS,
-    FiguresOption,
-    FormatOption,
-    LargeOption,
-    ScenarioOption,
-    SetOption,
-    with_options,
-)
-from transport.cli.output import Format, exit_on, fail
-from transport.cli.scenario_setup import read_setup, scenario_errors
-
-RunNameOption = Annotated[
-    str | None, Option("--run", metavar="NAME", help="Name of the run; the scenario's name by default.")
-]
-ListenOption = Annotated[
-    list[str] | None,
-    Option("--listen", metavar="ENDPOINT", help="Zenoh endpoint to listen on, e.g. tcp/127.0.0.1:7449."),
-]
-ConnectOption = Annotated[
-    list[str] | None, Option("--connect", metavar="ENDPOINT", help="Zenoh endpoint of another process. Repeatable.")
-]
-IncarnationOption = Annotated[
-    int | None, Option("--incarnation", metavar="NUMBER", min=0, help="Number of this start; by default the time.")
-]
-JoinOption = Annotated[
-    float | None,
-    Option(
-        "--join-timeout",
-        metavar="SECONDS",
-        min=0.0,
-        help="Time to wait for the other processes, s; default: the scenario's.",
-    ),
-]
+from transport.cli.lazy import with_options
+from transport.cli.options import RUNS, FiguresOption, FormatOption, LargeOption, ScenarioOption, SetOption, read_setup
+from transport.cli.output import Format, blame, fail
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,47 +32,48 @@ class ProcessOptions:
 
     scenario: ScenarioOption = "paper"
     settings: SetOption = None
-    run_name: RunNameOption = None
-    listen: ListenOption = None
-    connect: ConnectOption = None
-    incarnation: IncarnationOption = None
-    join_timeout: JoinOption = None
+    run: Annotated[str | None, Option(metavar="NAME", help="Name of the run; the scenario's name by default.")] = None
+    listen: Annotated[
+        list[str] | None, Option(metavar="ENDPOINT", help="Zenoh endpoint to listen on, e.g. tcp/127.0.0.1:7449.")
+    ] = None
+    connect: Annotated[
+        list[str] | None, Option(metavar="ENDPOINT", help="Zenoh endpoint of another process. Repeatable.")
+    ] = None
+    incarnation: Annotated[
+        int | None, Option(metavar="NUMBER", min=0, help="Number of this start; by default the time.")
+    ] = None
+    join_timeout: Annotated[
+        float | None,
+        Option(metavar="SECONDS", min=0.0, help="Time to wait for the other processes, s; default: the scenario's."),
+    ] = None
     allow_large: LargeOption = False
 
     def setup(self) -> Setup:
         """Return the setup of the scenario."""
         return read_setup(self.scenario, self.settings, allow_large=self.allow_large)
 
-    def place(self, setup: Setup, name: str) -> Place:
+    def place(self, name: str) -> Place:
         """Return the place of a process in its run; options that are refused end the command."""
-        run = self.run_name or setup.scenario.name
-        with exit_on(RunNameError, code=EXIT_USAGE, option="--run"):
+        scenario = self.setup().scenario
+        run = self.run or scenario.name
+        with blame("--run"):
             Keys(run)
         for option, given in (("--listen", self.listen), ("--connect", self.connect)):
             for endpoint in given or []:
                 if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
-                    fail(f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}", EXIT_USAGE)
-        with exit_on(SecurityError, code=EXIT_SCENARIO):
-            endpoints = endpoints_of(name, setup.scenario, self.listen, self.connect)
+                    fail(f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}")
         return Place(
             run=run,
             incarnation=time.time_ns() // 10**6 if self.incarnation is None else self.incarnation,
-            endpoints=endpoints,
-            join_timeout_s=setup.scenario.clock.join_timeout_s if self.join_timeout is None else self.join_timeout,
+            endpoints=endpoints_of(name, scenario, self.listen, self.connect),
+            join_timeout_s=scenario.clock.join_timeout_s if self.join_timeout is None else self.join_timeout,
         )
-
-    def run(self, name: str, body: Callable[[Setup, Place], int]) -> None:
-        """Run the main function of a process and end the command with the exit code it returns."""
-        setup = self.setup()
-        place = self.place(setup, name)
-        with exit_on(BusError, code=EXIT_UNREACHABLE), scenario_errors(self.settings):
-            raise typer.Exit(body(setup, place))
 
 
 @with_options(ProcessOptions)
 def agent(
     options: ProcessOptions,
-    number: Annotated[int, Option("--id", metavar="NUMBER", min=1, help="Number of the agent, from 1.")],
+    number: int = Option(..., "--id", metavar="NUMBER", min=1, help="Number of the agent, from 1."),
 ) -> None:
     """Run one agent: the controller of the UAVs it owns.
 
@@ -117,26 +84,22 @@ def agent(
     setup = options.setup()
     if number not in setup.agents:
         known = f"1 to {len(setup.agents)} of scenario {setup.scenario.name}"
-        fail(f"--id: expected an agent from {known}, got {number}", EXIT_USAGE)
-
-    def control(setup: Setup, place: Place) -> int:
-        node = AgentNode(setup, number, place.incarnation, time.perf_counter_ns)
-        node.warm_up()
-        if not stand_by():
-            return EXIT_UNREACHABLE
-        others = [name for name in map(agent_name, setup.agents) if name != node.name]
-        return run_node(node, place, setup, [COORDINATOR, PLANT, *others])
-
-    options.run(f"agent{number}", control)
+        fail(f"--id: expected an agent from {known}, got {number}")
+    place = options.place(agent_name(number))
+    node = AgentNode(setup, number, place.incarnation, time.perf_counter_ns)
+    node.warm_up()
+    if not stand_by():
+        raise typer.Exit(EXIT_UNREACHABLE)
+    others = [name for name in map(agent_name, setup.agents) if name != node.name]
+    raise typer.Exit(run_node(node, place, setup, [COORDINATOR, PLANT, *others]))
 
 
 @with_options(ProcessOptions)
 def coordinator(
     options: ProcessOptions,
-    observer: Annotated[
-        list[str] | None,
-        Option("--observer", metavar="PROCESS", help="Also wait for this process before the first tick: recorder."),
-    ] = None,
+    observer: list[str] | None = Option(
+        None, metavar="PROCESS", help="Also wait for this process before the first tick: recorder."
+    ),
 ) -> None:
     """Run the coordinator: sampling clock and roster.
 
@@ -144,12 +107,10 @@ def coordinator(
     """
     from coordinator.node import CoordinatorNode
 
-    def coordinate(setup: Setup, place: Place) -> int:
-        node = CoordinatorNode(setup, place.incarnation, observer or [])
-        others = [PLANT, *map(agent_name, setup.agents), *(observer or [])]
-        return run_node(node, place, setup, others, node.interrupt, others)
-
-    options.run(COORDINATOR, coordinate)
+    setup, place = options.setup(), options.place(COORDINATOR)
+    node = CoordinatorNode(setup, place.incarnation, observer or [])
+    others = [PLANT, *map(agent_name, setup.agents), *(observer or [])]
+    raise typer.Exit(run_node(node, place, setup, others, node.interrupt, others))
 
 
 @with_options(ProcessOptions)
@@ -160,18 +121,16 @@ def plant(options: ProcessOptions) -> None:
     """
     from plant.node import PlantNode
 
-    def simulate(setup: Setup, place: Place) -> int:
-        node = PlantNode(setup, place.incarnation)
-        node.engine.warm_up(setup)
-        return run_node(node, place, setup, [COORDINATOR, *map(agent_name, setup.agents)])
-
-    options.run(PLANT, simulate)
+    setup, place = options.setup(), options.place(PLANT)
+    node = PlantNode(setup, place.incarnation)
+    node.engine.warm_up(setup)
+    raise typer.Exit(run_node(node, place, setup, [COORDINATOR, *map(agent_name, setup.agents)]))
 
 
 @with_options(ProcessOptions)
 def record(
     options: ProcessOptions,
-    out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Run folder to create.")] = None,
+    out: Path | None = Option(None, metavar="FOLDER", help="Run folder to create."),
     figures: FiguresOption = True,
     output: FormatOption = Format.text,
 ) -> None:
@@ -185,25 +144,18 @@ def record(
 
     from transport.cli.run_report import report
     from transport.flight.run import observe
-    from transport.flight.run_files import RunError, new_folder
+    from transport.flight.run_files import new_folder
 
-    setup = options.setup()
-    place = options.place(setup, RECORDER)
-    folder = out if out is not None else new_folder(RUNS, setup.scenario.name)
-    with exit_on(RunError):
-        finished = observe(setup, place, folder, Console(stderr=True))
+    setup, place = options.setup(), options.place(RECORDER)
+    finished = observe(setup, place, out or new_folder(RUNS, setup.scenario.name), Console(stderr=True))
     report(finished.folder, output, figures=figures, setup=setup)
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)
 
 
 def router(
-    listen: Annotated[
-        list[str], Option("--listen", metavar="ENDPOINT", help="Zenoh endpoint to listen on. Repeatable.")
-    ],
-    connect: Annotated[
-        list[str] | None, Option("--connect", metavar="ENDPOINT", help="Endpoint of another router.")
-    ] = None,
+    listen: list[str] = Option(..., metavar="ENDPOINT", help="Zenoh endpoint to listen on. Repeatable."),
+    connect: list[str] | None = Option(None, metavar="ENDPOINT", help="Endpoint of another router."),
     scenario: ScenarioOption = "paper",
     settings: SetOption = None,
 ) -> None:
@@ -221,11 +173,7 @@ def router(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())
     journal = Journal("any", ROUTER)
-    with (
-        exit_on(SecurityError, code=EXIT_SCENARIO),
-        exit_on(BusError, code=EXIT_UNREACHABLE),
-        route(endpoints.checked(ROUTER, setup.scenario)),
-    ):
+    with route(endpoints.checked(ROUTER, setup.scenario)):
         journal.log("listening", at=", ".join(listen))
         over.wait()
     journal.log("finished")

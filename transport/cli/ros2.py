@@ -9,19 +9,17 @@ import time
 from collections import Counter
 from contextlib import closing
 from itertools import chain
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 from typer import Option
 
 from protocol.network.rmw_zenoh import RosNode
-from protocol.network.session import BusError
-from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_USAGE
-from transport.cli.active_run import RunOption, find_active
-from transport.cli.output import exit_on, fail
+from transport.cli.operate import RunOption, find_active
+from transport.cli.output import blame
 from transport.flight.live import Commands
 from transport.log.run_folder import setup_of
-from transport.log.run_log import LogError, LogTail
+from transport.log.run_log import LogTail
 from transport.scene.history import KINDS, RunHistory
 from transport.scene.scene import SceneBuilder
 
@@ -38,12 +36,8 @@ _NICE = 10  # the processes of the run have the processors first
 
 def ros2(
     run: RunOption = None,
-    connect: Annotated[
-        str, Option("--connect", metavar="ENDPOINT", help="Zenoh router of ROS 2.")
-    ] = "tcp/127.0.0.1:7447",
-    domain: Annotated[
-        int, Option("--domain", metavar="NUMBER", min=0, max=232, envvar="ROS_DOMAIN_ID", help="Domain of ROS 2.")
-    ] = 0,
+    connect: str = Option("tcp/127.0.0.1:7447", metavar="ENDPOINT", help="Zenoh router of ROS 2."),
+    domain: int = Option(0, metavar="NUMBER", min=0, max=232, envvar="ROS_DOMAIN_ID", help="Domain of ROS 2."),
 ) -> None:
     """Publish an active run for ROS 2 over rmw_zenoh.
 
@@ -55,10 +49,8 @@ def ros2(
 
     Example: transport ros2 --connect tcp/127.0.0.1:7447
     """
-    try:
-        from transport.report.ros2 import TARGET, Ros2Messages, types
-    except ImportError:
-        fail("transport ros2: needs rosbags; pip install 'payload-transport[ros2]'", EXIT_USAGE)
+    from transport.report.ros2 import TARGET, Ros2Messages, types
+
     os.nice(_NICE)
     folder, there = find_active(run, "name its folder with --run")
     setup = setup_of(folder)
@@ -67,24 +59,19 @@ def ros2(
     kinds = {topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics.items()}
     heard = {TARGET[0]: (TARGET[1], types().hash_rihs01(TARGET[1]))}
     targets = Targets(Commands(there, lambda text, _: typer.echo(text, err=True)))
-    try:
-        with (
-            exit_on(BusError, code=EXIT_UNREACHABLE, option="--connect"),
-            exit_on(LogError, code=EXIT_USAGE),
-            closing(RosNode(connect, domain, kinds, heard)) as node,
-        ):
-            typer.echo(f"{folder}: {len(kinds)} topics in domain {domain} through {connect}", err=True)
-            _publish(messages, history, tail, node, targets)
-            targets.conclude(node)
-    except KeyboardInterrupt:
-        raise typer.Exit(EXIT_INTERRUPTED) from None
+    with blame("--connect"):
+        node = RosNode(connect, domain, kinds, heard)
+    with closing(node):
+        typer.echo(f"{folder}: {len(kinds)} topics in domain {domain} through {connect}", err=True)
+        _publish(messages, history, tail, node, targets)
+        targets.conclude(node)
 
 
 class Targets:
     """Targets from ROS 2: the newest of each interval is handed on; refused ones are counted and named once."""
 
     def __init__(self, commands: Commands) -> None:
-        self._commands, self._refused, self._accepted = commands, Counter[str](), 0
+        self._commands, self._counts = commands, Counter[str]()
         self._next_s = 0.0
 
     def work(self, node: RosNode) -> None:
@@ -96,16 +83,16 @@ class Targets:
         self._next_s = time.monotonic() + _INTERVAL_S
         try:
             self._commands.target(goal_in(data))
-            self._accepted += 1
+            self._counts["handed on"] += 1
         except GoalError as error:
-            self._refused[str(error)] += 1
-            if self._refused[str(error)] == 1 and len(self._refused) <= _MOST_REASONS:
+            self._counts[str(error)] += 1
+            if self._counts[str(error)] == 1 and len(self._counts) <= _MOST_REASONS:
                 typer.echo(f"{TARGET[0]}: {error}", err=True)
 
     def conclude(self, node: RosNode) -> None:
         """Say what became of all targets."""
-        counts = {"handed on": self._accepted, **node.dropped, **dict(self._refused.most_common(_MOST_REASONS))}
-        text = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+        counts = [*self._counts.most_common(_MOST_REASONS), *node.dropped.items()]
+        text = ", ".join(f"{count} {what}" for what, count in counts if count)
         if text:
             typer.echo(f"targets: {text}", err=True)
 
@@ -113,15 +100,15 @@ class Targets:
 def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node: RosNode, targets: Targets) -> None:
     """Publish the ticks of a run until it has ended: the states of all, plans and drawing of the newest."""
     history.add(tail.read())
-    speed, done, again_s, began_ns = messages.speed, history.last - 1, 0.0, 0
+    done, again_s, began_ns = history.last - 1, 0.0, 0
     while True:
         history.add(tail.read())
         targets.work(node)
         ticks = [tick for tick in range(max(done + 1, history.first), history.last + 1) if tick in history.plant_states]
         for tick in ticks:
             at_ns = time.time_ns()
-            if speed > 0.0:  # stamps of a paced run without the jitter of this process
-                since_ns = round(tick * messages.period_ns / speed)
+            if messages.speed > 0.0:  # stamps of a paced run without the jitter of this process
+                since_ns = round(tick * messages.period_ns / messages.speed)
                 began_ns = min(began_ns or at_ns, at_ns - since_ns)
                 at_ns = began_ns + since_ns
             told = messages.states(tick, at_ns)

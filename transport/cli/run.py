@@ -1,52 +1,144 @@
-"""The command `transport run`: its options, without the imports of a run."""
+"""The command `transport run`: its viewer, processes, record and report.
 
-from dataclasses import dataclass
+The imports take long, so the fork server is started before them (`transport.__main__`), and the report is imported
+after the simulation.
+"""
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Self
 
+from rich.console import Console
 from typer import Option
 
+from protocol.network.endpoints import process_names
+from protocol.scenario.setup import Setup
+from protocol.wire.exit_codes import EXIT_INTERRUPTED
+from protocol.wire.names import COORDINATOR
+from transport.cli import options
 from transport.cli.lazy import load
-from transport.cli.options import (
-    FiguresOption,
-    FormatOption,
-    HostOption,
-    LargeOption,
-    PortOption,
-    ScenarioArgument,
-    SetOption,
-    with_options,
-)
-from transport.cli.output import Format
+from transport.cli.output import Format, fail
+from transport.flight.harness import Child, start_child
+from transport.flight.run import simulate
+from transport.flight.run_files import RunError, new_folder
+from transport.viewer.process import ViewerBeside
+from transport.viewer.server import require_viser
+
+# A process that does not end is given up after this long, and killed, which takes at most the second time.
+_LONGEST_S, _KILLED_S = 120.0, 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunOptions:
-    """Options of `transport run`."""
-
-    scenario: ScenarioArgument = "paper"
-    settings: SetOption = None
-    out: Annotated[
-        Path | None, Option("--out", metavar="FOLDER", help="Run folder to create; by default runs/<time>-<scenario>.")
-    ] = None
-    output: FormatOption = Format.text
-    figures: FiguresOption = True
-    external: Annotated[
-        list[str] | None,
-        Option("--external", metavar="NAME", help="Process that you start yourself: plant, agent1, ... Repeatable."),
-    ] = None
-    view: Annotated[bool, Option("--view", help="Show the run in the browser, live and afterwards.")] = False
-    host: HostOption = "127.0.0.1"
-    port: PortOption = 8080
-    allow_large: LargeOption = False
-
-
-@with_options(RunOptions)
-def run(options: RunOptions) -> None:
+def run(
+    scenario: options.ScenarioArgument = "paper",
+    settings: options.SetOption = None,
+    out: Path | None = Option(None, metavar="FOLDER", help="Run folder to create; by default runs/<time>-<scenario>."),
+    output: options.FormatOption = Format.text,
+    figures: options.FiguresOption = True,
+    external: list[str] | None = Option(
+        None, metavar="NAME", help="Process that you start yourself: plant, agent1, ... Repeatable."
+    ),
+    view: bool = Option(False, "--view", help="Show the run in the browser, live and afterwards."),
+    host: options.HostOption = "127.0.0.1",
+    port: options.PortOption = 8080,
+    allow_large: options.LargeOption = False,
+) -> None:
     """Run a scenario with all its processes; record and report it.
 
     Starts one process per agent, a plant and a coordinator; writes log, metrics and figures to a run folder.
 
     Example: transport run paper --set controller.relaxation=0.5 --out runs/relaxed
     """
-    load("transport.cli.run_scenario").run_scenario(options)
+    setup = options.read_setup(scenario, settings, allow_large=allow_large)
+    _check_external(setup, external or [])
+    folder = out if out is not None else new_folder(options.RUNS, setup.scenario.name)
+    if view:
+        require_viser()
+    viewer = ViewerBeside(folder, host, port, setup.scenario.clock.join_timeout_s) if view else nullcontext()
+    with viewer as beside:
+        with ReportProcess(folder) as reporter, _interrupts_told(folder):
+            prepare = reporter.prepare if figures else lambda: None
+            ready = beside.wait_until_ready if beside is not None else lambda: None
+            finished = simulate(setup, folder, Console(stderr=True), prepare, ready, external or [])
+            run_report = load("transport.cli.run_report")
+            if reporter.report():
+                run_report.show_written(folder, output)
+            else:
+                run_report.report(folder, output, figures=figures, setup=setup)
+        if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
+            beside.wait_for_user()
+    if finished.exit_code != 0:
+        fail(finished.reason, finished.exit_code)
+
+
+@contextmanager
+def _interrupts_told(folder: Path) -> Iterator[None]:
+    """End the command after Ctrl-C by telling which log is kept in the run folder, and how to report it."""
+    try:
+        yield
+        return
+    except KeyboardInterrupt:
+        interrupted = "interrupted"
+    except RunError as error:
+        if error.exit_code != EXIT_INTERRUPTED:
+            raise
+        interrupted = str(error)
+    log = folder / "run.mcap"
+    kept = f"kept {log}, report it with: transport plot {folder}" if log.exists() else "nothing is recorded"
+    fail(f"{interrupted}; {kept}", EXIT_INTERRUPTED)
+
+
+def _check_external(setup: Setup, external: list[str]) -> None:
+    """End the command if a process that is not to be started does not exist, or has scripted faults."""
+    names = [name for name in process_names(setup.scenario) if name != COORDINATOR]
+    for name in external:
+        if name not in names:
+            fail(f"--external: expected one of {', '.join(names)}, got {name!r}")
+        if any(fault.target == name for fault in setup.faults):
+            expected = "expected a process without scripted faults, which act only on processes of the run"
+            fail(f"--external: {expected}, got {name!r}")
+
+
+class ReportProcess:
+    """A forked `transport plot` of one run folder that waits for the end of the run; leaving the context ends it.
+
+    It may fork in turn, to draw on several cores, which this process with its threads may not.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._child: Child | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def prepare(self) -> None:
+        """Start the process, where processes are forked."""
+        if sys.platform == "linux":  # if it fails, the report is made once more, and errors told
+            arguments = ["plot", str(self._folder.absolute())]
+            self._child = start_child("report", arguments, Path(os.devnull), standby=True)
+
+    def report(self) -> bool:
+        """Let the process report, and wait for its end; return whether it has written the report.
+
+        If not, it has ended as well: it must not write the same files as the caller, who makes the report instead.
+        """
+        if self._child is None or not self._child.go():
+            return False
+        code = self._child.wait(_LONGEST_S)
+        self._end()
+        return code == 0
+
+    def _end(self) -> None:
+        """Kill the process and those that draw for it."""
+        if self._child is not None:
+            with suppress(ProcessLookupError):
+                os.killpg(self._child.process.pid, signal.SIGKILL)
+            self._child.wait(_KILLED_S)
+            self._child.close()

@@ -17,6 +17,7 @@ import psutil
 from protocol.network.endpoints import Endpoints
 from protocol.network.parent import PARENT_PIPE, STANDBY
 from protocol.wire.errors import TransportError
+from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.names import COORDINATOR
 from transport.flight.fork_server import fork_server
 
@@ -26,6 +27,8 @@ _GRACE_S = 5.0
 
 class HarnessError(TransportError, RuntimeError):
     """The processes of a run could not be started."""
+
+    exit_code = EXIT_UNREACHABLE
 
 
 @dataclass(slots=True)

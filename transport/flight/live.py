@@ -18,6 +18,8 @@ from model.arrays import Array
 from protocol.network.security import Security
 from protocol.network.session import BusError, ask
 from protocol.scenario.links import PERFECT
+from protocol.wire.errors import TransportError
+from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.keys import ROUTER
 from protocol.wire.messages import agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
@@ -77,12 +79,14 @@ def newest_folder(parent: Path) -> Path | None:
     return next((folder for _, folder in sorted(found, reverse=True) if read(folder) is not None), None)
 
 
-class RefusedError(ValueError):
+class RefusedError(TransportError, ValueError):
     """The run refuses the request; the text says what was expected."""
 
 
-class UnansweredError(RuntimeError):
+class UnansweredError(TransportError, RuntimeError):
     """The process does not exist or does not answer."""
+
+    exit_code = EXIT_UNREACHABLE
 
 
 def request(

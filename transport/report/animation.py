@@ -15,6 +15,7 @@ from PIL import Image
 from rich.console import Console
 from rich.progress import track
 
+from protocol.wire.errors import TransportError
 from transport.analysis.series import Series, series_of
 from transport.log.run_folder import open_run
 from transport.report.figures_3d import UP, draw_parts, frame, line
@@ -35,7 +36,7 @@ _PALETTE = 6
 _PAPER = 246
 
 
-class AnimationError(RuntimeError):
+class AnimationError(TransportError, RuntimeError):
     """The animation cannot be made; the text says what is needed."""
 
 

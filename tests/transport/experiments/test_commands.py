@@ -26,7 +26,7 @@ REFUSED = [
     (
         ("paper", "--set", "agents.owned=[[1],[2,3,4]]"),
         SCENARIO,
-        "agents.owned: expected one agent that owns all, got 2",
+        "agents.owned=[[1],[2,3,4]]: expected one agent that owns all, got 2",
     ),
     (("paper", "--set", "controller.horizon=0"), SCENARIO, "controller.horizon=0: expected a number >= 1, got 0"),
     (("ablation", "--set", "clock.mode=realtime"), SCENARIO, "clock."),
