@@ -275,7 +275,7 @@ def processor_times(
         return found
     candidates = {cell: setup_of(cell.controller, [*begun_with, *at_rate(cell)]) for cell in cells}
     loads = measure(setup_of(CENTRALIZED, begun_with), candidates, repeats, notify)
-    content = {"settings": begun_with, "loads": [asdict(load) for load in loads.values()]}
+    content = {"settings": begun_with, "loads": [{**asdict(load), "cell": list(load.cell)} for load in loads.values()]}
     write_whole(path, orjson.dumps(content) + b"\n")
     return loads
 

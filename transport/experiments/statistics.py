@@ -221,6 +221,6 @@ def console_table(
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         texts = [value if isinstance(value := row[name], str) else f"{value:g}" for name in labels]
-        done = f"{row['completed']}/{row['flights']}" + (f" {row['errors']}!" if row["errors"] else "")
+        done = f"{row['completed']}/{row['flights']}" + (f" {row['errors']}!" if row.get("errors") else "")
         table.add_row(*texts, done, *(column.cell(row) for column in columns))
     return table
