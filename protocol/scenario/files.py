@@ -20,11 +20,14 @@ class TableError(TransportError, ValueError):
 
 
 def path_problem(path: str | Path) -> str:
-    """Return why no file can have a path, such as its length or a null character; empty if one can."""
+    """Return why no file can have a path: its length, a null character, not UTF-8; empty if one can."""
     try:
-        os.stat(path)  # noqa: PTH116
+        str(path).encode()
+        Path(path).stat()
     except (FileNotFoundError, NotADirectoryError, PermissionError):
-        pass
+        return ""
+    except UnicodeEncodeError:
+        return "not UTF-8"
     except (OSError, ValueError) as error:
         return getattr(error, "strerror", "") or str(error)
     return ""

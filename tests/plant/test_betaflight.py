@@ -201,8 +201,8 @@ def firmwares(parent: psutil.Process) -> list[psutil.Process]:
 @pytest.mark.parametrize(
     ("settings", "expected"),
     [
-        (("plant.inner_loop=betaflight",), "expected controller.inputs = 'rates' with a firmware, got 'moments'"),
-        ((*RATES, "clock.mode=realtime", "clock.speed=1.0", "clock.actuation=next_tick"), "virtual time"),
+        (("plant.inner_loop=betaflight",), "expected 'rates' with plant.inner_loop = 'betaflight', got 'moments'"),
+        ((*RATES, "clock.mode=realtime", "clock.speed=1.0", "clock.actuation=next_tick"), "with clock.mode = 'realtime'"),
     ],
 )
 def test_refused_before_anything_starts(settings: tuple[str, ...], expected: str) -> None:

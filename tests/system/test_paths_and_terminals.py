@@ -22,7 +22,7 @@ SHORTER = "maneuver.phase=[{name='hover', duration_s=0.2, displacement_m=[0.0, 0
 @pytest.mark.parametrize(
     ("words", "code"),
     [
-        (("validate", f"{LONG}.toml"), SCENARIO),
+        (("validate", f"{LONG}.toml"), USAGE),
         (("scenario", "new", "--uavs", "4", "--from", LONG), SCENARIO),
         (("run", "paper", "--set", r'network.keys="a\u0000b"'), SCENARIO),
         (("run", "paper", "--set", r'network.host="a\u0000b"'), SCENARIO),

@@ -56,7 +56,7 @@ REFUSED = [
     (
         ("--set", "links.override=[{from='agent3',to='agent1',loss=0.1}]"),
         SCENARIO,
-        "2 UAVs distributed: links.override",
+        "links.override.1.from: expected one of plant, agent1, agent2, got 'agent3'",
     ),
 ]
 

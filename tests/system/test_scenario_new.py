@@ -25,7 +25,7 @@ REFUSED = [
     ),
     (("--uavs", "3", "--groups", "4"), USAGE, "--groups: expected 1 to 3 UAVs per agent, got 4"),
     (("--uavs", "3", "--groups", "0"), USAGE, "--groups: expected 1 to 3 UAVs per agent, got 0"),
-    (("--uavs", "3", "--name", "a b"), USAGE, "--name: expected text matching ^[A-Za-z0-9_-]{1,40}$, got 'a b'"),
+    (("--uavs", "3", "--name", "a b"), USAGE, "--name: string should match pattern '^[A-Za-z0-9_-]{1,40}$', got 'a b'"),
     (("--uavs", "3", "--out", "there.toml"), USAGE, "--out: expected a file that does not exist yet, got there.toml"),
     (("--uavs", "3", "--out", "no/where.toml"), USAGE, "--out: cannot write no/where.toml (No such file or directory)"),
     (
