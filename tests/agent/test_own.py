@@ -185,5 +185,5 @@ def test_what_cannot_fly_is_refused(name: str, text: str, tmp_path: Path, monkey
 def test_settings_that_a_class_cannot_follow(setting: str) -> None:
     """A class has no corrections and no proposals."""
     closed = ("controller.prediction=closed_loop", "controller.received_plans=by_age")
-    with pytest.raises(ScenarioError, match="with agents.controller = "):
+    with pytest.raises(ScenarioError, match=r"with agents\.controller = "):
         setup("agents.controller=pid:PID", *closed, setting)

@@ -202,7 +202,10 @@ def firmwares(parent: psutil.Process) -> list[psutil.Process]:
     ("settings", "expected"),
     [
         (("plant.inner_loop=betaflight",), "expected 'rates' with plant.inner_loop = 'betaflight', got 'moments'"),
-        ((*RATES, "clock.mode=realtime", "clock.speed=1.0", "clock.actuation=next_tick"), "with clock.mode = 'realtime'"),
+        (
+            (*RATES, "clock.mode=realtime", "clock.speed=1.0", "clock.actuation=next_tick"),
+            "with clock.mode = 'realtime'",
+        ),
     ],
 )
 def test_refused_before_anything_starts(settings: tuple[str, ...], expected: str) -> None:
