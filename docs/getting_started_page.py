@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parent.parent
 DOCUMENT = ROOT / "docs" / "getting-started.md"
 BLOCK = re.compile(r"^```(console|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 SKIPPED = ("git ", "cd ", "python3 -m venv", ". ", "pip ", "transport view")
-# Lines of progress, of a run that takes longer than 10 s.
-PROGRESS = re.compile(r" *\d+\.\d of ")
+# Lines of progress, of a run that takes longer than 10 s or is the first one of a team's size.
+PROGRESS = re.compile(r" *\d+\.\d of |compiling the model")
 
 
 def commands(block: str) -> list[tuple[str, str]]:
