@@ -306,9 +306,16 @@ class KalmanFilter:
         by_law: npt.NDArray[np.bool_],
         by_fail_safe: npt.NDArray[np.bool_],
     ) -> Belief:
-        """Return the belief one tick later, with the state `ahead` then and the inputs u in between, (4 N,).
+        """Return the belief one tick later than `tick`.
 
-        Of these some follow the control law from estimates of their agents, some the fail-safe, which knows its UAV.
+        Args:
+            belief: At the tick.
+            model: Equations of motion from then on.
+            tick: The earlier tick.
+            ahead: State at the later one, (n,); with motor lag (n + m,), SI.
+            u: Inputs in between, (4 N,), N and N m or rad/s.
+            by_law: Which of them follow the control law from estimates of their agents, (4 N,).
+            by_fail_safe: Which of them follow the fail-safe, which knows its UAV, (4 N,).
         Source: docs/equations.md (63).
         """
         # The law is that of now, whenever the covariance is computed.
@@ -370,8 +377,8 @@ class KalmanFilter:
     def correct(self, belief: Belief, model: Model, sensed: Sequence[tuple[int, tuple[int, ...], Array]]) -> Belief:
         """Return the belief with measurements of its tick; those of released UAVs are ignored.
 
-        They are given as UAV, 0-based, sensors of it, and measurements of all its sensors, (15,), in the layout of
-        `model.state`. Source: docs/equations.md (64).
+        They are given as UAV, 0-based, sensors of it, and measurements of all its sensors, SI, in the layout of
+        `model.state`, (15,); what stands behind these is ignored. Source: docs/equations.md (64).
         """
         if model.released:
             sensed = [entry for entry in sensed if entry[0] not in model.released]
