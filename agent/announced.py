@@ -3,7 +3,7 @@
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from operator import attrgetter
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -25,13 +25,6 @@ Past = Callable[[int], Array | None]
 
 # Plans kept per agent: enough for the past inputs over any usable delay.
 KEPT_PLANS = 256
-
-
-def _columns(uavs: Sequence[int]) -> Any:
-    """Return the positions in u of the inputs of several UAVs: a slice of neighbours, which NumPy takes faster."""
-    indices = input_indices(uavs)
-    together = len(indices) > 0 and bool((np.diff(indices) == 1).all())
-    return slice(int(indices[0]), int(indices[-1]) + 1) if together else indices
 
 
 class AnnouncedInputs:
@@ -81,7 +74,7 @@ class AnnouncedInputs:
         self._alignment, self._own = alignment, own
         self._u_hover = u_hover
         self._owned, self.fail_safe = owned, fail_safe
-        self._columns = {agent: _columns(uavs) for agent, uavs in enumerate(owned, start=1)}
+        self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
         # By agent, ascending in the tick they were made at.
         self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
         # Start and inputs assumed for the last plan of agents that left, where that plan has not been received.
@@ -114,12 +107,6 @@ class AnnouncedInputs:
             if plan.tick < before:
                 return plan
         return None
-
-    def begins_at(self, tick: int) -> bool:
-        """Return whether a plan of any agent starts at a tick."""
-        start = attrgetter("start_tick")  # ascending as the ticks: all plans of a run have the same delay
-        found = (plans[bisect_left(plans, tick, key=start) :][:1] for plans in self._plans.values())
-        return any(plan.start_tick == tick for first in found for plan in first)
 
     def sequence(self, start: int, steps: int, before: int) -> Array:
         """Return the announced inputs of all UAVs over the horizon: the newest plans, held at their ends.

@@ -71,7 +71,6 @@ class StateEstimator:
         self._sensed_from: int | None = None  # earliest tick whose measurements have changed, with a filter
         self._newest: dict[int, int] = {}
         self.measured = -1  # tick of the newest measurement taken in
-        self._assumed: tuple[int, Array] | None = None  # tick and inputs of the newest period, unless replaced since
         self._breaks: list[tuple[int, Model, Callable[[Array], Array]]] = []  # see `change`, ascending in the tick
 
     def take(self, plan: Plan) -> None:
@@ -149,7 +148,6 @@ class StateEstimator:
             del self._beliefs[at:]
             self._estimates[at] = self._joined(self._estimates[at].copy(), begin)
         self._sensed_from = None
-        self._assumed = None
         for tick in range(begin, k):
             u = announced.at(tick, before=k, x=self._estimates[-1])
             if self._kalman is not None:
@@ -161,8 +159,6 @@ class StateEstimator:
             elif self._disturbance is None:
                 if self._motor_lag_s > 0.0:
                     self._report(u, tick + 1)
-                else:
-                    self._assumed = tick, u
                 self._estimates.append(self._overwritten(self._predicted(tick, u), tick + 1))
             else:
                 self._estimates.append(self._disturbed(tick, u, self._disturbance))
@@ -185,9 +181,6 @@ class StateEstimator:
 
     def inputs_until(self, k: int, announced: AnnouncedInputs) -> Array:
         """Return the inputs announced for the period before tick k, after `estimate` for that tick, (4 N,)."""
-        # A plan that began at the state just forgotten is evaluated without that state from now on.
-        if self._assumed is not None and self._assumed[0] == k - 1 and not announced.begins_at(self._first - 1):
-            return self._assumed[1]
         return announced.at(k - 1, before=k, x=self.known(k - 1))
 
     def reported_inputs(self, tick: int) -> Array | None:

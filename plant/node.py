@@ -15,11 +15,10 @@ from model import state
 from model.arrays import Array
 from model.failure import motor_off_state, no_inputs, released_state
 from plant.engines import UNKNOWN_ERROR, Engine
-from plant.environment import Environment
+from plant.environment import Environment, Sensors
 from plant.inner_loop import INNER_STEP_S, inner_loop
 from plant.motors import Motors
 from plant.schedule import MOTOR_OFF, ActuatorSchedule
-from plant.sensors import Sensors
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
 from protocol.scenario.faults import degradations, uav_faults
@@ -243,8 +242,7 @@ class PlantNode:
                 self._acted = actual, forces
                 if len(tensions):
                     tensions = np.minimum(tensions, self.engine.tensions)
-        inner_failure = "" if self._inner_loop is None else self._inner_loop.failure
-        reason = self.engine.failure or inner_failure or self._divergence(k + 1, end)
+        reason = self.engine.failure or (self._inner_loop and self._inner_loop.failure) or self._divergence(k + 1, end)
         self._diverged = bool(reason)
         self._x, self._u, self._state_tick = end, u, k + 1
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._delay}
