@@ -127,9 +127,9 @@ class Engine:
         Returns: State at its end, (n,), the last one if the engine has failed; the local error, -1 if it is unknown.
         """
         if type(self._physics) is Rods:  # not checked: that takes longer than its steps
-            estimate = self._physics.advance(u, forces, duration_s)
+            error = self._physics.advance(u, forces, duration_s)
             self._x = self._physics.state()
-            return self._x, estimate if math.isfinite(estimate) else UNKNOWN_ERROR
+            return self._x, error if math.isfinite(error) else UNKNOWN_ERROR
         error = UNKNOWN_ERROR
         if not self.failure:
             with self._failing():
