@@ -9,8 +9,7 @@ from protocol.scenario.links import LinkError, link_change
 from protocol.scenario.schema import TargetSection
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import MOST, TargetError, asked, headed, planned, scripted
-from protocol.wire.message import Message
-from protocol.wire.messages import LinkChange, Target, agent_name
+from protocol.wire.messages import LinkChange, Message, Target, agent_name
 from protocol.wire.names import PLANT
 from protocol.wire.node import Outbox
 

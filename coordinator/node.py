@@ -14,9 +14,20 @@ from protocol.admission.plausibility import check_tick
 from protocol.scenario.links import LinkError, words_of
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import TargetError, target_in_words
+from protocol.wire.errors import MessageError
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
-from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Control, Event, LinkChange, Plan, PlantState, Presence, Request, Target, Tick
+from protocol.wire.messages import (
+    Control,
+    Event,
+    LinkChange,
+    Message,
+    Plan,
+    PlantState,
+    Presence,
+    Request,
+    Target,
+    Tick,
+)
 from protocol.wire.names import COORDINATOR, PLANT
 from protocol.wire.node import Outbox
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Generic, TypeVar
 
 from protocol.scenario.links import Link
-from protocol.wire.message import Message
+from protocol.wire.messages import Message
 
 M = TypeVar("M", bound=Message)
 

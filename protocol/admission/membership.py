@@ -6,7 +6,7 @@ Such a plan is kept until the roster is here; a plan of an earlier incarnation i
 
 from collections import deque
 
-from protocol.wire.message import MessageError
+from protocol.wire.errors import MessageError
 from protocol.wire.messages import Plan, Roster
 from protocol.wire.names import COORDINATOR
 

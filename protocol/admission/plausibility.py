@@ -6,9 +6,9 @@ import numpy as np
 
 from model import state
 from model.arrays import Array
-from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import ActualInputs, Measurement, Plan, PlantState, Roster, StepReport, Tick
-from protocol.wire.run_shape import RunShape
+from protocol.wire.errors import MessageError
+from protocol.wire.messages import ActualInputs, Measurement, Message, Plan, PlantState, Roster, StepReport, Tick
+from protocol.wire.node import RunShape
 
 # Deviation of a rod direction's length from 1 that sensor noise can cause.
 _OFF_UNIT = 0.2

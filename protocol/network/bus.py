@@ -9,26 +9,24 @@ import math
 import queue
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+import psutil
 import zenoh
 
 from protocol.admission.gate import Gate, Sample
 from protocol.network.endpoints import Endpoints
-from protocol.network.health import clock_offset, usage
 from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
+from protocol.wire.errors import MessageError
 from protocol.wire.keys import RECORDER, WATCHER, Keys
-from protocol.wire.messages import Event, Message, MessageError, Presence, Request
+from protocol.wire.messages import Event, Message, Presence, Request
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-# How often a process that joins a run that has begun asks for the processes that still take part.
-ASK_EVERY_S = 0.5
-# Interval between two signs of life of a process that waits for others, s.
-WAITING_S = 5.0
-
-
+# How often a process that joins a run that has begun asks for those that still take part, and one that waits says so, s.
+ASK_EVERY_S, WAITING_S = 0.5, 5.0
 # How long a process waits at the end of the run for those that leave before it: a busy host may take seconds to read.
 LINGER_S = 10.0
 
@@ -48,9 +46,16 @@ class Left:
 
 
 BusEvent = Event | Sample | Interrupted | Left
-
-
 _Item = zenoh.Sample | zenoh.Query | Interrupted | Request
+
+
+def usage(process: int | None = None) -> dict[str, float | int | None]:
+    """Return memory (bytes), threads, open files and processor time (s) of a process, by default this one, or None."""
+    found: tuple[float | int | None, ...] = (None,) * 4
+    with suppress(psutil.Error):
+        of = psutil.Process(process)
+        found = of.memory_info().rss, of.num_threads(), of.num_fds(), sum(of.cpu_times()[:2])
+    return dict(zip(("memory_bytes", "threads", "open_files", "cpu_s"), found, strict=True))
 
 
 class Bus:
@@ -79,13 +84,11 @@ class Bus:
     ) -> None:
         self.arrived_ns = 0  # wall-clock time of arrival of the last event that `next` returned, ns since 1970
         self.before_wait: Callable[[], None] = lambda: None  # called when no message of a bundle is left to be read
-        self.offset: tuple[float, float] | None = None  # lead of the coordinator's wall clock, and its uncertainty, s
         self.alive: dict[str, int] = {}  # incarnations of the processes that are up, by name
         self.gate = gate  # has the bundle that the last event came in
         self.name, self.incarnation, self._digest = name, incarnation, digest
         self._keys, self._endpoints = Keys(run), endpoints
         self._gather_s, self._serves = gather_s, serves
-        self._left: set[str] = set()  # processes that were up, and are not any more
         self._accepted: Iterator[Message | Sample] = iter(())  # in the bytes that arrived last
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
@@ -114,11 +117,10 @@ class Bus:
     def join(
         self, expected: Collection[str], timeout_s: float, on_wait: Callable[[str], object] = lambda _: None
     ) -> Interrupted | None:
-        """Announce this process and wait until all expected processes are up.
+        """Announce this process and wait until all expected processes are up; return an interruption that comes first.
 
         Every `WAITING_S` seconds `on_wait` is called with a sentence about the missing ones.
 
-        Returns: None when all are up, or the interruption that came first.
         Raises: BusError: a process did not appear, runs another scenario, or has this name already.
         """
         self._declare_token(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
@@ -137,21 +139,21 @@ class Bus:
                 break
             if now_s >= sign_s:
                 sign_s += WAITING_S
-                on_wait(f"waiting for {self._absent(missing)}; gives up in {max(0.0, deadline - now_s):.0f} s")
+                on_wait(f"waiting for {', '.join(sorted(missing))}; gives up in {max(0.0, deadline - now_s):.0f} s")
             try:
                 at_ns, item = self._inbox.get(timeout=max(0.0, min(deadline, sign_s, ask_s) - now_s))
             except queue.Empty:
                 if time.monotonic() < deadline:
                     continue
                 raise BusError(
-                    f"{self.name}: no sign of {self._absent(missing)} within {timeout_s:g} s; "
+                    f"{self.name}: no sign of {', '.join(sorted(missing))} within {timeout_s:g} s; "
                     f"listening on {', '.join(self._endpoints.listen) or 'nothing'}, "
                     f"connecting to {', '.join(self._endpoints.connect) or 'none: others connect to it'}"
                 ) from None
             if isinstance(item, Interrupted):
                 return item
             if isinstance(item, zenoh.Query):
-                request = self._request(item, at_ns)
+                request = self._request(item)
                 early += [(at_ns, request)] if request is not None else []
             elif isinstance(item, zenoh.Sample) and str(item.key_expr).startswith(f"{self._keys.prefix}/alive/"):
                 self._note(item, joins=True)
@@ -159,16 +161,10 @@ class Bus:
                 early.append((at_ns, item))
                 if isinstance(item, zenoh.Sample) and self._keys.is_ready(str(item.key_expr), COORDINATOR):
                     ask_s = 0.0
-        if self.name != COORDINATOR:
-            self.offset = clock_offset(lambda: self.ask(COORDINATOR, "health", timeout_s=1.0))
         self._declare_token(self._keys.ready(self.name, self.incarnation))
         for stamped in early:
             self._inbox.put(stamped)
         return None
-
-    def _absent(self, missing: Collection[str]) -> str:
-        """Return the missing processes; those that have left, which gave up waiting themselves, only if no other is."""
-        return ", ".join(sorted(set(missing) - self._left)) or f"{', '.join(sorted(missing))} (came and left)"
 
     def _note(self, sample: zenoh.Sample, *, joins: bool = False) -> Presence | None:
         """Take note of a token that has appeared or disappeared; return the event for the node.
@@ -199,12 +195,10 @@ class Bus:
             return None  # a process of another scenario finds out by itself that it does not belong here
         if here:
             self.alive[token.name] = token.incarnation
-            self._left.discard(token.name)
             self.gate.announce(token.name, token.incarnation)
             return None
         if self.alive.get(token.name) == token.incarnation:
             del self.alive[token.name]
-            self._left.add(token.name)
         return Presence(token.name, token.incarnation, alive=False)
 
     def _taking_part(self, expected: Collection[str]) -> set[str] | None:
@@ -295,7 +289,7 @@ class Bus:
     def _declare_token(self, token: str) -> None:
         self._tokens.append(self._session.liveliness().declare_token(token))
 
-    def _request(self, query: zenoh.Query, at_ns: int) -> Request | None:
+    def _request(self, query: zenoh.Query) -> Request | None:
         """Return a request from the network as an event, or None if it is answered here: bad ones, and health."""
         key = str(query.key_expr)
         what = key.removeprefix(self._keys.request(self.name, ""))
@@ -320,11 +314,9 @@ class Bus:
                 "protocol": VERSION,
                 "tick": self.gate.tick,
                 "refused": self.gate.rejections.total,
-                "clock_offset_s": self.offset and self.offset[0],
-                "clock_uncertainty_s": self.offset and self.offset[1],
                 **usage(),
             }
-            reply({**health, "asked_ns": at_ns, "answered_ns": time.time_ns()})
+            reply(health)
         elif self._serves:
             return Request(what, given, reply)
         else:
@@ -338,7 +330,7 @@ class Bus:
         if isinstance(item, Interrupted | Request):  # a request came while this process joined
             return item
         if isinstance(item, zenoh.Query):
-            return self._request(item, self.arrived_ns)
+            return self._request(item)
         key = str(item.key_expr)
         if self._keys.is_token(key):
             return self._note(item)

@@ -263,16 +263,14 @@ def run_node(
         bus.before_wait = settle
         interruption = bus.join(expected, place.join_timeout_s, lambda text: journal.log("waiting", text=text))
         if interruption is None:
-            names = ("clock_offset_ms", "clock_uncertainty_ms")
-            clock = {name: round(1e3 * time_s, 3) for name, time_s in zip(names, bus.offset or (), strict=False)}
-            journal.log("joined", peers=len(expected), **clock)
+            journal.log("joined", peers=len(expected))
             interruption = _drive(node, bus, exchange, setup.faults)
         if interruption is not None and node.finished is None:
             journal.log("interrupted", reason=interruption.reason)
             for message in on_interrupt(interruption.reason) if on_interrupt else ():
                 exchange.send(message)
         exchange.flush()
-        for message in gate.last_notices(node.incarnation):
+        for message in gate.notices(node.incarnation):
             bus.publish(message)
         for entry in gate.rejections:
             journal.log("rejected", sender=entry.sender, reason=entry.reason, count=entry.count, example=entry.example)
@@ -305,7 +303,7 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
             exchange.received(event, bus.gate.bundle)
         if node.incarnation != bus.incarnation:
             bus.renew(node.incarnation)
-        for notice in bus.gate.notices(now_ns, node.incarnation):
+        for notice in bus.gate.notices(node.incarnation, now_ns):
             bus.publish(notice)
         if not messages:
             continue

@@ -20,8 +20,8 @@ from model.arrays import Array
 from protocol.scenario.errors import ScenarioError, validated
 from protocol.scenario.keys import UNITS, key_of
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
-from protocol.wire.errors import TransportError
-from protocol.wire.messages import LinkChange, Measurement, MessageError, Plan
+from protocol.wire.errors import MessageError, TransportError
+from protocol.wire.messages import LinkChange, Measurement, Plan
 from protocol.wire.names import PLANT
 
 Key = npt.NDArray[np.uint64]

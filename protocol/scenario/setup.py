@@ -32,7 +32,7 @@ from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
 from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
 from protocol.scenario.targets import ON_GROUND_M, TargetError, check_scripted, exceeded, least_slowing
-from protocol.wire.run_shape import RunShape
+from protocol.wire.node import RunShape
 
 # Field of a scenario; expected and got.
 Problems = Iterator[tuple[str, str]]

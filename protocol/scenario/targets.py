@@ -23,8 +23,7 @@ from mpc.settings import ControllerSettings
 from protocol.scenario.errors import ScenarioError, validated
 from protocol.scenario.schema import TargetSection
 from protocol.wire import messages
-from protocol.wire.errors import TransportError
-from protocol.wire.message import MessageError
+from protocol.wire.errors import MessageError, TransportError
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox
 

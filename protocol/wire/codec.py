@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 
 from model.arrays import Array
-from protocol.wire.message import Message, MessageError, Reason
-from protocol.wire.messages import BUNDLES, KINDS
+from protocol.wire.errors import MessageError, Reason
+from protocol.wire.messages import BUNDLES, KINDS, Message
 from protocol.wire.names import is_name
 
 VERSION = 6

@@ -16,8 +16,8 @@ Senders and receivers of each kind are in the `Route` of its class (docs/protoco
 import re
 from dataclasses import dataclass
 
-from protocol.wire.errors import TransportError
-from protocol.wire.messages import BUNDLES, KINDS, Measurement, Message, MessageError
+from protocol.wire.errors import MessageError, TransportError
+from protocol.wire.messages import BUNDLES, KINDS, Measurement, Message
 from protocol.wire.names import AGENT, COORDINATOR, OPERATOR, PLANT, RECORDER, ROUTER, WATCHER, agent_name, role_of
 
 __all__ = ["ACTING", "OPERATOR", "READING", "RECORDER", "ROUTER", "WATCHER", "Keys", "RunNameError", "Token", "matches"]

@@ -2,6 +2,7 @@
 
 import pytest
 
+from protocol.wire.errors import MessageError
 from protocol.wire.keys import Keys, RunNameError, Token, matches
 from protocol.wire.messages import (
     BUNDLES,
@@ -14,7 +15,6 @@ from protocol.wire.messages import (
     LinkChange,
     Measurement,
     Message,
-    MessageError,
     Plan,
     PlantState,
     Record,

@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from protocol.scenario.links import Link, LinkChanges, LinkError, link_change
-from protocol.wire.messages import LinkChange, MessageError
+from protocol.wire.errors import MessageError
+from protocol.wire.messages import LinkChange
 from tests.support.runs import setup
 
 SAMPLES = {"a.csv": (0.1, 0.2), "b.csv": (0.3,)}

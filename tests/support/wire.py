@@ -228,7 +228,7 @@ class Wire:
         """Send each receiver's rejections to the recorder, as at the end of a run; the recorder's own come last."""
         recorder = self.receivers["recorder"]
         for name, receiver in self.receivers.items():
-            for notice in receiver.gate.last_notices(INCARNATION):
+            for notice in receiver.gate.notices(INCARNATION):
                 if name == "recorder":
                     assert isinstance(recorder, RecordingReceiver)
                     recorder._recorder.receive(notice)
