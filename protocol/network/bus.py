@@ -25,7 +25,7 @@ from protocol.wire.keys import RECORDER, WATCHER, Keys
 from protocol.wire.messages import Event, Message, Presence, Request
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-# How often a process that joins a run that has begun asks for those that still take part, and one that waits says so, s.
+# How often a process that joins asks for those that still take part in a run that has begun, and says that it waits, s.
 ASK_EVERY_S, WAITING_S = 0.5, 5.0
 # How long a process waits at the end of the run for those that leave before it: a busy host may take seconds to read.
 LINGER_S = 10.0

@@ -6,6 +6,7 @@ strangers out, and all who have it may send every message.
 """
 
 import ipaddress
+import os
 import secrets
 import ssl
 from collections.abc import Iterator, Sequence
@@ -25,14 +26,10 @@ SHARED = "secret.txt"
 
 # Messages of a TLS handshake in either direction, at most.
 _FLIGHTS = 4
-
 # All kinds of messages in Zenoh's access control.
-_PUBLISHING = ("put", "delete")
-_OBSERVING = ("declare_liveliness_subscriber", "liveliness_query")
-_ALL = (
-    *(*_PUBLISHING, *_OBSERVING, "declare_subscriber", "liveliness_token"),
-    *("query", "reply", "declare_queryable"),
-)
+_PUBLISHING, _OBSERVING = ("put", "delete"), ("declare_liveliness_subscriber", "liveliness_query")
+_ANSWERING, _JOINING = ("declare_queryable", "reply"), ("liveliness_token",)
+_ALL = (*_PUBLISHING, *_OBSERVING, *_ANSWERING, *_JOINING, "declare_subscriber", "query")
 
 
 class SecurityError(TransportError, ValueError):
@@ -50,26 +47,15 @@ class Security:
 
     @property
     def scheme(self) -> str:
-        """Protocol of every endpoint: tls with certificates, tcp with a secret.
-
-        Raises: SecurityError: there are neither.
-        """
-        try:
-            if (self.folder / AUTHORITY).is_file():
-                return "tls"
-            if (self.folder / SHARED).is_file():
-                return "tcp"
-        except (OSError, ValueError) as error:  # no file can have the name
-            raise SecurityError(f"network.keys: cannot read {str(self.folder)!r} ({error})") from error
-        raise SecurityError(
-            f"network.keys: expected a folder with {AUTHORITY} (transport deploy keys), got {self.folder}"
-        )
+        """Protocol of every endpoint: tls with certificates, tcp with a secret. Raises: SecurityError: without both."""
+        for file, scheme in ((AUTHORITY, "tls"), (SHARED, "tcp")):
+            if os.access(self.folder / file, os.F_OK):
+                return scheme
+        expected = f"expected a folder with {AUTHORITY} (transport deploy keys)"
+        raise SecurityError(f"network.keys: {expected}, got {self.folder}")
 
     def check(self, name: str) -> None:
-        """Refuse keys that a process cannot use.
-
-        Raises: SecurityError: naming the file, what was expected and what came.
-        """
+        """Refuse keys that a process cannot use. Raises: SecurityError: naming the file, expected and got."""
         self.configure({"transport": {"link": {}}}, name, "transport/*")
 
     def configure(self, configuration: dict[str, Any], name: str, prefix: str) -> None:
@@ -80,11 +66,9 @@ class Security:
         if self.scheme == "tcp":
             file = self.folder / SHARED
             try:
-                user, _, password = file.read_text(encoding="utf-8").strip().partition(":")
-            except (OSError, UnicodeDecodeError) as error:
-                raise SecurityError(f"network.keys: cannot read {file} ({error})") from error
-            if not (user and password):
-                raise SecurityError(f"network.keys: {file}: expected a line USER:SECRET")
+                user, password = file.read_text(encoding="utf-8").strip().split(":", 1)
+            except (OSError, ValueError) as error:
+                raise SecurityError(f"network.keys: {file}: expected a line USER:SECRET ({error})") from error
             shared = {"user": user, "password": password, "dictionary_file": str(file)}
             configuration["transport"]["auth"] = {"usrpwd": shared}
             return
@@ -104,10 +88,8 @@ class Security:
             "enable_mtls": True,
             "verify_name_on_connect": True,
             "close_link_on_expiration": True,
-            "listen_certificate": str(certificate),
-            "listen_private_key": str(key),
-            "connect_certificate": str(certificate),
-            "connect_private_key": str(key),
+            **{f"{end}_certificate": str(certificate) for end in ("listen", "connect")},
+            **{f"{end}_private_key": str(key) for end in ("listen", "connect")},
         }
         configuration["access_control"] = access_control(self.names, prefix)
 
@@ -203,11 +185,10 @@ def _rights(keys: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:
     yield ("query",), [keys.request("*", what) for what in questions]
     if observes:
         return
-    published = keys.publications(name)
-    if published:
+    if published := keys.publications(name):
         yield _PUBLISHING, published
-    yield ("liveliness_token",), [f"{keys.prefix}/{kind}/{name}/**" for kind in ("alive", "ready")]
-    yield ("declare_queryable", "reply"), [keys.request(name, "*")]
+    yield _JOINING, [f"{keys.prefix}/{kind}/{name}/**" for kind in ("alive", "ready")]
+    yield _ANSWERING, [keys.request(name, "*")]
 
 
 def _rule(name: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,13 +19,8 @@ from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 
 # How long closing may take: it blocks while a peer does not read (zenoh issue 2675).
 CLOSE_S = 2.0
-
-# Largest message that Zenoh reassembles: larger ones are dropped uncounted.
-_MAX_RECEIVED_BYTES = 2 * MAX_BYTES
-
 # Duration of one attempt of a client to connect.
 _TRY_MS = 500
-_SOURCE_FILE = re.compile(r"\s*\bat \S+\.rs:\d+\.?")
 
 
 class BusError(TransportError, RuntimeError):
@@ -36,10 +30,6 @@ class BusError(TransportError, RuntimeError):
 
 
 _first_user = 0  # process id of the process that opened the first session
-
-
-class UnreachableError(BusError):
-    """No endpoint that a client may connect to accepts it."""
 
 
 def check_usable() -> None:
@@ -70,15 +60,14 @@ def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys,
         try:
             return zenoh.open(zenoh.Config.from_json5(text))
         except zenoh.ZError as error:
-            if endpoints.mode == "client" and time.monotonic() <= deadline:
-                continue
             if endpoints.mode == "client":
+                if time.monotonic() <= deadline:
+                    continue
                 where = ", ".join(endpoints.connect)
-                problem = f"{name}: no router accepts a connection at {where} within {reach_s:g} s"
-                raise UnreachableError(problem) from error
+                raise BusError(f"{name}: no router accepts a connection at {where} within {reach_s:g} s") from error
             problem = "address already in use; choose another base port, or end the process that has it"
-            if "in use" not in str(error):  # Zenoh's texts name files of its source
-                problem = f"cannot listen ({_SOURCE_FILE.sub('', str(error))[:200].strip()})"
+            if "in use" not in str(error):
+                problem = f"cannot listen ({error!s:.200})"
             raise BusError(f"{', '.join(endpoints.listen)}: {problem}") from error
 
 
@@ -101,7 +90,7 @@ def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys
         },
         "transport": {
             "link": {
-                "rx": {"max_message_size": _MAX_RECEIVED_BYTES},
+                "rx": {"max_message_size": 2 * MAX_BYTES},  # larger ones are dropped uncounted
                 "tx": {"queue": {"congestion_control": {"block": {"wait_before_close": round(patience_s * 1e6)}}}},
             },
             # Zenoh keeps its segments until the process ends, and leaves them in /dev/shm when it is killed.
@@ -125,8 +114,8 @@ def ask(
 ) -> Mapping[str, Any]:
     """Send a request, with its kind and arguments, to a process from outside its run (docs/protocol.md).
 
-    Connects to endpoints of the run's processes, or of their router. The timeout is that of finding the process, and
-    that of its answer. The keys are those of an operator or, for requests that change nothing, a watcher.
+    Connects to endpoints of the run's processes, or of their router, with the keys of an operator or, for requests that
+    change nothing, a watcher. The timeout is that of finding the process, and that of its answer.
 
     Raises: BusError: there is no such process, or it does not answer.
     """
@@ -137,10 +126,8 @@ def ask(
     deadline = time.monotonic() + timeout_s
     try:
         session = open_session(endpoints, 1.0, OPERATOR if what in ACTING else WATCHER, keys, timeout_s)
-    except UnreachableError as error:
-        raise BusError(
-            f"{name} of run {run} is not reachable at {', '.join(connect)}: it has ended or uses other keys"
-        ) from error
+    except BusError as error:
+        raise BusError(f"{name} of run {run} is not reachable, it has ended or uses other keys: {error}") from error
     try:
         while not any(reply.ok for reply in session.liveliness().get(f"{keys.prefix}/alive/{name}/**", timeout=1.0)):
             if time.monotonic() > deadline:

@@ -36,13 +36,11 @@ def find_scenario(name: str, package: str = "scenarios") -> Path:
 
 
 def read_scenario(path: Path, settings: Sequence[str] = (), *, allow_large: bool = False) -> Scenario:
-    """Read and validate a scenario file.
+    """Read and validate a TOML file with settings on top, which may exceed the limits of `protocol.scenario.budget`.
 
-    Args:
-        path: TOML file.
-        settings: Changes on top of it, "dotted.key=value" with a TOML value; list entries by number from 1, files
-            relative to the current folder.
-        allow_large: Whether the run may exceed the limits of `protocol.scenario.budget`.
+    A setting is "dotted.key=value" with a TOML value; list entries by number from 1, files relative to the current
+    folder.
+
     Raises: ScenarioError: naming file, field, expected and got; the setting in place of the file if it gave the field.
     """
     return with_settings(read_tree(path), settings, str(path), allow_large=allow_large)
@@ -52,10 +50,9 @@ def read_tree(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file. Raises: ScenarioError: it cannot be read."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise ScenarioError(str(path), "", "no such file") from error
     except OSError as error:
-        raise ScenarioError(str(path), "", f"cannot be read ({error})") from error
+        problem = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error})"
+        raise ScenarioError(str(path), "", problem) from error
     except (ValueError, RecursionError) as error:  # also of integers of thousands of digits, and of deep nesting
         raise ScenarioError(str(path), "", f"not valid TOML: {error}") from error
 

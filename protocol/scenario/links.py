@@ -17,10 +17,10 @@ import numpy.typing as npt
 from numpy.random import Generator, Philox
 
 from model.arrays import Array
-from protocol.scenario.errors import ScenarioError, validated
-from protocol.scenario.keys import UNITS, key_of
+from protocol.scenario.errors import RequestError, ScenarioError, validated
+from protocol.scenario.keys import UNITS
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
-from protocol.wire.errors import MessageError, TransportError
+from protocol.wire.errors import MessageError
 from protocol.wire.messages import LinkChange, Measurement, Plan
 from protocol.wire.names import PLANT
 
@@ -40,32 +40,20 @@ def generator(key: Key, tick: int, stream: int = 0) -> Generator:
 
 # Uniform numbers drawn for each message, by their first use; jitter takes two. A new one goes to the end.
 _LOSS, _BURST, _JITTER, _DUPLICATE, _ECHO, _REORDER, _DRAWS = 0, 1, 2, 4, 5, 7, 8
-
-# Streams of them at each tick: of the burst chain, and of the message (and those of the negotiation before it).
-_CHAIN, _MESSAGE = 2**32, 0
-
+# Stream of the burst chain at each tick; those of the message and of the negotiation before it are 0, 1, ...
+_CHAIN = 2**32
 # Rounding of a delay that is a whole number of sampling periods must not cost one more.
 _SLACK = 1e-9
-
 # Longest delay: that of a key in seconds.
 *_, _LONGEST_S = UNITS["_s"]
-
 # Settings of a link that make it perfect: the defaults.
 PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.model_fields.items()}
-
-
-class LinkError(TransportError, MessageError):
-    """An invalid change of links; the text names the key, what was expected and what came."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__("out_of_range", text)
 
 
 class Link:
     """One directed link of a run: decides which messages arrive, and when.
 
-    Of the scenario's links it has the general keys or the last override, partitions and changes. Given are also the
-    run's seed, the sampling period, s, and measured delays, s, by file name.
+    Given are the scenario's links, the run's seed, the sampling period, s, and measured delays, s, by file name.
     """
 
     def __init__(
@@ -129,7 +117,7 @@ class Link:
             per_tick = section.rate_hz * self._period_s  # the messages that the rate leaves room for are evenly spread
             if math.floor(tick * per_tick + _SLACK) == math.floor((tick - 1) * per_tick + _SLACK):
                 return []
-        draw = generator(self._key, tick, _MESSAGE + negotiation).random(_DRAWS)
+        draw = generator(self._key, tick, negotiation).random(_DRAWS)
         if draw[_LOSS] < section.loss:
             return []
         if self._in_burst(tick) and section.gilbert_elliott and draw[_BURST] < section.gilbert_elliott.loss:
@@ -210,22 +198,22 @@ def link_change(source: str, target: str, settings: str, samples: Collection[str
 
     Files of measured delays must be among `samples`, unless that is None.
 
-    Raises: LinkError: it is invalid.
+    Raises: RequestError: it is invalid.
     """
     try:
         given = json.loads(settings)
     except (ValueError, RecursionError):
         given = None
     if not isinstance(given, dict):
-        raise LinkError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
+        raise RequestError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
     ends = {key: name for key, name in (("from", source), ("to", target)) if name}
     try:
         change = validated(LinkOverrideSection, {**given, **ends})
     except ScenarioError as error:
-        raise LinkError(str(error)) from error
+        raise RequestError(str(error)) from error
     if change.samples is not None and samples is not None and change.samples not in samples:
         known = ", ".join(sorted(samples)) or "none"
-        raise LinkError(f"samples: expected a file that the scenario names ({known}), got {change.samples!r}")
+        raise RequestError(f"samples: expected a file that the scenario names ({known}), got {change.samples!r}")
     return change
 
 
@@ -233,13 +221,13 @@ def words_of(change: LinkChange) -> str:
     """Return the change in a message of the coordinator in words; its text as it is if it is no valid change."""
     try:
         settings = link_change(change.source, change.target, change.settings).settings()
-    except LinkError:
+    except RequestError:
         return f"links: {change.settings}"
     return change_in_words(change.source, change.target, settings)
 
 
 def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> str:
-    """Return a change of links in words, such as "links from agent1 to agent2: delay 0.2 s, loss 30 %".
+    """Return a change of links in words, such as "links from agent1 to agent2: delay_s 0.2, loss 0.3".
 
     Empty names are any agents; all of `PERFECT` as settings are a cleared link.
     """
@@ -247,15 +235,4 @@ def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> st
     links = f"links{ends or ' between agents'}"
     if PERFECT.items() <= settings.items():
         return f"{links} cleared"
-    return f"{links}: {', '.join(_words(key, value) for key, value in settings.items())}"
-
-
-def _words(key: str, value: Any) -> str:
-    template = key_of(LinkSection.model_fields[key]).words
-    if key == "gilbert_elliott":
-        if value is None or not value["enter"]:
-            return "no burst loss"
-        return f"burst loss, entered with {100.0 * value['enter']:g} % and left with {100.0 * value['leave']:g} %"
-    if value is None:
-        return f"no {key}"
-    return template.format(100.0 * value if "%" in template else value) if template else f"{key} {value}"
+    return f"{links}: {', '.join(f'{key} {value}' for key, value in settings.items())}"

@@ -20,10 +20,10 @@ from model.maneuver import Target
 from model.parameters import System, resting_height
 from model.state import INPUTS, StateView
 from mpc.settings import ControllerSettings
-from protocol.scenario.errors import ScenarioError, validated
+from protocol.scenario.errors import RequestError, ScenarioError, validated
 from protocol.scenario.schema import TargetSection
 from protocol.wire import messages
-from protocol.wire.errors import MessageError, TransportError
+from protocol.wire.errors import MessageError
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox
 
@@ -105,19 +105,12 @@ ON_GROUND_M = 1e-3
 _SLACK = 1e-9
 
 
-class TargetError(TransportError, MessageError):
-    """A target that cannot be flown; the text says what was expected and what came."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__("out_of_range", text)
-
-
 def asked(given: Mapping[str, Any]) -> TargetSection:
-    """Return what a request asks for. Raises: TargetError: it is not valid, whatever the run."""
+    """Return what a request asks for. Raises: RequestError: it is not valid, whatever the run."""
     try:
         return validated(TargetSection, dict(given))
     except ScenarioError as error:
-        raise TargetError(str(error)) from error
+        raise RequestError(str(error)) from error
 
 
 def target_of(message: messages.Target, period_s: float) -> Target:
@@ -167,14 +160,14 @@ def scripted(setup: Run) -> list[tuple[int, TargetSection]]:
 
 
 def check_scripted(setup: Run) -> None:
-    """Check that the targets of a scenario can be flown one after the other. Raises: TargetError: one cannot."""
+    """Check that the targets of a scenario can be flown one after the other. Raises: RequestError: one cannot."""
     out = Outbox(COORDINATOR, 0)
     for number, (tick, section) in enumerate(scripted(setup), start=1):
         setup = headed(setup, out.stamp(messages.Target, number=number, **planned(setup, section, tick)))
 
 
 def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
-    """Return the numbers of the message for a target from a tick on. Raises: TargetError: it cannot be flown."""
+    """Return the numbers of the message for a target from a tick on. Raises: RequestError: it cannot be flown."""
     points, period_s = np.array(section.points_m), setup.settings.sampling_period_s
     since_s = tick * period_s
     _check_places(setup, points, since_s)
@@ -189,11 +182,11 @@ def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
     ends_s = since_s + approach.duration_s + (way.duration_s if way else 0.0)
     if ends_s > _last_s(setup):
         expected = f"expected a target before the end of the run at t = {_last_s(setup):.2f} s"
-        raise TargetError(f"{expected}, got {ends_s:.2f} s")
+        raise RequestError(f"{expected}, got {ends_s:.2f} s")
     if setup.scenario.obstacle:
         led = setup.headed(Target(since_s=since_s, point_I=points[0], approach=approach, way=way), object())
         if blocked := led.blocked(np.arange(since_s, ends_s + period_s, period_s)):
-            raise TargetError(f"points_m: {blocked[1]}")
+            raise RequestError(f"points_m: {blocked[1]}")
     return {
         "tick": tick,
         "points": points,
@@ -217,10 +210,10 @@ def _check_places(setup: Run, points: Array, since_s: float) -> None:
     else:
         lowest_m, why = resting_height(setup.system, ground_m), "where the payload stands on the ground"
     if points[:, 2].max() > lowest_m + _SLACK:
-        raise TargetError(f"points_m: expected z of at most {lowest_m:g} m, {why}, got {points[:, 2].max():g}")
+        raise RequestError(f"points_m: expected z of at most {lowest_m:g} m, {why}, got {points[:, 2].max():g}")
     phase = setup.maneuver.phase_at(since_s)
     if ground_m is not None and (phase.kind in ("take_off", "land") or flown[1, 2] > lowest_m - ON_GROUND_M):
-        raise TargetError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")
+        raise RequestError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")
 
 
 def _approach(setup: Run, point_I: Array, since_s: float, speed_mps: float) -> Curve:
@@ -242,7 +235,7 @@ def _approach(setup: Run, point_I: Array, since_s: float, speed_mps: float) -> C
         if wrong is None:
             return straight
         ramp_s *= _LONGER
-    raise TargetError(f"points_m: {wrong}")
+    raise RequestError(f"points_m: {wrong}")
 
 
 def _way(setup: Run, further: Array, section: TargetSection) -> Curve:
@@ -261,12 +254,12 @@ def _way(setup: Run, further: Array, section: TargetSection) -> Curve:
         return way
     factor = least_slowing(path, setup.system, setup.hover, setup.settings)
     if factor is None:
-        raise TargetError(f"points_m: {wrong}")
+        raise RequestError(f"points_m: {wrong}")
     if section.times_s is not None:
-        raise TargetError(f"times_s: {wrong}; feasible in {factor:.3f} times the time")
+        raise RequestError(f"times_s: {wrong}; feasible in {factor:.3f} times the time")
     way = replace(way, duration_s=factor * way.duration_s, ramp_s=factor * way.ramp_s)
     if section.speed_mps is not None:
-        raise TargetError(f"speed_mps: {wrong}; feasible with {section.speed_mps / factor:.3f} m/s")
+        raise RequestError(f"speed_mps: {wrong}; feasible with {section.speed_mps / factor:.3f} m/s")
     return way
 
 
