@@ -58,7 +58,7 @@ def test_a_change_of_links() -> None:
     assert json.loads(first.settings) == {"delay_s": 0.1}
     assert isinstance(roster, Roster)
     assert (roster.version, roster.agents) == (2, (1, 2, 3, 4))
-    assert roster.reason == "links from agent1: delay 0.1 s, from t = 0.05 s on"
+    assert roster.reason == "links from agent1: delay_s 0.1, from t = 0.05 s on"
     (second, _) = change(node, loss=0.5)[1]
     assert isinstance(second, LinkChange)
     assert second.number == 2

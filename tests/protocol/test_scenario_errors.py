@@ -187,7 +187,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "faults.event=[{at_s=1,do='motor_off',target='uav3',efficiency=0.5}]",
         "faults.event.1.efficiency: expected no efficiency without 'degrade', got 0.5",
     ),
-    ("controller.tension.minimum_N=8", "expected less than the 7.36 N at hover, got 8"),
+    ("controller.tension.minimum_N=8", "expected less than 7.36 N (hover), got 8"),
     (
         ("controller.tension.minimum_N=2", "controller.motor_lag_s=0.05"),
         "controller.tension: expected controller.motor_lag_s = 0 with it, got 0.05",
@@ -201,8 +201,8 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ),
     (
         "plant.motors.rotors={arm_m=0.2,drag_to_thrust_m=0.02,thrust_N=[0.0,5.0]}",
-        "plant.motors.rotors.thrust_N: expected a range that contains a quarter of the hover thrust of UAV1, "
-        "5.52 N, got [0.0, 5.0]",
+        "plant.motors.rotors.thrust_N: expected a range that contains a quarter of the hover thrust "
+        "5.52 N of UAV1, got [0.0, 5.0]",
     ),
     # The truth, and what is to be estimated of it.
     ("plant.uav_mass_factor=1000", "expected less than or equal to 100, got 1000"),
@@ -219,7 +219,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "controller.limits.thrust_N=[0,20]",
         "expected a range that contains the hover thrust 22.07 N of UAV1, got [0.0, 20.0]",
     ),
-    ("controller.separation.minimum_m=0.6", "expected at most the 0.500 m between UAV1 and UAV2 at hover, got 0.6"),
+    ("controller.separation.minimum_m=0.6", "expected at most 0.500 m (hover), got 0.6"),
     (
         "system.payload.inertia_kgm2=[1,1,3]",
         "system.payload: no body has principal moments [1.0, 1.0, 3.0] kg m^2: the largest exceeds the sum",

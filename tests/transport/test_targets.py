@@ -114,7 +114,7 @@ def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
         ({"points_m": [[200.0, 0.0, -9.0]]}, "expected a target before the end of the run"),
         ({"points_m": [[0, 0, -9.0], [0, 0, -9.0]]}, "expected each way point away from the one before"),
         ({"points_m": [[0, 0, -9.0], [1, 0, -9.0]], "times_s": [0.0, 0.5]}, "feasible in"),
-        ({"points_m": [[0, 0, -9.0], [1, 0, -9.0], [1, 1, -9]], "speed_mps": 20.0}, "feasible with"),
+        ({"points_m": [[0, 0, -9.0], [1, 0, -9.0], [1, 1, -9]], "speed_mps": 20.0}, "times the time"),
         ({"points_m": [[0, 0, -9.0]], "times_s": [0.0, 0.5]}, "times_s: expected 1 rising times"),
     ],
 )
