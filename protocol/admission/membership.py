@@ -5,6 +5,7 @@ Such a plan is kept until the roster is here; a plan of an earlier incarnation i
 """
 
 from collections import deque
+from typing import Any
 
 from protocol.wire.errors import MessageError
 from protocol.wire.messages import Plan, Roster
@@ -12,18 +13,8 @@ from protocol.wire.names import COORDINATOR
 
 # Plans kept for a roster to come: a few ticks of a large team.
 _KEPT = 1024
-_NONE = Roster(
-    sender=COORDINATOR,
-    incarnation=0,
-    sequence=0,
-    tick=0,
-    version=0,
-    agents=(),
-    incarnations=(),
-    off=(),
-    released=(),
-    reason="",
-)
+_EMPTY: dict[str, Any] = {"agents": (), "incarnations": (), "off": (), "released": (), "reason": ""}
+_NONE = Roster(sender=COORDINATOR, incarnation=0, sequence=0, tick=0, version=0, **_EMPTY)
 
 
 class Membership:
@@ -68,24 +59,16 @@ class Membership:
         self.version = roster.version
         self._rosters.append(roster)
         before, self.incarnations = self.incarnations, dict(zip(roster.agents, roster.incarnations, strict=True))
-        for agent, incarnation in before.items():
-            if self.incarnations.get(agent) != incarnation:
-                self._left[agent] = incarnation, roster.tick
-        self.since = {
-            agent: self.since[agent] if before.get(agent) == incarnation else roster.tick
-            for agent, incarnation in self.incarnations.items()
-        }
+        stay = dict(before.items() & self.incarnations.items())
+        self._left |= {agent: (before[agent], roster.tick) for agent in before.keys() - stay.keys()}
+        self.since = {agent: self.since[agent] if agent in stay else roster.tick for agent in self.incarnations}
         for agent, incarnation in self.incarnations.items():
             self._newest[agent] = max(incarnation, self._newest.get(agent, incarnation))
-        waiting = list(self._early)
-        self._early.clear()
+        waiting, self._early = list(self._early), deque(maxlen=_KEPT)
         return waiting
 
     def check(self, plan: Plan) -> None:
-        """Refuse a plan that neither this roster nor one to come admits.
-
-        Raises: MessageError: it is of an incarnation that is not on the roster.
-        """
+        """Raise MessageError for a plan that neither this roster nor one to come admits."""
         if not self._counts(plan) and plan.incarnation <= self._newest.get(plan.agent, -1):
             raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
 

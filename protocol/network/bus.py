@@ -159,7 +159,7 @@ class Bus:
                 self._note(item, joins=True)
             else:
                 early.append((at_ns, item))
-                if isinstance(item, zenoh.Sample) and self._keys.is_ready(str(item.key_expr), COORDINATOR):
+                if isinstance(item, zenoh.Sample) and f"/ready/{COORDINATOR}/" in str(item.key_expr):
                     ask_s = 0.0
         self._declare_token(self._keys.ready(self.name, self.incarnation))
         for stamped in early:
@@ -298,25 +298,17 @@ class Bus:
             query.reply(key, json.dumps(answer))
             query.drop()  # type: ignore[no-untyped-call]
 
-        try:
+        given = None
+        with suppress(ValueError, RecursionError, zenoh.ZError):
             given = json.loads(query.payload.to_string()) if query.payload is not None else {}
-            if not isinstance(given, dict) or "/" in what or "*" in what:
-                raise ValueError("expected a JSON object under the key of one request")
-        except (ValueError, RecursionError, zenoh.ZError) as error:
-            self.gate.refuse(self._keys.end(key), MessageError("malformed", f"not a request ({type(error).__name__})"))
+        if not isinstance(given, dict) or "/" in what or "*" in what:
+            self.gate.refuse(self._keys.end(key), MessageError("malformed", "not a request"))
             query.reply_err(json.dumps({"error": "expected a JSON object under the key of one request"}))
             query.drop()  # type: ignore[no-untyped-call]
             return None
         if what == "health":
-            health = {
-                "name": self.name,
-                "incarnation": self.incarnation,
-                "protocol": VERSION,
-                "tick": self.gate.tick,
-                "refused": self.gate.rejections.total,
-                **usage(),
-            }
-            reply(health)
+            seen = {"protocol": VERSION, "tick": self.gate.tick, "refused": self.gate.rejections.total}
+            reply({"name": self.name, "incarnation": self.incarnation, **seen, **usage()})
         elif self._serves:
             return Request(what, given, reply)
         else:
@@ -332,7 +324,7 @@ class Bus:
         if isinstance(item, zenoh.Query):
             return self._request(item)
         key = str(item.key_expr)
-        if self._keys.is_token(key):
+        if self._keys.end(key).startswith(("alive/", "ready/")):
             return self._note(item)
         name = key.removeprefix(self._keys.left(""))
         if name != key:

@@ -50,10 +50,7 @@ def encode(message: Message) -> bytes:
 
 
 def decode(data: bytes) -> Message:
-    """Return the message in some bytes.
-
-    Raises: MessageError: they are no valid message of this version.
-    """
+    """Return the message in some bytes. Raises: MessageError: they are no valid message of this version."""
     try:
         message: Message = _decoded(data, _DECODER)
         message.check()
@@ -66,10 +63,7 @@ def decode(data: bytes) -> Message:
 
 
 def header_of(data: bytes) -> Header:
-    """Return the header of a message.
-
-    Raises: MessageError: no message of this version begins so.
-    """
+    """Return the header of a message. Raises: MessageError: no message of this version begins so."""
     header: Header = _decoded(data, _HEADER_DECODER)
     return header
 

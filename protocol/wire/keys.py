@@ -111,23 +111,12 @@ class Keys:
         """Return the liveliness token of a process that has seen all the others."""
         return f"{self.prefix}/ready/{name}/{incarnation}"
 
-    def is_token(self, key: str) -> bool:
-        """Return whether a key is that of a liveliness token."""
-        return self.end(key).startswith(("alive/", "ready/"))
-
-    def is_ready(self, key: str, name: str) -> bool:
-        """Return whether a key is the `ready` token of a process."""
-        return key.startswith(f"{self.prefix}/ready/{name}/")
-
     def request(self, name: str, what: str) -> str:
         """Return the key of a request to a process; `*` for all of its requests."""
         return f"{self.prefix}/ask/{name}/{what}"
 
     def token(self, key: str) -> Token:
-        """Return the content of a liveliness token from its key.
-
-        Raises: MessageError: it is no token of this run.
-        """
+        """Return the content of a liveliness token from its key. Raises: MessageError: it is none of this run."""
         found = _TOKEN.fullmatch(self.end(key))
         if found is None:
             raise MessageError("malformed", f"expected the key of a token, got {key}")
@@ -140,10 +129,7 @@ class Keys:
         return key.removeprefix(f"{self.prefix}/")
 
     def check_sender(self, key: str, message: Message) -> None:
-        """Refuse a message that travels under a key its sender does not own.
-
-        Raises: MessageError: with the key and the sender.
-        """
+        """Raise MessageError for a message that travels under a key its sender does not own."""
         sender, owner = message.sender, message.route.sender
         if key != self.of(message):
             raise MessageError("wrong_sender", f"{message.kind} of {sender} under the key {key}", sender)
@@ -155,7 +141,5 @@ class Keys:
 
 def matches(expression: str, key: str) -> bool:
     """Return whether a key expression of `Keys.subscriptions` covers a key (a trailing `*` is one chunk)."""
-    if not expression.endswith("/*"):
-        return expression == key
     head, _, last = key.rpartition("/")
-    return head == expression[:-2] and bool(last)
+    return key == expression or (f"{head}/*" == expression and bool(last))
