@@ -60,10 +60,7 @@ class Placement:
 
 
 def read_inventory(path: Path, processes: Sequence[str]) -> Inventory:
-    """Read and check an inventory; each of the processes named has to run on one host.
-
-    Raises: DeployError: naming file, field, expected and got.
-    """
+    """Read an inventory, with each process on one host. Raises: DeployError: naming file, field, expected and got."""
     try:
         inventory = validated(Inventory, read_tree(path), str(path))
     except ScenarioError as error:

@@ -1,7 +1,4 @@
-"""Keys of a deployment: an authority and a certificate for each name.
-
-The folder holds all keys and is not copied to hosts; `transport deploy render` gives each host its own part.
-"""
+"""Keys of a deployment: an authority and a certificate for each name. Hosts get their own part by `deploy.render`."""
 
 import ipaddress
 import os
@@ -32,8 +29,6 @@ _BEFORE = timedelta(days=2)
 
 def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days: int) -> None:
     """Make an authority and, for each name and its addresses, a certificate valid for `days`; keep those that exist.
-
-    Keys are ECDSA on P-256, which every TLS library accepts.
 
     Raises: DeployError: the folder cannot be written to, or holds half of an authority.
     """

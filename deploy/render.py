@@ -33,10 +33,9 @@ _TEMPLATES = importlib.resources.files("deploy") / "templates"
 
 
 def render(setup: Setup, inventory: Inventory, keys: Path | None, out: Path, *, in_place: bool = False) -> list[Path]:
-    """Write the folders of all hosts into a new folder, and return them.
+    """Write the folders of all hosts, with the keys of their processes, into a new folder, and return them.
 
-    Each host gets the keys of its processes; only an `insecure` inventory has none. With `in_place` the folders are
-    used where they are, not as /etc/transport.
+    With `in_place` they are used where they are, not as /etc/transport.
 
     Raises: DeployError: the folder exists, a key is missing, or hosts without keys would accept any connection.
     """

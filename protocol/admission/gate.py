@@ -1,14 +1,13 @@
 """The gate of a process: all checks of a received message, once, for the network and for readers of a log.
 
-In this order: size and form (`protocol.wire.codec`), sender, incarnation, order, plausibility, and for a node whether
-it can use the message. A refused message is counted and changes nothing. docs/protocol.md lists the reasons,
-SECURITY.md the threats that the checks are for.
+A refused message is counted and changes nothing. docs/protocol.md lists order and reasons of the checks.
 """
 
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 from protocol.admission.plausibility import check_plausible
 from protocol.wire.codec import CLASSES, Header, decode, header_of
@@ -58,13 +57,13 @@ class Rejections:
         if not news or (now_ns is not None and now_ns < self._next_ns):
             return []
         self._next_ns = (now_ns or 0) + _EVERY_NS
-        head = {"sender": self._name, "incarnation": incarnation, "tick": tick}
         messages = []
-        for number, entry in enumerate(news, start=self._sent):
-            told = {"offender": entry.sender, "reason": entry.reason, "example": entry.example}
-            messages.append(Rejected(sequence=number, count=entry.count - entry.reported, **head, **told))
+        for entry in news:
+            told: dict[str, Any] = {"offender": entry.sender, "reason": entry.reason, "example": entry.example}
+            told |= {"sender": self._name, "incarnation": incarnation, "sequence": self._sent, "tick": tick}
+            messages.append(Rejected(count=entry.count - entry.reported, **told))
             entry.reported = entry.count
-        self._sent += len(messages)
+            self._sent += 1
         return messages
 
 
@@ -123,10 +122,7 @@ class Gate:
         self._newest: dict[tuple[str, object, int, bool], tuple[tuple[int, int], int]] = {}
 
     def accept(self, key: str, data: bytes) -> Iterator[Message | Sample]:
-        """Yield the messages in some bytes that pass all checks: none, one, or those of a bundle.
-
-        Each must be handled before the next is asked for: what may come then depends on it.
-        """
+        """Yield the messages in some bytes that pass all checks, each to be handled before the next is asked for."""
         with suppress(MessageError):
             header = header_of(data) if self._owners else None
             if header and self._owners.get((key, header.kind)) == header.sender:

@@ -1,7 +1,6 @@
 """The agents that take part, as a node knows them from the rosters it has received.
 
-Plans and rosters come over different connections, so a plan may overtake the roster that admits its sender.
-Such a plan is kept until the roster is here; a plan of an earlier incarnation is refused.
+A plan may overtake the roster that admits its sender, over another connection: it is kept until that is here.
 """
 
 from collections import deque
@@ -38,10 +37,7 @@ class Membership:
         self._rosters = [_NONE]  # ascending, from the one in force on
 
     def took_part(self, tick: int) -> set[int]:
-        """Return the agents whose plans of a tick are here or still to come.
-
-        Plans of an agent that has left since may be on their way: the tick names the plans that come.
-        """
+        """Return the agents whose plans of a tick are here or, also of those that have left since, still to come."""
         present = {agent for agent, since in self.since.items() if since <= tick}
         return present | {agent for agent, (_, at) in self._left.items() if tick < at}
 

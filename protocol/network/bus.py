@@ -1,7 +1,6 @@
-"""The Zenoh bus: one session per process, one inbox, liveliness in and out.
+"""The Zenoh bus: one session per process, liveliness in and out, and one queue of all that arrives.
 
-All arrivals (messages, tokens, requests, signals) pass through one queue in their order and are handled by the thread
-that calls `next`; Zenoh's threads only put them in.
+The thread that calls `next` handles it; Zenoh's threads only put it in.
 """
 
 import json
@@ -59,12 +58,10 @@ def usage(process: int | None = None) -> dict[str, float | int | None]:
 
 
 class Bus:
-    """Connection of one process to the network of one run.
+    """Connection of one process to one run; processes with different digests of the scenario refuse each other.
 
-    Processes with different digests of the scenario refuse each other. Sending waits for a peer that does not read for
-    `patience_s` before the link to it is closed; a client looks for its router for `reach_s`.
-
-    Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
+    Sending waits `patience_s` for a peer that does not read, then closes the link; a client looks for its router for
+    `reach_s`. Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
 
     def __init__(
@@ -117,11 +114,10 @@ class Bus:
     def join(
         self, expected: Collection[str], timeout_s: float, on_wait: Callable[[str], object] = lambda _: None
     ) -> Interrupted | None:
-        """Announce this process and wait until all expected processes are up; return an interruption that comes first.
+        """Announce this process and wait until all expected ones are up, or for an interruption, which is returned.
 
         Every `WAITING_S` seconds `on_wait` is called with a sentence about the missing ones.
-
-        Raises: BusError: a process did not appear, runs another scenario, or has this name already.
+        Raises: BusError: a process did not appear, runs another scenario or protocol, or has this name already.
         """
         self._declare_token(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
         deadline, sign_s = time.monotonic() + timeout_s, time.monotonic() + WAITING_S
@@ -167,12 +163,7 @@ class Bus:
         return None
 
     def _note(self, sample: zenoh.Sample, *, joins: bool = False) -> Presence | None:
-        """Take note of a token that has appeared or disappeared; return the event for the node.
-
-        A process takes part from its "ready" token on, not from "alive" on. The gate learns of new incarnations.
-
-        Raises: BusError: while this process joins, another one has its name, or another scenario or protocol version.
-        """
+        """Return the event in a token: a process takes part from "ready" on, is gone with "alive". Raises: `join`."""
         key, here = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
         try:
             token = self._keys.token(key)
@@ -202,10 +193,7 @@ class Bus:
         return Presence(token.name, token.incarnation, alive=False)
 
     def _taking_part(self, expected: Collection[str]) -> set[str] | None:
-        """Return the others that take part in a run that has begun, and its observers; None if it has not.
-
-        Such a run goes on without processes that are gone for good; with its observers the record misses nothing.
-        """
+        """Return the others that take part in a run that has begun, and its observers; None if it has not."""
         status = self.ask(COORDINATOR, "status", timeout_s=1.0)
         if status is None or status.get("tick", -1) < 0:
             return None
@@ -263,9 +251,9 @@ class Bus:
                 return event
 
     def leave(self, after: Collection[str] = ()) -> None:
-        """Say at the end of the run that the last message was sent; wait until the recorder and others have left.
+        """Say that the last message was sent; wait `LINGER_S` at most until the recorder and others have left.
 
-        Closing a session drops what a peer has not read yet. The wait ends after `LINGER_S` or with an interruption.
+        Closing a session drops what a peer has not read yet.
         """
         self.put(self._keys.left(self.name), b"")
         deadline = time.monotonic() + LINGER_S

@@ -43,8 +43,7 @@ def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put)
 class Exchange:
     """Sends the messages of one process: in real time each alone and at once, in lockstep also in bundles.
 
-    In lockstep the coordinator waits for the plans of tick k before it opens tick k + 1, so that it can send them with
-    it. An agent then has one message to send and two to receive in a tick, whatever the size of the team.
+    The coordinator sends the plans of tick k with tick k + 1: an agent sends one message per tick and receives two.
     """
 
     bundled: tuple[type[wire.Message], ...] = ()  # kinds of messages that are kept for a bundle
@@ -198,7 +197,6 @@ def run_node(
     """Join the run with the expected processes, drive the node until it is finished, leave; return the exit code.
 
     `on_interrupt` returns the node's last messages when a signal ends it; processes to `linger_for` leave before it.
-
     Raises: BusError: the network cannot be used, or an expected process did not appear.
     """
     journal = Journal(place.run, node.name)

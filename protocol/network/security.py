@@ -1,8 +1,6 @@
 """Authentication and access control: the folder of keys, and Zenoh's rules made from the table of key expressions.
 
-With certificates every link is TLS, both ends authenticate, and each process admits from a peer only the messages that
-the name in its certificate may send. A secret is one password for all processes of a run on one host: it keeps
-strangers out, and all who have it may send every message.
+Certificates admit from each peer only what its name may send; a secret only keeps strangers out (docs/deploy.md).
 """
 
 import ipaddress
@@ -59,10 +57,7 @@ class Security:
         self.configure({"transport": {"link": {}}}, name, "transport/*")
 
     def configure(self, configuration: dict[str, Any], name: str, prefix: str) -> None:
-        """Add security to Zenoh's configuration of a process; `prefix` is that of its key expressions.
-
-        Raises: SecurityError: as `check`.
-        """
+        """Add security to Zenoh's configuration of a process; `prefix` is that of its keys. Raises: as `check`."""
         if self.scheme == "tcp":
             file = self.folder / SHARED
             try:
@@ -98,8 +93,7 @@ class Security:
 def new_secret(folder: Path) -> Iterator[Path]:
     """Make a folder of keys with a random secret, which only this user can read; remove it in the end.
 
-    Raises: SecurityError: the file system keeps no permissions (FAT, some shares). OSError: the folder exists or cannot
-        be made.
+    Raises: SecurityError: the file system keeps no permissions (FAT, some shares). OSError: it cannot be made.
     """
     folder.mkdir(mode=0o700)
     file = folder / SHARED
@@ -118,9 +112,8 @@ def new_secret(folder: Path) -> Iterator[Path]:
 def access_control(names: Sequence[str], prefix: str) -> dict[str, Any]:
     """Return Zenoh's access control, which allows each name only the key expressions of `protocol.wire.keys`.
 
-    Peers are known by the names in their certificates; watchers, operators and a router are added to those given. The
-    run in the prefix of the key expressions may be `*` for any. Incoming messages are checked against their sender's
-    rights. Outgoing ones are not: the receiver's rights were checked when it subscribed.
+    The run in the prefix may be `*`. Incoming messages are checked against the rights of their sender's certificate;
+    outgoing ones are not: the rights of the receiver were checked when it subscribed.
     """
     keys = Keys.below(prefix)
     subjects = [*dict.fromkeys([*names, WATCHER, OPERATOR, ROUTER])]
@@ -153,10 +146,7 @@ def exposed(endpoints: Sequence[str]) -> str | None:
 
 
 def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
-    """Check authority, validity and key of a certificate as a peer would, by a TLS handshake with itself.
-
-    Raises: ssl.SSLError: a peer would refuse it. OSError: a file cannot be read.
-    """
+    """Check a certificate as a peer would, by a handshake with itself. Raises: ssl.SSLError, OSError."""
     there, back, ends = ssl.MemoryBIO(), ssl.MemoryBIO(), []
     for protocol, incoming, outgoing in (
         (ssl.PROTOCOL_TLS_SERVER, there, back),

@@ -42,9 +42,7 @@ def check_usable() -> None:
 
 
 def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
-    """Open the session of a process.
-
-    Sending waits for a peer that does not read for `patience_s`, a client looks for its router for `reach_s`.
+    """Open the session of a process; `patience_s` and `reach_s` as those of `Bus`.
 
     Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
@@ -73,8 +71,6 @@ def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys,
 
 def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
     """Return Zenoh's configuration of a process: fixed endpoints, no discovery, retries until `Bus.join` gives up.
-
-    The arguments are those of `open_session`.
 
     Raises: SecurityError: keys that cannot be used.
     """
@@ -114,10 +110,8 @@ def ask(
 ) -> Mapping[str, Any]:
     """Send a request, with its kind and arguments, to a process from outside its run (docs/protocol.md).
 
-    Connects to endpoints of the run's processes, or of their router, with the keys of an operator or, for requests that
-    change nothing, a watcher. The timeout is that of finding the process, and that of its answer.
-
-    Raises: BusError: there is no such process, or it does not answer.
+    Connects to endpoints of the run or of its router, as operator or, if nothing is changed, as watcher.
+    Raises: BusError: there is no such process, or it does not answer in time.
     """
     keys = Keys(run)
     log_errors(to_output=False)
@@ -145,10 +139,7 @@ def ask(
 
 @contextmanager
 def route(endpoints: Endpoints) -> Iterator[None]:
-    """Route the messages of the clients of any run while the context is open.
-
-    Raises: BusError: the endpoint cannot be listened on, or the keys not used.
-    """
+    """Route the messages of the clients of any run while the context is open. Raises: BusError: as `open_session`."""
     log_errors(to_output=True)
     session = open_session(endpoints, 1.0, ROUTER, Keys.below("transport/*"), 0.0)
     try:

@@ -1,7 +1,6 @@
 """Budget of a run: what a scenario asks of memory, disk and processor, estimated before anything starts.
 
-Each limit can be exceeded on purpose with the option --allow-large. Sizes of arrays are exact, the numbers of bytes and
-seconds were fitted to runs (`tests/protocol/test_budget.py` compares them with real ones).
+Sizes of arrays are exact, numbers of bytes and seconds were fitted to runs (`tests/protocol/test_budget.py`).
 """
 
 import math

@@ -87,7 +87,7 @@ def _short(text: str) -> str:
 def validated(section: type[S], tree: Any, source: str = "", folder: Path | None = None) -> S:
     """Return a section made from plain data; the paths of its files are relative to a folder.
 
-    Raises: ScenarioError: with the first problem; unknown keys come first, as a mistyped key is also a missing one.
+    Raises: ScenarioError: with the first problem, an unknown key first: a mistyped one is also missing.
     """
     try:
         found = section.model_validate(tree, context=folder)

@@ -1,8 +1,6 @@
 """Scripted faults: kills, stops and restarts of processes, failures of UAVs, each at a tick.
 
-A process kills or stops itself on the message that opens the tick for it, so that the fault happens at that tick on
-every machine. Its parent restarts or continues it. The plant applies faults of UAVs, and the coordinator reports them
-with the roster of the tick.
+A process kills or stops itself on the message that opens the tick for it; its parent restarts or continues it.
 """
 
 import math

@@ -18,7 +18,7 @@ __all__ = ["ScenarioError", "find_scenario", "read_scenario", "read_tree", "vali
 
 
 def find_scenario(name: str, package: str = "scenarios") -> Path:
-    """Return the file of a scenario, or of what else is in a package: a path, or the name of one that comes with it.
+    """Return the file of a scenario, or of what else is in a package: a path, or the name of a ready one.
 
     Raises: ScenarioError: no file has the name, the text lists the names.
     """
@@ -38,10 +38,8 @@ def find_scenario(name: str, package: str = "scenarios") -> Path:
 def read_scenario(path: Path, settings: Sequence[str] = (), *, allow_large: bool = False) -> Scenario:
     """Read and validate a TOML file with settings on top, which may exceed the limits of `protocol.scenario.budget`.
 
-    A setting is "dotted.key=value" with a TOML value; list entries by number from 1, files relative to the current
-    folder.
-
-    Raises: ScenarioError: naming file, field, expected and got; the setting in place of the file if it gave the field.
+    A setting is "dotted.key=value" in TOML; list entries by number from 1, files relative to the current folder.
+    Raises: ScenarioError: naming file, or the setting that gave the field, field, expected and got.
     """
     return with_settings(read_tree(path), settings, str(path), allow_large=allow_large)
 
@@ -58,10 +56,7 @@ def read_tree(path: Path) -> dict[str, Any]:
 
 
 def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str, *, allow_large: bool = False) -> Scenario:
-    """Return the scenario in a tree of plain data, which is changed, with settings on top as in `read_scenario`.
-
-    Raises: ScenarioError: as `read_scenario`; `source` is the file of the tree.
-    """
+    """Return the scenario in a tree of plain data, which is changed, with settings on top as in `read_scenario`."""
     for setting in settings:
         _apply(tree, setting, Path(source).parent)
     try:
@@ -74,10 +69,7 @@ def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str, *,
 
 
 def validate(tree: dict[str, Any], source: str) -> Scenario:
-    """Check a tree of plain data against the scenario's schema, then the relations between its fields.
-
-    Files of its maneuver are read here; their paths are relative to the folder of `source`, the scenario's file.
-    """
+    """Check a tree against the schema and the relations of its fields; files are relative to the folder of `source`."""
     scenario = validated(Scenario, tree, source, Path(source).parent)
     check_relations(scenario, source)
     return scenario

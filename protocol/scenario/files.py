@@ -1,7 +1,6 @@
 """Files that a scenario names: tables of paths and of measured delays.
 
-The table of a path becomes part of the scenario when that is read: it is in the fingerprint that the processes of a run
-compare, and in the run folder, without the file.
+The table of a path becomes part of the scenario when that is read, so of its fingerprint and of the run folder.
 """
 
 import math
@@ -36,7 +35,7 @@ def path_problem(path: str | Path) -> str:
 
 
 def anchored(value: Any, here: Path, folder: Path | None = None, key: str = "") -> Any:
-    """Return part of a scenario's tree, whose files are relative to the folder `here`, for a scenario in `folder`.
+    """Return a part of a scenario's tree, whose files are relative to the folder `here`, for a scenario in `folder`.
 
     Files below `folder` are named relative to it, others by their absolute paths, as are all without a folder.
     """
@@ -63,19 +62,13 @@ def delays_of(path: Path) -> tuple[float, ...]:
 
 
 def way_of(path: Path) -> list[list[float]]:
-    """Return the path in a CSV file with `COLUMNS` as rows of time and position, both relative to the first row.
-
-    Raises: TableError: it cannot be read, or is invalid.
-    """
+    """Return rows of time and position, relative to the first, of a CSV file with `COLUMNS`. Raises: TableError."""
     _, rows = _table(path, COLUMNS)
     return [[value - first for value, first in zip(row, rows[0], strict=True)] for row in rows]
 
 
 def points_of(path: Path) -> tuple[list[list[float]], list[float] | None]:
-    """Return the way points in a CSV file, m, and their times, s, if its heading is t,x,y,z, not x,y,z.
-
-    Raises: TableError: it cannot be read, or is invalid.
-    """
+    """Return way points, m, and any times, s, of a CSV file with columns x,y,z or t,x,y,z. Raises: TableError."""
     columns, rows = _table(path, "x,y,z", "t,x,y,z")
     return [row[-3:] for row in rows], [row[0] for row in rows] if columns.startswith("t") else None
 

@@ -1,8 +1,7 @@
 """Impairments of the network: delay, jitter, loss, bursts, duplication, reordering, rate limits, partitions.
 
-Impairments act at the receiver, on messages, in scenario time. Every random number is drawn from a counter keyed by
-seed, sender, receiver, kind and the message's tick, so that the delays of a message do not depend on when or in which
-order anything arrives.
+They act at the receiver, in scenario time. Random numbers are drawn from a counter keyed by seed, sender, receiver,
+kind and the message's tick, so they do not depend on when or in which order anything arrives.
 """
 
 import hashlib
@@ -51,10 +50,7 @@ PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.m
 
 
 class Link:
-    """One directed link of a run: decides which messages arrive, and when.
-
-    Given are the scenario's links, the run's seed, the sampling period, s, and measured delays, s, by file name.
-    """
+    """One link of a run: which messages arrive, and when. Measured delays, s, are by file name."""
 
     def __init__(
         self,
@@ -105,7 +101,7 @@ class Link:
     def delays(self, tick: int, negotiation: int = 0) -> list[float]:
         """Return the delays with which the message of a tick arrives, s: none if it is lost, two if duplicated.
 
-        Messages of the negotiation within the tick, before the one it ends with, are numbered from 1.
+        Messages of a negotiation before the one it ends with are numbered from 1.
         """
         section, perfect = self._in_force(tick)
         sent_s = tick * self._period_s
@@ -130,10 +126,7 @@ class Link:
         return [min(delay, _LONGEST_S) for delay in delays]
 
     def usable_ticks(self, tick: int, after: int = 1) -> list[int]:
-        """Return the ticks from which the message of a tick can be used: the first at or after its arrival.
-
-        Over a perfect link it needs `after` ticks: 1 for what is used at the next tick.
-        """
+        """Return the ticks from which the message of a tick can be used: at or after its arrival, and `after` ticks."""
         if not self._partitions and self._in_force(tick)[1]:
             return [tick + after]
         return [max(tick + after, math.ceil(tick + delay / self._period_s - _SLACK)) for delay in self.delays(tick)]
@@ -196,9 +189,7 @@ class LinkChanges:
 def link_change(source: str, target: str, settings: str, samples: Collection[str] | None = None) -> LinkOverrideSection:
     """Return a change of links: both ends, empty for any agent, and a JSON object of a link's keys and new values.
 
-    Files of measured delays must be among `samples`, unless that is None.
-
-    Raises: RequestError: it is invalid.
+    Raises: RequestError: it is invalid, or names a file of delays beyond `samples`, unless that is None.
     """
     try:
         given = json.loads(settings)
@@ -227,10 +218,7 @@ def words_of(change: LinkChange) -> str:
 
 
 def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> str:
-    """Return a change of links in words, such as "links from agent1 to agent2: delay_s 0.2, loss 0.3".
-
-    Empty names are any agents; all of `PERFECT` as settings are a cleared link.
-    """
+    """Return a change in words, such as "links from agent1 to agent2: delay_s 0.2, loss 0.3"; "" is any agent."""
     ends = (f" from {source}" if source else "") + (f" to {target}" if target else "")
     links = f"links{ends or ' between agents'}"
     if PERFECT.items() <= settings.items():

@@ -93,10 +93,7 @@ def made(make: Callable[..., Any], methods: Sequence[str], *arguments: object) -
 
 
 def real_array(what: str, given: object) -> Array:
-    """Return a copy of an array that a method returned; it need not be finite. Call it within `told`.
-
-    Raises: OwnClassError: its numbers are not real.
-    """
+    """Return a copy of a real array, finite or not, that a method returned, within `told`. Raises: OwnClassError."""
     found = np.asarray(given)
     if np.iscomplexobj(found):
         raise OwnClassError(f"{what}: expected real numbers, got {found.dtype}")

@@ -344,7 +344,7 @@ def _obstacle(section: ObstacleSection) -> Obstacle:
         half = np.array([section.thickness_m / 2.0, _WALL_M, np.inf])
         shifts_m = [sign * (section.width_m / 2.0 + _WALL_M) for sign in (-1.0, 1.0)]
     across = np.array([-math.sin(heading_rad), math.cos(heading_rad), 0.0])
-    body = {"heading_rad": heading_rad, "half": half, "radius": section.radius_m or 0.0}
+    body: dict[str, Any] = {"heading_rad": heading_rad, "half": half, "radius": section.radius_m or 0.0}
     solids = tuple(Solid(centre_I=section.at_m + shift_m * across, **body) for shift_m in shifts_m)
     margins_m = {"margin_m": section.margin_m, "load_margin_m": section.load_margin_m}
     return Obstacle(name=section.kind, solids=solids, penalty=section.penalty, **margins_m)

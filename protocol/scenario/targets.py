@@ -1,6 +1,6 @@
-"""Targets given during a run: what is asked for becomes a message of the coordinator, and that a new reference.
+"""Targets given during a run, which become messages of the coordinator, and those a new reference.
 
-The coordinator decides the timing once, so that every process makes the same reference from the numbers of the message.
+The coordinator decides the timing once, so that every process makes the same reference.
 """
 
 import math

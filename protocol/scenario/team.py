@@ -1,7 +1,4 @@
-"""A team of any size: UAVs in a ring, the paper's or those of a vehicle file, over a payload of the paper's shape.
-
-Only the system is new; the rest is taken from an existing scenario (docs/scenario.md, "A team of any size").
-"""
+"""A team of any size: UAVs in a ring over a payload of the paper's shape; all else is that of a scenario."""
 
 import math
 from collections.abc import Iterable

@@ -1,8 +1,6 @@
-"""Messages as bytes: one version byte, then MessagePack; arrays as raw little-endian float64.
+"""Messages as bytes (docs/protocol.md): one version byte, then MessagePack [kind, field, field, ...].
 
-Layout (docs/protocol.md): `version (1 byte) | MessagePack [kind, field, field, ...]`, fields in the order of the
-message class. An array is MessagePack extension type 1: number of axes and up to three lengths as four little-endian
-uint32, then the values row by row.
+An array is extension type 1: number of axes and three lengths as little-endian uint32, then float64, row by row.
 """
 
 import math

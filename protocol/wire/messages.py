@@ -104,10 +104,7 @@ class Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 def lengths_fit(**lists: tuple[object, ...]) -> None:
-    """Check that the lists of a message are as long as the first of them.
-
-    Raises: MessageError: naming the field.
-    """
+    """Check that the lists of a message are as long as the first of them. Raises: MessageError: naming the field."""
     (first, given), *others = lists.items()
     for field, value in others:
         if len(value) != len(given):
@@ -360,8 +357,7 @@ class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
 class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):
     """Plant to the record: mean thrust and moments over [t_k, t_{k+1}), and the least tension of each cable.
 
-    Sent only in a run whose motors are not ideal, with commanded body rates or with cables. With the commands of
-    `PlantState` it explains the motion.
+    Sent only in a run whose motors are not ideal, with commanded body rates or with cables.
     """
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(RECORDER,), grows="tick")

@@ -47,10 +47,7 @@ class Node(Protocol):
         """Return the latest time of the next call of `poll`; None while only events matter."""
 
     def check_moment(self, message: Message) -> None:
-        """Check that a message is from the present start of an agent and can be used: the last check of a gate.
-
-        Raises: MessageError: with the reason.
-        """
+        """Raise MessageError for a message of an earlier start, or that cannot be used: the last check of a gate."""
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Handle one event and return the messages to send. Messages have passed all checks."""
