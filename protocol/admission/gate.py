@@ -79,17 +79,8 @@ class Sample:
 class Gate:
     """Checks of the messages that one process receives.
 
-    Args:
-        name: The process.
-        keys: Keys of the run.
-        shape: The run; None where it is not known: agents and plausibility are not checked then.
-        check_moment: Refuses messages that the node cannot use; None for processes that only observe.
-        unread: Kinds that are handed over as samples.
-
-    Attributes:
-        rejections: Counts of refused messages.
-        bundle: Bundle that the last accepted message came in, or None.
-        tick: Newest tick of an accepted message.
+    Without a shape (the run is not known) agents and plausibility are not checked. `check_moment` refuses messages that
+    the node cannot use, None for observers; `unread` are kinds that are handed over as samples.
     """
 
     def __init__(
@@ -101,8 +92,8 @@ class Gate:
         unread: Collection[str] = (),
     ) -> None:
         self.rejections = Rejections(name)
-        self.bundle: Bundle | None = None
-        self.tick = 0
+        self.bundle: Bundle | None = None  # that the last accepted message came in
+        self.tick = 0  # newest of an accepted message
         self._name, self._keys, self._shape, self._check_moment = name, keys, shape, check_moment
         self._relayed = shape is not None and shape.relayed
         agents = range(1, MAX_UAVS + 1) if shape is None else shape.owned

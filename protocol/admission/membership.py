@@ -17,19 +17,13 @@ _NONE = Roster(sender=COORDINATOR, incarnation=0, sequence=0, tick=0, version=0,
 
 
 class Membership:
-    """The newest roster and the plans that are ahead of it; those of an agent, `own`, also while it is off the roster.
-
-    Attributes:
-        version: Version of the newest roster, 0 before the first.
-        incarnations: Incarnation of each agent on it.
-        since: Tick from which each agent is on the roster in its present incarnation.
-        failed_since: Tick of the newest failure of a UAV, 0 before the first.
-    """
+    """The newest roster and the plans that are ahead of it; of an agent, `own`, also while it is off the roster."""
 
     def __init__(self, own: int | None = None) -> None:
-        self.version = self.failed_since = 0
-        self.since: dict[int, int] = {}
-        self.incarnations: dict[int, int] = {}
+        self.version = 0  # of the newest roster
+        self.failed_since = 0  # tick of the newest failure of a UAV
+        self.since: dict[int, int] = {}  # tick from which each agent is on it in its present incarnation
+        self.incarnations: dict[int, int] = {}  # of the agents on it
         self._own = own
         self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
         self._early: deque[Plan] = deque(maxlen=_KEPT)

@@ -1,16 +1,7 @@
 """Key expressions: the only place that knows under which key a message travels and which process subscribes to it.
 
-transport/{run}/{kind}                   messages with one key, such as tick; a link change has the key of the roster
-transport/{run}/{kind}/{agent}           measurement, plan, report
-transport/{run}/unshared/{agent}         plans that the other agents do not receive
-transport/{run}/answer/{agent}           bundle of an agent's plan and report; relay, instant, record: other bundles
-transport/{run}/rejected/{name}          messages that any process refused
-transport/{run}/left/{name}              empty: the process has sent its last message
-transport/{run}/ask/{name}/{what}        queryable: every process answers requests, each under a key of its own
-transport/{run}/alive/{name}/{incarnation}/{digest}/{version}     liveliness token: the process is up
-transport/{run}/ready/{name}/{incarnation}              liveliness token: it has seen all the others
-
-Senders and receivers of each kind are in the `Route` of its class (docs/protocol.md has the table).
+Keys are transport/{run}/{kind}[/{agent or name}] and some others: docs/protocol.md has the table. Senders and receivers
+of each kind are in the `Route` of its class.
 """
 
 import re

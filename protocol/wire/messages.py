@@ -79,10 +79,7 @@ class Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
     tick: Count  # the sampling instant it belongs to, from 0
 
     def check(self) -> None:
-        """Check arrays, and fields against each other.
-
-        Raises: MessageError: with the field, what was expected and what came.
-        """
+        """Check arrays, and fields against each other. Raises: MessageError: with field, expected and got."""
         for field, shape_of in self.shapes.items():
             value: Array = getattr(self, field)
             expected = shape_of(self)
@@ -174,10 +171,7 @@ class Roster(Message, tag="roster", frozen=True, kw_only=True):
 
 
 class LinkChange(Message, tag="link", frozen=True, kw_only=True):
-    """Coordinator to all: from this tick on links treat messages differently.
-
-    Messages keep their order within one key only: with the key of the roster a change arrives before the next roster.
-    """
+    """Coordinator to all: from this tick on links differ. With the key of the roster it arrives before the next."""
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
 
@@ -253,10 +247,7 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
 
 
 class Plan(Message, tag="plan", frozen=True, kw_only=True):
-    """Agent to plant and coordinator, if shared also to the other agents: states of its UAVs and inputs to apply.
-
-    Its negotiation is 0 for the plan a tick ends with, otherwise how many exchanges within the tick follow.
-    """
+    """Agent to plant and coordinator, if shared also to the other agents: states of its UAVs and inputs to apply."""
 
     route: ClassVar[Route] = Route(
         sender=AGENT,
@@ -274,7 +265,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
 
     agent: Agent  # the agent that planned
     start_tick: Count  # first sampling instant the inputs are for
-    negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]
+    negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]  # exchanges that follow within the tick
     shared: bool  # whether the other agents receive it: it travels under another key if not
     uavs: Ids  # owned UAVs, 1-based ids, ascending
     # Their states at `tick`, (owned, 12), SI; with `plant.sensors` vehicle the measurements and inputs of the last four
@@ -383,10 +374,7 @@ class FaultNote(Message, tag="fault", frozen=True, kw_only=True):
 
 
 class Rejected(Message, tag="rejected", frozen=True, kw_only=True):
-    """Any process to the record: it has refused messages. Sent only when there were any; not reproducible.
-
-    Its sequence numbers count messages of this kind alone, so that they do not change those of the others.
-    """
+    """Any process to the record: it has refused messages; not reproducible. Sequence numbers count this kind alone."""
 
     route: ClassVar[Route] = Route(sender=None, receivers=(RECORDER, WATCHER), each="sender")
 
