@@ -73,7 +73,6 @@ class Bus:
         digest: str,
         endpoints: Endpoints,
         gate: Gate,
-        relayed: bool | None = None,  # whether plans, reports and measurements come in bundles, if that is known
         serves: bool = False,  # whether its node answers requests; every process answers for its health
         patience_s: float = 1.0,
         gather_s: float = 0.0,  # how long an arrival may wait for more: one wake-up for many messages costs less
@@ -96,7 +95,7 @@ class Bus:
         # callback runs on the thread that receives, which must be brief, but saves a second thread.
         arrived: zenoh.handlers.Callback[zenoh.Sample] = zenoh.handlers.Callback(self._put, indirect=False)
         self._declared: list[Any] = [
-            self._session.declare_subscriber(key, arrived) for key in self._keys.subscriptions(name, relayed=relayed)
+            self._session.declare_subscriber(key, arrived) for key in self._keys.subscriptions(name)
         ]
         if name != WATCHER:  # a watcher has no token, so it is not asked either
             self._declared.append(self._session.declare_queryable(self._keys.request(name, "*"), self._put))

@@ -200,7 +200,6 @@ def run_node(
     Raises: BusError: the network cannot be used, or an expected process did not appear.
     """
     journal = Journal(place.run, node.name)
-    relayed = setup.scenario.clock.relayed
     gate = Gate(node.name, Keys(place.run), setup.shape, node.check_moment)
     # A garbage collection in mid-step is a latency spike: reference counting frees nearly all that the loop makes, and
     # the rest is collected between steps. Before this process joins, no other waits for it.
@@ -216,7 +215,6 @@ def run_node(
             digest=setup.scenario.digest(),
             endpoints=place.endpoints,
             gate=gate,
-            relayed=relayed,
             serves=node.name == COORDINATOR,
             patience_s=PATIENCE_S[setup.scenario.clock.mode],
             reach_s=place.join_timeout_s,

@@ -34,14 +34,8 @@ class ScenarioError(TransportError, ValueError):
 
     def blaming(self, settings: Sequence[str]) -> "ScenarioError":
         """Return the same error, with the settings in place of the file if they gave the field or part of it."""
-        given: list[str] = []
-        for setting in reversed(settings):
-            key = key_of(setting)
-            around = f"{self.field}.".startswith(f"{key}.")
-            if around or key.startswith(f"{self.field}."):
-                given.insert(0, setting)
-            if around:
-                break  # it replaced all that settings before it had given
+        own = f"{self.field}."
+        given = [s for s in settings if own.startswith(f"{key_of(s)}.") or f"{key_of(s)}.".startswith(own)]
         if not given:
             return self
         field = "" if [key_of(setting) for setting in given] == [self.field] else self.field

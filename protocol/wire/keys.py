@@ -8,7 +8,7 @@ import re
 from dataclasses import dataclass
 
 from protocol.wire.errors import MessageError, TransportError
-from protocol.wire.messages import BUNDLES, KINDS, Measurement, Message
+from protocol.wire.messages import BUNDLES, KINDS, Message
 from protocol.wire.names import AGENT, COORDINATOR, OPERATOR, PLANT, RECORDER, ROUTER, WATCHER, agent_name, role_of
 
 __all__ = ["ACTING", "OPERATOR", "READING", "RECORDER", "ROUTER", "WATCHER", "Keys", "RunNameError", "Token", "matches"]
@@ -62,13 +62,10 @@ class Keys:
         key = route.unshared_key if unshared else route.key or message.kind
         return f"{self.prefix}/{key}/{getattr(message, route.each)}" if route.each else f"{self.prefix}/{key}"
 
-    def subscriptions(self, name: str, *, relayed: bool | None = None) -> list[str]:
-        """Return the key expressions a process subscribes to, with relayed plans, with direct ones, or (None) both."""
+    def subscriptions(self, name: str) -> list[str]:
+        """Return the key expressions a process subscribes to."""
         role, found = role_of(name), []
         for cls in (cls for cls in _CLASSES if role in cls.route.receivers):
-            # No process relays what is in bundles, and bundles bring measurements.
-            if (relayed is False and cls.kind in BUNDLES) or (relayed and cls is Measurement):
-                continue
             # An agent receives what other processes send to it, and from the other agents everything they share.
             end = name.removeprefix(AGENT) if role == AGENT and cls.route.sender != AGENT else "*"
             found += self._under(cls, end, unshared=role != AGENT)

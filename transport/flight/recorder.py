@@ -102,7 +102,6 @@ class Recorder:
             digest=setup.scenario.digest(),
             endpoints=endpoints,
             gate=self.gate,
-            relayed=setup.scenario.clock.relayed,
             serves=True,
             gather_s=_GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S,
         )
