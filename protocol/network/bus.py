@@ -140,22 +140,21 @@ class Bus:
             except queue.Empty:
                 if time.monotonic() < deadline:
                     continue
-                raise BusError(
-                    f"{self.name}: no sign of {', '.join(sorted(missing))} within {timeout_s:g} s; "
-                    f"listening on {', '.join(self._endpoints.listen) or 'nothing'}, "
-                    f"connecting to {', '.join(self._endpoints.connect) or 'none: others connect to it'}"
-                ) from None
+                listens, calls = (", ".join(at) for at in (self._endpoints.listen, self._endpoints.connect))
+                ends = f"listening on {listens or 'nothing'}, connecting to {calls or 'none: others connect to it'}"
+                text = f"{self.name}: no sign of {', '.join(sorted(missing))} within {timeout_s:g} s; {ends}"
+                raise BusError(text) from None
             if isinstance(item, Interrupted):
                 return item
+            key = self._keys.end(str(item.key_expr)) if isinstance(item, zenoh.Sample) else ""
             if isinstance(item, zenoh.Query):
                 request = self._request(item)
                 early += [(at_ns, request)] if request is not None else []
-            elif isinstance(item, zenoh.Sample) and str(item.key_expr).startswith(f"{self._keys.prefix}/alive/"):
+            elif isinstance(item, zenoh.Sample) and key.startswith("alive/"):
                 self._note(item, joins=True)
             else:
                 early.append((at_ns, item))
-                if isinstance(item, zenoh.Sample) and f"/ready/{COORDINATOR}/" in str(item.key_expr):
-                    ask_s = 0.0
+                ask_s = 0.0 if key.startswith(f"ready/{COORDINATOR}/") else ask_s
         self._declare_token(self._keys.ready(self.name, self.incarnation))
         for stamped in early:
             self._inbox.put(stamped)
@@ -179,8 +178,7 @@ class Bus:
                 spoken = f"{token.name} speaks version {token.version} of the protocol, {self.name} version {VERSION}"
                 raise BusError(f"{spoken}: install the same release on all hosts")
             if token.digest != self._digest:
-                digests = f"digest {token.digest}, here {self._digest}"
-                raise BusError(f"{token.name} runs another scenario ({digests}): start all from the same file")
+                raise BusError(f"{token.name} runs another scenario: start all processes from the same file")
         if token.digest != self._digest or token.version != VERSION:
             return None  # a process of another scenario finds out by itself that it does not belong here
         if here:

@@ -80,9 +80,8 @@ def endpoints_of(
     """
     usual = default_mesh(scenario)
     everywhere = [at for endpoints in usual.values() for at in endpoints.listen]
-    found = usual.get(name) or replace(usual[COORDINATOR], listen=[])
-    if name not in usual and everywhere:
-        found = replace(found, connect=everywhere)
+    observer = replace(usual[COORDINATOR], listen=[], connect=everywhere or usual[COORDINATOR].connect)
+    found = usual.get(name, observer)
     if listen is not None or connect is not None:
         listens = found.listen if listen is None else listen
         calls = found.connect if connect is None and listen is None else connect or []

@@ -136,10 +136,9 @@ def exposed(endpoints: Sequence[str]) -> str | None:
     for endpoint in endpoints:
         protocol, _, address = endpoint.partition("/")
         host = address.rpartition(":")[0].strip("[]")
-        try:
+        is_local = host == "localhost"
+        with suppress(ValueError):  # a name
             is_local = ipaddress.ip_address(host).is_loopback
-        except ValueError:
-            is_local = host == "localhost"
         if protocol in ("tcp", "udp", "ws") and not is_local:
             return endpoint
     return None

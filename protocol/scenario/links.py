@@ -113,10 +113,8 @@ class Link:
             per_tick = section.rate_hz * self._period_s  # the messages that the rate leaves room for are evenly spread
             if math.floor(tick * per_tick + _SLACK) == math.floor((tick - 1) * per_tick + _SLACK):
                 return []
-        draw = generator(self._key, tick, negotiation).random(_DRAWS)
-        if draw[_LOSS] < section.loss:
-            return []
-        if self._in_burst(tick) and section.gilbert_elliott and draw[_BURST] < section.gilbert_elliott.loss:
+        draw, bursts = generator(self._key, tick, negotiation).random(_DRAWS), section.gilbert_elliott
+        if draw[_LOSS] < section.loss or (self._in_burst(tick) and bursts and draw[_BURST] < bursts.loss):
             return []
         delays = [self._delay(section, draw[_JITTER : _JITTER + 2])]
         if draw[_REORDER] < section.reorder:
@@ -171,16 +169,16 @@ class LinkChanges:
         self._links, self._samples_s = tuple(links), samples_s
         self._applied = 0
 
-    def check(self, message: LinkChange) -> None:
-        """Check a change. Raises: MessageError: it is invalid, or not the next one."""
+    def check(self, message: LinkChange) -> LinkOverrideSection:
+        """Return a change. Raises: MessageError: it is invalid, or neither the next one nor one that is repeated."""
         if message.number > self._applied + 1:
             raise MessageError("future", f"change {message.number} of the links after {self._applied}")
-        link_change(message.source, message.target, message.settings, self._samples_s)
+        return link_change(message.source, message.target, message.settings, self._samples_s)
 
     def apply(self, message: LinkChange) -> None:
         """Apply a change, unless it was repeated for a process that has just joined."""
         if message.number == self._applied + 1:
-            change = link_change(message.source, message.target, message.settings, self._samples_s)
+            change = self.check(message)
             self._applied += 1
             for link in self._links:
                 link.change(message.tick, change)
