@@ -112,7 +112,8 @@ def told(what: str) -> Iterator[None]:
     except (OwnClassError, KeyboardInterrupt):
         raise
     except BaseException as error:
-        text = " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST_TEXT]
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        text = text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]}..."
         line = "".join(c if c.isprintable() else "?" for c in text)  # a message can hold it
         raise OwnClassError(f"{what} raised {line}{_place(error)}") from error
 
