@@ -85,6 +85,7 @@ class Bus:
         self.name, self.incarnation, self._digest = name, incarnation, digest
         self._keys, self._endpoints = Keys(run), endpoints
         self._gather_s, self._serves = gather_s, serves
+        self._left: set[str] = set()  # processes that were up, and are not any more
         self._accepted: Iterator[Message | Sample] = iter(())  # in the bytes that arrived last
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
@@ -142,7 +143,7 @@ class Bus:
                     continue
                 listens, calls = (", ".join(at) for at in (self._endpoints.listen, self._endpoints.connect))
                 ends = f"listening on {listens or 'nothing'}, connecting to {calls or 'none: others connect to it'}"
-                text = f"{self.name}: no sign of {', '.join(sorted(missing))} within {timeout_s:g} s; {ends}"
+                text = f"{self.name}: no sign of {', '.join(sorted(missing - self._left or missing))} within {timeout_s:g} s; {ends}"
                 raise BusError(text) from None
             if isinstance(item, Interrupted):
                 return item
@@ -183,10 +184,12 @@ class Bus:
             return None  # a process of another scenario finds out by itself that it does not belong here
         if here:
             self.alive[token.name] = token.incarnation
+            self._left.discard(token.name)
             self.gate.announce(token.name, token.incarnation)
             return None
         if self.alive.get(token.name) == token.incarnation:
             del self.alive[token.name]
+            self._left.add(token.name)
         return Presence(token.name, token.incarnation, alive=False)
 
     def _taking_part(self, expected: Collection[str]) -> set[str] | None:
