@@ -143,8 +143,8 @@ class Bus:
                     continue
                 listens, calls = (", ".join(at) for at in (self._endpoints.listen, self._endpoints.connect))
                 ends = f"listening on {listens or 'nothing'}, connecting to {calls or 'none: others connect to it'}"
-                text = f"{self.name}: no sign of {', '.join(sorted(missing - self._left or missing))} within {timeout_s:g} s; {ends}"
-                raise BusError(text) from None
+                absent = ", ".join(sorted(missing - self._left or missing))
+                raise BusError(f"{self.name}: no sign of {absent} within {timeout_s:g} s; {ends}") from None
             if isinstance(item, Interrupted):
                 return item
             key = self._keys.end(str(item.key_expr)) if isinstance(item, zenoh.Sample) else ""
