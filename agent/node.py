@@ -19,8 +19,8 @@ from protocol.admission.membership import Membership
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import check_target, headed
-from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Control, Event, LinkChange, Measurement, Plan, Presence, Roster, Target
+from protocol.wire.errors import MessageError
+from protocol.wire.messages import Control, Event, LinkChange, Measurement, Message, Plan, Presence, Roster, Target
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 from protocol.wire.node import Outbox, lost
 

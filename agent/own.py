@@ -22,8 +22,7 @@ from model.state import StateView, input_indices
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.own_class import OwnClassError, made, own_class, real_array, told, version_of
 from protocol.scenario.setup import Setup
-from protocol.wire.message import MAX_NAME, MAX_NAMES
-from protocol.wire.messages import STAGES, Measurement, Message, Note, Plan, PlanStatus
+from protocol.wire.messages import MAX_NAME, MAX_NAMES, STAGES, Measurement, Message, Note, Plan, PlanStatus
 from protocol.wire.node import Outbox
 
 PROJECT = "mpc"  # the controller of the project

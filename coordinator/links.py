@@ -5,12 +5,12 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
-from protocol.scenario.links import LinkError, link_change
+from protocol.scenario.errors import RequestError
+from protocol.scenario.links import link_change
 from protocol.scenario.schema import TargetSection
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import MOST, TargetError, asked, headed, planned, scripted
-from protocol.wire.message import Message
-from protocol.wire.messages import LinkChange, Target, agent_name
+from protocol.scenario.targets import MOST, asked, headed, planned, scripted
+from protocol.wire.messages import LinkChange, Message, Target, agent_name
 from protocol.wire.names import PLANT
 from protocol.wire.node import Outbox
 
@@ -30,15 +30,15 @@ class Changes:
 
         The request has a sender "from", a receiver "to", each omitted for any agent, and the "settings" to change.
 
-        Raises: LinkError: the request is refused.
+        Raises: RequestError: the request is refused.
         """
         source, target = (str(given.get(end, "")) for end in ("from", "to"))
         for end, name in (("from", source), ("to", target)):
             if name and name not in self._names:
-                raise LinkError(f"{end}: expected one of {', '.join(self._names)}, got {name!r}")
+                raise RequestError(f"{end}: expected one of {', '.join(self._names)}, got {name!r}")
         settings = json.dumps(given.get("settings"))
         if not link_change(source, target, settings, self._setup.samples_s).settings():
-            raise LinkError("expected at least one key of a link, got none")
+            raise RequestError("expected at least one key of a link, got none")
         number = len(self._links) + 1
         message = self._out.stamp(LinkChange, tick=tick, number=number, source=source, target=target, settings=settings)
         self._links.append(message)
@@ -47,23 +47,23 @@ class Changes:
     def target(self, given: TargetSection | Mapping[str, Any], tick: int) -> Target:
         """Return the message of a target that holds from a tick on; `given` are the keys of `maneuver.target`.
 
-        Raises: TargetError: it cannot be flown.
+        Raises: RequestError: it cannot be flown.
         """
         section = given if isinstance(given, TargetSection) else asked(given)
         if len(self._targets) == MOST:
-            raise TargetError(f"expected at most {MOST} targets in a run")
+            raise RequestError(f"expected at most {MOST} targets in a run")
         message = self._out.stamp(Target, number=len(self._targets) + 1, **planned(self._setup, section, tick))
         self._setup = headed(self._setup, message)
         self._targets.append(message)
         return message
 
-    def due(self, tick: int) -> list[Target | TargetError]:
+    def due(self, tick: int) -> list[Target | RequestError]:
         """Return the targets of the scenario at a tick, or why they cannot be flown any more."""
-        found: list[Target | TargetError] = []
+        found: list[Target | RequestError] = []
         while self._scripted and self._scripted[0][0] <= tick:
             try:
                 found.append(self.target(self._scripted.popleft()[1], tick))
-            except TargetError as error:
+            except RequestError as error:
                 found.append(error)
         return found
 

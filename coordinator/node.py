@@ -11,12 +11,24 @@ from enum import Enum
 from coordinator.clock import Clock, TeamRoster, names
 from coordinator.links import Changes
 from protocol.admission.plausibility import check_tick
-from protocol.scenario.links import LinkError, words_of
+from protocol.scenario.errors import RequestError
+from protocol.scenario.links import words_of
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import TargetError, target_in_words
+from protocol.scenario.targets import target_in_words
+from protocol.wire.errors import MessageError
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
-from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Control, Event, LinkChange, Plan, PlantState, Presence, Request, Target, Tick
+from protocol.wire.messages import (
+    Control,
+    Event,
+    LinkChange,
+    Message,
+    Plan,
+    PlantState,
+    Presence,
+    Request,
+    Target,
+    Tick,
+)
 from protocol.wire.names import COORDINATOR, PLANT
 from protocol.wire.node import Outbox
 
@@ -195,15 +207,15 @@ class CoordinatorNode:
             return ()
         try:
             if request.what not in ("link", "target"):
-                raise LinkError(f"what: expected status, link or target, got {request.what!r}")
+                raise RequestError(f"what: expected status, link or target, got {request.what!r}")
             if self.state is State.WAITING or self._is_last:
-                raise LinkError("expected a running simulation")
+                raise RequestError("expected a running simulation")
             change: LinkChange | Target
             if request.what == "target":
                 change = self._changes.target(request.given, self.tick + 1)
             else:
                 change = self._changes.link(request.given, self.tick + 1)
-        except (LinkError, TargetError) as error:
+        except RequestError as error:
             request.reply({"error": str(error)})
             return ()
         since_s = change.tick * self._period_ns / 1e9
@@ -214,9 +226,9 @@ class CoordinatorNode:
         request.reply({"tick": change.tick, "t_s": since_s, **reached})
         return self._announced(change)
 
-    def _announced(self, change: LinkChange | Target | TargetError) -> list[Message]:
+    def _announced(self, change: LinkChange | Target | RequestError) -> list[Message]:
         """Return a change with a roster, whose version ticks name: no process opens the next one without knowing it."""
-        if isinstance(change, TargetError):
+        if isinstance(change, RequestError):
             return [self._roster.message(f"target refused: {change}", self.tick)]
         words = words_of(change) if isinstance(change, LinkChange) else target_in_words(change)
         tick = self.tick if isinstance(change, LinkChange) else change.tick

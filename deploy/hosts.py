@@ -16,8 +16,8 @@ from protocol.wire.errors import TransportError
 from protocol.wire.keys import RECORDER, ROUTER
 
 
-class InventoryError(TransportError, ValueError):
-    """An invalid inventory: `file: field: expected ..., got ...`."""
+class DeployError(TransportError, ValueError):
+    """An inventory, keys or folders that cannot be used; the text has file or option, expected and got."""
 
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,40}$")]
@@ -49,12 +49,6 @@ class Inventory(Section):
         """Hosts that run a router, in order."""
         return [host for host in self.host if ROUTER in host.runs]
 
-    def router_of(self, host: Host) -> Host | None:
-        """Return the host whose router a host uses: the one named, its own, or the first; None in a mesh."""
-        if host.router is not None:
-            return next(other for other in self.host if other.name == host.router)
-        return host if host in self.routers else next(iter(self.routers), None)
-
 
 @dataclass(frozen=True, slots=True)
 class Placement:
@@ -66,66 +60,55 @@ class Placement:
 
 
 def read_inventory(path: Path, processes: Sequence[str]) -> Inventory:
-    """Read and check an inventory; each of the processes named has to run on one host.
-
-    Raises: InventoryError: naming file, field, expected and got.
-    """
+    """Read an inventory, with each process on one host. Raises: DeployError: naming file, field, expected and got."""
     try:
         inventory = validated(Inventory, read_tree(path), str(path))
     except ScenarioError as error:
-        raise InventoryError(str(error)) from error
+        raise DeployError(str(error)) from error
     for field, problem in _problems(inventory, processes):
-        raise InventoryError(f"{path}: {field}: {problem}")
+        raise DeployError(f"{path}: {field}: {problem}")
     return inventory
 
 
 def placements(inventory: Inventory, processes: Sequence[str], scheme: str) -> list[Placement]:
     """Return the placement of every process of a run, recorder and routers included; processes in the mesh's order."""
+    base, routers, found = inventory.base_port, inventory.routers, []
 
     def endpoint(address: str, port: int) -> str:
-        return f"{scheme}/[{address}]:{port}" if address.count(":") > 1 else f"{scheme}/{address}:{port}"
+        return f"{scheme}/[{address}]:{port}" if ":" in address else f"{scheme}/{address}:{port}"
 
-    found = []
-    ports = {name: inventory.base_port + place for place, name in enumerate([*processes, RECORDER])}
+    calls = [endpoint(host.address, base) for host in routers]
+    for i, host in enumerate(routers):
+        listen = [endpoint(host.listen or host.address, base)]
+        found.append(Placement(ROUTER, host, Endpoints(listen=listen, connect=calls[:i], mode="router")))
     earlier: list[str] = []  # endpoints of the processes before
-    routers: list[str] = []
-    for at in inventory.routers:
-        listen = [endpoint(at.listen or at.address, inventory.base_port)]
-        found.append(Placement(ROUTER, at, Endpoints(listen=listen, connect=list(routers), mode="router")))
-        routers.append(endpoint(at.address, inventory.base_port))
-    for name in [*processes, RECORDER]:
-        host = next((host for host in inventory.host if name in host.runs), None)
-        if host is None:
-            continue  # the recorder is optional
-        router = inventory.router_of(host)
-        if router is not None:
-            connect = [endpoint(router.address, inventory.base_port)]
-            found.append(Placement(name, host, Endpoints(listen=[], connect=connect, mode="client")))
-            continue
-        listen = [] if name == RECORDER else [endpoint(host.listen or host.address, ports[name])]
-        found.append(Placement(name, host, Endpoints(listen=listen, connect=list(earlier))))
-        earlier.append(endpoint(host.address, ports[name]))
+    for port, name in enumerate([*processes, RECORDER], start=base):
+        for host in (host for host in inventory.host if name in host.runs):
+            if routers:  # its client: of the one named, its own, or the first
+                at = next((r for r in routers if r.name == (host.router or host.name)), routers[0])
+                ends = Endpoints(listen=[], connect=[endpoint(at.address, base)], mode="client")
+            else:
+                listen = [] if name == RECORDER else [endpoint(host.listen or host.address, port)]
+                ends = Endpoints(listen=listen, connect=list(earlier))
+            found.append(Placement(name, host, ends))
+            earlier.append(endpoint(host.address, port))
     return found
 
 
 def _problems(inventory: Inventory, processes: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield field, and expected and got, of hosts and processes that do not fit."""
-    known, names = [*processes, RECORDER, ROUTER], Counter(host.name for host in inventory.host)
+    known, names = [*processes, RECORDER, ROUTER], [host.name for host in inventory.host]
     runs = Counter(process for host in inventory.host for process in host.runs)
     routers = [host.name for host in inventory.routers]
     for i, host in enumerate(inventory.host, start=1):
-        if names[host.name] > 1:
+        if host.name in names[: i - 1]:
             yield f"host.{i}.name", f"expected each host once, got {host.name!r} again"
-        for process in host.runs:
-            if process not in known:
-                yield f"host.{i}.runs", f"expected one of {', '.join(known)}, got {process!r}"
-            if runs[process] > 1 and process != ROUTER:
-                yield f"host.{i}.runs", f"expected each process on one host, got {process} on {runs[process]}"
-        for process in set(host.cpus) - set(host.runs):
-            yield f"host.{i}.cpus", f"expected one of {', '.join(host.runs)}, got {process!r}"
         if host.router is not None and host.router not in routers:
-            expected = f"expected a host that runs a router ({', '.join(routers) or 'none does'})"
-            yield f"host.{i}.router", f"{expected}, got {host.router!r}"
-    for process in processes:
-        if not runs[process]:
-            yield "host", f"expected a host that runs {process}, got none"
+            yield f"host.{i}.router", f"expected a host that runs a router, one of {routers}, got {host.router!r}"
+        for key, some, allowed in (("runs", host.runs, known), ("cpus", host.cpus, host.runs)):
+            for process in some:
+                if process not in allowed:
+                    yield f"host.{i}.{key}", f"expected one of {', '.join(allowed)}, got {process!r}"
+    for process in [*processes, RECORDER]:
+        if runs[process] > 1 or (runs[process] == 0 and process != RECORDER):
+            yield "host", f"expected one host that runs {process}, got {runs[process]}"

@@ -1,7 +1,4 @@
-"""Keys of a deployment: an authority and a certificate for each name.
-
-The folder holds all keys and is not copied to hosts; `transport deploy render` gives each host its own part.
-"""
+"""Keys of a deployment: an authority and a certificate for each name. Hosts get their own part by `deploy.render`."""
 
 import ipaddress
 import os
@@ -16,34 +13,24 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from deploy.hosts import DeployError
 from protocol.network.security import AUTHORITY
-from protocol.wire.errors import TransportError
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER
 
 # The authority's own key, needed to sign further certificates; no host has it.
 AUTHORITY_KEY = "ca.key"
-
 # Names with keys besides the processes of a run.
 OTHERS = (RECORDER, WATCHER, OPERATOR, ROUTER)
-
 # Addresses of a certificate by default.
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
-
 # Clocks of hosts may differ: a certificate is valid from some time before it was made.
 _BEFORE = timedelta(days=2)
 
 
-class KeysError(TransportError, ValueError):
-    """Keys that cannot be made; the text has expected and got."""
-
-
 def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days: int) -> None:
-    """Make an authority, unless there is one, and a certificate for each name that has none.
+    """Make an authority and, for each name and its addresses, a certificate valid for `days`; keep those that exist.
 
-    Keys are ECDSA on P-256, which every TLS library accepts. Existing files are kept. Addresses are those of the
-    process, and host names; new certificates are valid for `days`.
-
-    Raises: KeysError: the folder cannot be written to, or holds half of an authority.
+    Raises: DeployError: the folder cannot be written to, or holds half of an authority.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -58,18 +45,9 @@ def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days
             if not (folder / f"{name}.pem").exists():
                 _issued(folder / f"{name}.pem", name, days, authority, reached)
     except OSError as error:
-        raise KeysError(f"--out: cannot use {error.filename or folder} ({error.strerror})") from error
+        raise DeployError(f"--out: cannot use {error.filename or folder} ({error.strerror})") from error
     except ValueError as error:
-        raise KeysError(f"--out: expected an authority in {folder}, got {error}") from error
-
-
-def files_of(folder: Path, name: str) -> list[Path]:
-    """Return the files of a folder of keys that the host of a name needs. Raises: KeysError: a file is missing."""
-    wanted = [folder / AUTHORITY, folder / f"{name}.pem", folder / f"{name}.key"]
-    for file in wanted:
-        if not file.is_file():
-            raise KeysError(f"--keys: expected the file {file}, got none (transport deploy keys)")
-    return wanted
+        raise DeployError(f"--out: expected an authority in {folder}, got {error}") from error
 
 
 def _issued(
@@ -91,7 +69,6 @@ def _issued(
         .not_valid_before(now - _BEFORE)
         .not_valid_after(now + timedelta(days=days))
         .add_extension(x509.BasicConstraints(ca=issuer is None, path_length=None if issuer else 0), critical=True)
-        .add_extension(_key_usage(signs=issuer is None), critical=True)
     )
     if issuer:
         names = x509.SubjectAlternativeName([_general_name(address) for address in dict.fromkeys(addresses)])
@@ -104,20 +81,6 @@ def _issued(
         stream.write(key.private_bytes(serialization.Encoding.PEM, form, unencrypted))
     file.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
     return certificate, key
-
-
-def _key_usage(*, signs: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=not signs,
-        key_cert_sign=signs,
-        crl_sign=signs,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        encipher_only=False,
-        decipher_only=False,
-    )
 
 
 def _general_name(address: str) -> x509.GeneralName:

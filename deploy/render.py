@@ -12,16 +12,14 @@ from typing import Any
 
 import tomli_w
 
-from deploy.hosts import Inventory, Placement, placements
-from deploy.keys import files_of
+from deploy.hosts import DeployError, Inventory, Placement, placements
 from protocol.network.endpoints import process_names
 from protocol.network.parent import ENVIRONMENT
 from protocol.network.process import PATIENCE_S
-from protocol.network.security import Security
+from protocol.network.security import AUTHORITY, Security
 from protocol.network.session import configuration
 from protocol.scenario.files import write_delays
 from protocol.scenario.setup import Setup
-from protocol.wire.errors import TransportError
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER, Keys
 from protocol.wire.names import COORDINATOR
 
@@ -34,48 +32,44 @@ _RESTARTED = ("agent", ROUTER)
 _TEMPLATES = importlib.resources.files("deploy") / "templates"
 
 
-class RenderError(TransportError, ValueError):
-    """A deployment that cannot be written; the text has expected and got."""
-
-
 def render(setup: Setup, inventory: Inventory, keys: Path | None, out: Path, *, in_place: bool = False) -> list[Path]:
-    """Write the folders of all hosts into a new folder, and return them.
+    """Write the folders of all hosts, with the keys of their processes, into a new folder, and return them.
 
-    Each host gets the keys of its processes; only an `insecure` inventory has none. With `in_place` the folders are
-    used where they are, not as /etc/transport.
+    With `in_place` they are used where they are, not as /etc/transport.
 
-    Raises: RenderError: the folder exists, or hosts without keys would accept any connection.
-        KeysError: a key is missing.
+    Raises: DeployError: the folder exists, a key is missing, or hosts without keys would accept any connection.
     """
     if keys is None and not inventory.insecure:
-        raise RenderError("--keys: expected a folder of keys, or insecure = true in the inventory, got neither")
+        raise DeployError("--keys: expected a folder of keys, or insecure = true in the inventory, got neither")
     if out.exists():
-        raise RenderError(f"--out: expected a folder that does not exist yet, got {out}")
-    placed = placements(inventory, process_names(setup.scenario), "tcp" if keys is None else "tls")
-    names, wanted = (*process_names(setup.scenario), RECORDER), dict[str, list[Path]]()
+        raise DeployError(f"--out: expected a folder that does not exist yet, got {out}")
+    names = process_names(setup.scenario)
+    placed = placements(inventory, names, "tcp" if keys is None else "tls")
+    files: dict[str, list[Path]] = {host.name: [] for host in inventory.host}
     if keys is not None:
-        security = Security(keys.resolve(), names)
+        security = Security(keys.resolve(), (*names, RECORDER))
         placed = [replace(entry, endpoints=replace(entry.endpoints, security=security)) for entry in placed]
         for host in inventory.host:
             # Beside the coordinator are operator and watcher.
             holders = [*host.runs, *([OPERATOR, WATCHER] if COORDINATOR in host.runs else [])]
-            wanted[host.name] = [file for name in holders for file in files_of(keys, name)]
+            ends = [AUTHORITY, *(f"{name}.{end}" for name in holders for end in ("pem", "key"))]
+            files[host.name] = [keys / end for end in ends]
+        for file in (file for wanted in files.values() for file in wanted):
+            if not file.is_file():
+                raise DeployError(f"--keys: expected the file {file}, got none (transport deploy keys)")
     for host in inventory.host:
         folder = out / host.name
         etc, own = folder.resolve() if in_place else ETC, [entry for entry in placed if entry.host == host]
         _host(setup, inventory, own, folder, etc)
         if keys is not None:
             (folder / "keys").mkdir(mode=0o700)
-            for file in wanted[host.name]:
-                shutil.copy(file, folder / "keys" / file.name)
+        for file in files[host.name]:
+            shutil.copy(file, folder / "keys" / file.name)
     return [out / host.name for host in inventory.host]
 
 
 def unit(placement: Placement, inventory: Inventory, after: Sequence[str], etc: Path = ETC) -> str:
-    """Return the systemd unit of a process, started after some of its host and stopped before them.
-
-    `etc` is the folder of its scenario.
-    """
+    """Return the systemd unit of a process, started after some of its host and stopped before them."""
     host, name = placement.host, placement.process
     scheduling = [f"CPUAffinity={' '.join(map(str, host.cpus[name]))}"] if name in host.cpus else []
     if host.priority:
@@ -100,11 +94,9 @@ def command(placement: Placement, inventory: Inventory, program: Path = PROGRAM,
     line = [str(program), *role, "--scenario", str(etc / "scenario.toml")]
     # The size of the run is checked when its folders are rendered.
     line += [] if name == ROUTER else ["--allow-large", "--run", inventory.run]
-    for option, endpoints in (("--listen", placement.endpoints.listen), ("--connect", placement.endpoints.connect)):
-        if option == "--connect" and placement.endpoints.mode == "client":
-            continue  # the host's scenario names the router
-        for endpoint in endpoints:
-            line += [option, endpoint]
+    line += [part for endpoint in placement.endpoints.listen for part in ("--listen", endpoint)]
+    if placement.endpoints.mode != "client":  # otherwise the host's scenario names the router
+        line += [part for endpoint in placement.endpoints.connect for part in ("--connect", endpoint)]
     if name == COORDINATOR and any(RECORDER in host.runs for host in inventory.host):
         line += ["--observer", RECORDER]
     return line
@@ -118,9 +110,8 @@ def _host(setup: Setup, inventory: Inventory, own: Sequence[Placement], folder: 
     network: dict[str, Any] = {"host": host.listen or host.address, "base_port": inventory.base_port}
     network |= {"router": router} if router else {}
     network |= {"keys": str(etc / "keys")} if security else {"insecure": True}
-    (folder / "scenario.toml").write_text(
-        tomli_w.dumps({**setup.scenario.tree(), "network": network}), encoding="utf-8"
-    )
+    text = tomli_w.dumps({**setup.scenario.tree(), "network": network})
+    (folder / "scenario.toml").write_text(text, encoding="utf-8")
     write_delays(setup.samples_s, folder)
     (folder / "zenoh").mkdir(mode=0o700)
     for placement in own:

@@ -36,7 +36,6 @@ class Key:
     short: str = ""  # name as a keyword argument in Python, if it has one
     type: str = ""  # type and range in words, where a check in code decides
     option: str = ""  # of a key of a link: option of `transport link set`
-    words: str = ""  # of a key of a link: a change in words, with a place for the value, in percent before "%"
 
 
 class Section(BaseModel):

@@ -25,13 +25,13 @@ from protocol.scenario.faults import degradations, uav_faults
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import check_target, headed
-from protocol.wire.message import Message
 from protocol.wire.messages import (
     ActualInputs,
     Control,
     Event,
     LinkChange,
     Measurement,
+    Message,
     Plan,
     PlantState,
     Presence,

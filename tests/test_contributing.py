@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.wire.message import Message
-from protocol.wire.messages import KINDS
+from protocol.wire.messages import KINDS, Message
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "contributing.md"

@@ -15,7 +15,7 @@ from typer.core import TyperGroup
 
 from protocol.scenario.file import find_scenario, read_scenario, validate
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Reason
+from protocol.wire.errors import Reason
 from tests.support.command_tree import Command, below, command_of, every_command, root
 from tests.support.runs import PAPER
 

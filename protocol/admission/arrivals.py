@@ -1,14 +1,13 @@
 """Messages on their way to one receiver, delayed or lost by the links.
 
-In lockstep links work in scenario time: the messages that a tick may use depend on the scenario alone. In real time a
-message is held back until its delay is over on this process's clock.
+In lockstep what a tick may use depends on the scenario alone; in real time a message is held back by the clock.
 """
 
 from collections.abc import Mapping
 from typing import Generic, TypeVar
 
 from protocol.scenario.links import Link
-from protocol.wire.message import Message
+from protocol.wire.messages import Message
 
 M = TypeVar("M", bound=Message)
 
@@ -16,8 +15,7 @@ M = TypeVar("M", bound=Message)
 class Arrivals(Generic[M]):
     """Messages of one kind to one receiver, over the link from each sender, by process name.
 
-    Over a perfect link in lockstep a message is used `after` so many ticks. `speed` is in scenario seconds per second
-    in real time, None in lockstep.
+    Over a perfect link in lockstep one is used `after` so many ticks; `speed`: scenario s per s, None in lockstep.
     """
 
     def __init__(self, links: Mapping[str, Link], *, after: int, speed: float | None) -> None:

@@ -1,21 +1,70 @@
 """The gate of a process: all checks of a received message, once, for the network and for readers of a log.
 
-In this order: size and form (`protocol.wire.codec`), sender, incarnation, order, plausibility, and for a node whether
-it can use the message. A refused message is counted and changes nothing. docs/protocol.md lists the reasons,
-SECURITY.md the threats that the checks are for.
+A refused message is counted and changes nothing. docs/protocol.md lists order and reasons of the checks.
 """
 
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 from protocol.admission.plausibility import check_plausible
 from protocol.wire.codec import CLASSES, Header, decode, header_of
+from protocol.wire.errors import MessageError, Reason
 from protocol.wire.keys import Keys, matches
-from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Bundle, LinkChange, Plan, Rejected, Target
+from protocol.wire.messages import MAX_KEY, MAX_TEXT, Bundle, LinkChange, Message, Plan, Rejected, Target
 from protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, agent_name
-from protocol.wire.rejections import Rejections
-from protocol.wire.run_shape import RunShape
+from protocol.wire.node import RunShape
+
+# Between two batches of `Rejected` messages.
+_EVERY_NS = 1_000_000_000
+
+
+@dataclass(slots=True)
+class Rejection:
+    """Messages of one sender refused for one reason."""
+
+    sender: str  # according to the messages, or the end of their key where that cannot be read
+    reason: Reason
+    example: str  # error of the first of them
+    count: int = 0
+    reported: int = 0  # in `Rejected` messages
+
+
+class Rejections:
+    """Counts of one process, which iteration yields in the order they began; `total` is their sum."""
+
+    def __init__(self, name: str) -> None:
+        self.total = 0
+        self._name = name
+        self._entries: dict[tuple[str, Reason], Rejection] = {}
+        self._sent = 0  # `Rejected` messages
+        self._next_ns = 0
+
+    def __iter__(self) -> Iterator[Rejection]:
+        return iter(self._entries.values())
+
+    def add(self, sender: str, error: MessageError) -> None:
+        """Count a message of a sender, or under a key."""
+        new = Rejection(sender[:MAX_KEY], error.reason, str(error)[:MAX_TEXT])
+        self._entries.setdefault((new.sender, new.reason), new).count += 1
+        self.total += 1
+
+    def notices(self, incarnation: int, tick: int, now_ns: int | None = None) -> list[Rejected]:
+        """Return the messages to send: at most one batch a second of a monotonic clock, without a time all."""
+        news = [entry for entry in self if entry.count > entry.reported]
+        if not news or (now_ns is not None and now_ns < self._next_ns):
+            return []
+        self._next_ns = (now_ns or 0) + _EVERY_NS
+        messages = []
+        for entry in news:
+            told: dict[str, Any] = {"offender": entry.sender, "reason": entry.reason, "example": entry.example}
+            told |= {"sender": self._name, "incarnation": incarnation, "sequence": self._sent, "tick": tick}
+            messages.append(Rejected(count=entry.count - entry.reported, **told))
+            entry.reported = entry.count
+            self._sent += 1
+        return messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,17 +79,8 @@ class Sample:
 class Gate:
     """Checks of the messages that one process receives.
 
-    Args:
-        name: The process.
-        keys: Keys of the run.
-        shape: The run; None where it is not known: agents and plausibility are not checked then.
-        check_moment: Refuses messages that the node cannot use; None for processes that only observe.
-        unread: Kinds that are handed over as samples.
-
-    Attributes:
-        rejections: Counts of refused messages.
-        bundle: Bundle that the last accepted message came in, or None.
-        tick: Newest tick of an accepted message.
+    Without a shape (the run is not known) agents and plausibility are not checked. `check_moment` refuses messages that
+    the node cannot use, None for observers; `unread` are kinds that are handed over as samples.
     """
 
     def __init__(
@@ -52,15 +92,15 @@ class Gate:
         unread: Collection[str] = (),
     ) -> None:
         self.rejections = Rejections(name)
-        self.bundle: Bundle | None = None
-        self.tick = 0
+        self.bundle: Bundle | None = None  # that the last accepted message came in
+        self.tick = 0  # newest of an accepted message
         self._name, self._keys, self._shape, self._check_moment = name, keys, shape, check_moment
         self._relayed = shape is not None and shape.relayed
         agents = range(1, MAX_UAVS + 1) if shape is None else shape.owned
         self._senders = {COORDINATOR, PLANT, RECORDER, *map(agent_name, agents)}
         self._subscribed = [keys.end(key) for key in keys.subscriptions(name)]
         self._own = {keys.end(key) for key in keys.publications(name)}
-        self._is_for_me: dict[str, bool] = {}  # by end of key
+        self._is_mine = cache(self._receives)
         self._owners = {
             (f"{keys.prefix}/{key}{end}", kind): agent_name(agent) if route.sender == AGENT else str(route.sender)
             for kind, route in ((kind, CLASSES[kind].route) for kind in unread)
@@ -73,18 +113,17 @@ class Gate:
         self._newest: dict[tuple[str, object, int, bool], tuple[tuple[int, int], int]] = {}
 
     def accept(self, key: str, data: bytes) -> Iterator[Message | Sample]:
-        """Yield the messages in some bytes that pass all checks: none, one, or those of a bundle.
-
-        Each must be handled before the next is asked for: what may come then depends on it.
-        """
-        sample = self._sample(key, data) if self._owners else None
-        if sample is not None:
-            yield sample
-            return
+        """Yield the messages in some bytes that pass all checks, each to be handled before the next is asked for."""
+        with suppress(MessageError):
+            header = header_of(data) if self._owners else None
+            if header and self._owners.get((key, header.kind)) == header.sender:
+                yield Sample(key, data, header)
+                return
         message = self._checked(key, data)
+        if message is None:
+            return
         if not isinstance(message, Bundle):
-            if message is not None:
-                yield message
+            yield message
             return
         self.bundle = message
         for end, part in zip(message.keys, message.parts, strict=True):
@@ -105,21 +144,9 @@ class Gate:
         """Count a refused message."""
         self.rejections.add(error.sender or sender, error)
 
-    def notices(self, now_ns: int, incarnation: int) -> list[Rejected]:
-        """Return the notices about refused messages that are to be published now."""
-        return self.rejections.due(now_ns, incarnation, self.tick)
-
-    def last_notices(self, incarnation: int) -> list[Rejected]:
-        """Return the notices that were not published yet; for the end of the process."""
-        return self.rejections.rest(incarnation, self.tick)
-
-    def _sample(self, key: str, data: bytes) -> Sample | None:
-        """Return a message as a sample; None if all of it must be read."""
-        try:
-            header = header_of(data)
-        except MessageError:
-            return None
-        return Sample(key, data, header) if self._owners.get((key, header.kind)) == header.sender else None
+    def notices(self, incarnation: int, now_ns: int | None = None) -> list[Rejected]:
+        """Return the notices about refused messages that are to be published now; without a time all, for the end."""
+        return self.rejections.notices(incarnation, self.tick, now_ns)
 
     def _checked(self, key: str, data: bytes) -> Message | None:
         """Return the message in some bytes if it passes all checks, and remember its place."""
@@ -157,8 +184,7 @@ class Gate:
             raise MessageError("unknown_agent", f"{message.kind} of {message.sender}")
         if self._relayed and self.bundle is None and isinstance(message, Plan) and message.negotiation == 0:
             # The coordinator would count it, but could not relay it.
-            text = f"plan of {message.sender} alone, expected it in an answer"
-            raise MessageError("wrong_sender", text)
+            raise MessageError("wrong_sender", f"plan of {message.sender} alone, expected it in an answer")
 
     def _check_incarnation(self, message: Message) -> None:
         announced = self._incarnations.get(message.sender, message.incarnation)
@@ -167,9 +193,6 @@ class Gate:
             text = f"{message.kind} of incarnation {message.incarnation}, expected {announced}"
             raise MessageError("wrong_incarnation", text)
 
-    def _is_mine(self, end: str) -> bool:
+    def _receives(self, end: str) -> bool:
         """Return whether this process subscribes to a key, and another one publishes under it."""
-        if end not in self._is_for_me:
-            subscribed = any(matches(expression, end) for expression in self._subscribed)
-            self._is_for_me[end] = subscribed and end not in self._own
-        return self._is_for_me[end]
+        return end not in self._own and any(matches(expression, end) for expression in self._subscribed)

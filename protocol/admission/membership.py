@@ -1,45 +1,29 @@
 """The agents that take part, as a node knows them from the rosters it has received.
 
-Plans and rosters come over different connections, so a plan may overtake the roster that admits its sender.
-Such a plan is kept until the roster is here; a plan of an earlier incarnation is refused.
+A plan may overtake the roster that admits its sender, over another connection: it is kept until that is here.
 """
 
 from collections import deque
+from typing import Any
 
-from protocol.wire.message import MessageError
+from protocol.wire.errors import MessageError
 from protocol.wire.messages import Plan, Roster
 from protocol.wire.names import COORDINATOR
 
 # Plans kept for a roster to come: a few ticks of a large team.
 _KEPT = 1024
-_NONE = Roster(
-    sender=COORDINATOR,
-    incarnation=0,
-    sequence=0,
-    tick=0,
-    version=0,
-    agents=(),
-    incarnations=(),
-    off=(),
-    released=(),
-    reason="",
-)
+_EMPTY: dict[str, Any] = {"agents": (), "incarnations": (), "off": (), "released": (), "reason": ""}
+_NONE = Roster(sender=COORDINATOR, incarnation=0, sequence=0, tick=0, version=0, **_EMPTY)
 
 
 class Membership:
-    """The newest roster and the plans that are ahead of it; those of an agent, `own`, also while it is off the roster.
-
-    Attributes:
-        version: Version of the newest roster, 0 before the first.
-        incarnations: Incarnation of each agent on it.
-        since: Tick from which each agent is on the roster in its present incarnation.
-        failed_since: Tick of the newest failure of a UAV, 0 before the first.
-    """
+    """The newest roster and the plans that are ahead of it; of an agent, `own`, also while it is off the roster."""
 
     def __init__(self, own: int | None = None) -> None:
-        self.version = self.failed_since = 0
-        self.since: dict[int, int] = {}
-        self.incarnations: dict[int, int] = {}
+        self.version = 0  # of the newest roster
+        self.failed_since = 0  # tick of the newest failure of a UAV
+        self.since: dict[int, int] = {}  # tick from which each agent is on it in its present incarnation
+        self.incarnations: dict[int, int] = {}  # of the agents on it
         self._own = own
         self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
         self._early: deque[Plan] = deque(maxlen=_KEPT)
@@ -47,10 +31,7 @@ class Membership:
         self._rosters = [_NONE]  # ascending, from the one in force on
 
     def took_part(self, tick: int) -> set[int]:
-        """Return the agents whose plans of a tick are here or still to come.
-
-        Plans of an agent that has left since may be on their way: the tick names the plans that come.
-        """
+        """Return the agents whose plans of a tick are here or, also of those that have left since, still to come."""
         present = {agent for agent, since in self.since.items() if since <= tick}
         return present | {agent for agent, (_, at) in self._left.items() if tick < at}
 
@@ -68,24 +49,16 @@ class Membership:
         self.version = roster.version
         self._rosters.append(roster)
         before, self.incarnations = self.incarnations, dict(zip(roster.agents, roster.incarnations, strict=True))
-        for agent, incarnation in before.items():
-            if self.incarnations.get(agent) != incarnation:
-                self._left[agent] = incarnation, roster.tick
-        self.since = {
-            agent: self.since[agent] if before.get(agent) == incarnation else roster.tick
-            for agent, incarnation in self.incarnations.items()
-        }
+        stay = dict(before.items() & self.incarnations.items())
+        self._left |= {agent: (before[agent], roster.tick) for agent in before.keys() - stay.keys()}
+        self.since = {agent: self.since[agent] if agent in stay else roster.tick for agent in self.incarnations}
         for agent, incarnation in self.incarnations.items():
             self._newest[agent] = max(incarnation, self._newest.get(agent, incarnation))
-        waiting = list(self._early)
-        self._early.clear()
+        waiting, self._early = list(self._early), deque(maxlen=_KEPT)
         return waiting
 
     def check(self, plan: Plan) -> None:
-        """Refuse a plan that neither this roster nor one to come admits.
-
-        Raises: MessageError: it is of an incarnation that is not on the roster.
-        """
+        """Raise MessageError for a plan that neither this roster nor one to come admits."""
         if not self._counts(plan) and plan.incarnation <= self._newest.get(plan.agent, -1):
             raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
 

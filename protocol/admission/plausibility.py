@@ -6,9 +6,9 @@ import numpy as np
 
 from model import state
 from model.arrays import Array
-from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import ActualInputs, Measurement, Plan, PlantState, Roster, StepReport, Tick
-from protocol.wire.run_shape import RunShape
+from protocol.wire.errors import MessageError
+from protocol.wire.messages import ActualInputs, Measurement, Message, Plan, PlantState, Roster, StepReport, Tick
+from protocol.wire.node import RunShape
 
 # Deviation of a rod direction's length from 1 that sensor noise can cause.
 _OFF_UNIT = 0.2
@@ -23,10 +23,7 @@ _UAVS: dict[type[Message], tuple[str, ...]] = {Roster: ("off",), ActualInputs: (
 
 
 def check_tick(message: Message, first: int, last: int) -> None:
-    """Refuse a message whose tick is not among those from a first to a last one.
-
-    Raises: MessageError: the message is of the past or the future.
-    """
+    """Raise MessageError for a message whose tick is not among those from a first to a last one."""
     if message.tick < first:
         raise MessageError("past", f"{message.kind} of tick {message.tick}, expected {first} or later")
     if message.tick > last:
@@ -34,18 +31,13 @@ def check_tick(message: Message, first: int, last: int) -> None:
 
 
 def check_plausible(message: Message, run: RunShape) -> None:
-    """Refuse a message that no process of a run can have sent.
-
-    Raises: MessageError: with the reason.
-    """
+    """Raise MessageError for a message that no process of a run can have sent."""
     check_tick(message, 0, run.ticks - 1)
     for field in _AGENTS.get(type(message), ()):
-        strangers = [agent for agent in getattr(message, field) if agent not in run.owned]
-        if strangers:
+        if strangers := [agent for agent in getattr(message, field) if agent not in run.owned]:
             raise MessageError("unknown_agent", f"{field}: expected agents of this run, got {strangers}")
     for field in _UAVS.get(type(message), ()):
-        last = max(getattr(message, field), default=0)
-        if last > run.uavs:
+        if (last := max(getattr(message, field), default=0)) > run.uavs:
             raise MessageError("out_of_range", f"{field}: expected UAVs of this run, 1 to {run.uavs}, got {last}")
     match message:
         case Plan():
@@ -81,10 +73,9 @@ def _check_states(message: Plan | Measurement, run: RunShape, sensed: int, *othe
         raise MessageError("wrong_uavs", text)
     for field in ("uav_states", *others):
         values: Array = getattr(message, field)
-        if np.vdot(values, values) >= state.LARGEST**2:  # one pass; the usual case is below
-            largest = float(np.abs(values).max())
-            if largest > state.LARGEST:
-                raise MessageError("out_of_range", f"{field}: expected at most {state.LARGEST:g}, got {largest:g}")
+        # The first test takes one pass; the usual case is below.
+        if np.vdot(values, values) >= state.LARGEST**2 and (largest := np.abs(values).max()) > state.LARGEST:
+            raise MessageError("out_of_range", f"{field}: expected at most {state.LARGEST:g}, got {largest:g}")
     blocks, expected = message.uav_states, sensed if run.vehicle_sensors else state.PER_UAV
     if blocks.shape[1] != expected:
         raise MessageError("wrong_shape", f"uav_states: expected {expected} numbers of a UAV, got {blocks.shape[1]}")

@@ -1,7 +1,6 @@
-"""The Zenoh bus: one session per process, one inbox, liveliness in and out.
+"""The Zenoh bus: one session per process, liveliness in and out, and one queue of all that arrives.
 
-All arrivals (messages, tokens, requests, signals) pass through one queue in their order and are handled by the thread
-that calls `next`; Zenoh's threads only put them in.
+The thread that calls `next` handles it; Zenoh's threads only put it in.
 """
 
 import json
@@ -9,26 +8,24 @@ import math
 import queue
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+import psutil
 import zenoh
 
 from protocol.admission.gate import Gate, Sample
 from protocol.network.endpoints import Endpoints
-from protocol.network.health import clock_offset, usage
 from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION, encode
+from protocol.wire.errors import MessageError
 from protocol.wire.keys import RECORDER, WATCHER, Keys
-from protocol.wire.messages import Event, Message, MessageError, Presence, Request
+from protocol.wire.messages import Event, Message, Presence, Request
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-# How often a process that joins a run that has begun asks for the processes that still take part.
-ASK_EVERY_S = 0.5
-# Interval between two signs of life of a process that waits for others, s.
-WAITING_S = 5.0
-
-
+# How often a process that joins asks for those that still take part in a run that has begun, and says that it waits, s.
+ASK_EVERY_S, WAITING_S = 0.5, 5.0
 # How long a process waits at the end of the run for those that leave before it: a busy host may take seconds to read.
 LINGER_S = 10.0
 
@@ -48,18 +45,23 @@ class Left:
 
 
 BusEvent = Event | Sample | Interrupted | Left
-
-
 _Item = zenoh.Sample | zenoh.Query | Interrupted | Request
 
 
+def usage(process: int | None = None) -> dict[str, float | int | None]:
+    """Return memory (bytes), threads, open files and processor time (s) of a process, by default this one, or None."""
+    found: tuple[float | int | None, ...] = (None,) * 4
+    with suppress(psutil.Error):
+        of = psutil.Process(process)
+        found = of.memory_info().rss, of.num_threads(), of.num_fds(), sum(of.cpu_times()[:2])
+    return dict(zip(("memory_bytes", "threads", "open_files", "cpu_s"), found, strict=True))
+
+
 class Bus:
-    """Connection of one process to the network of one run.
+    """Connection of one process to one run; processes with different digests of the scenario refuse each other.
 
-    Processes with different digests of the scenario refuse each other. Sending waits for a peer that does not read for
-    `patience_s` before the link to it is closed; a client looks for its router for `reach_s`.
-
-    Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
+    Sending waits `patience_s` for a peer that does not read, then closes the link; a client looks for its router for
+    `reach_s`. Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
 
     def __init__(
@@ -71,7 +73,6 @@ class Bus:
         digest: str,
         endpoints: Endpoints,
         gate: Gate,
-        relayed: bool | None = None,  # whether plans, reports and measurements come in bundles, if that is known
         serves: bool = False,  # whether its node answers requests; every process answers for its health
         patience_s: float = 1.0,
         gather_s: float = 0.0,  # how long an arrival may wait for more: one wake-up for many messages costs less
@@ -79,7 +80,6 @@ class Bus:
     ) -> None:
         self.arrived_ns = 0  # wall-clock time of arrival of the last event that `next` returned, ns since 1970
         self.before_wait: Callable[[], None] = lambda: None  # called when no message of a bundle is left to be read
-        self.offset: tuple[float, float] | None = None  # lead of the coordinator's wall clock, and its uncertainty, s
         self.alive: dict[str, int] = {}  # incarnations of the processes that are up, by name
         self.gate = gate  # has the bundle that the last event came in
         self.name, self.incarnation, self._digest = name, incarnation, digest
@@ -96,7 +96,7 @@ class Bus:
         # callback runs on the thread that receives, which must be brief, but saves a second thread.
         arrived: zenoh.handlers.Callback[zenoh.Sample] = zenoh.handlers.Callback(self._put, indirect=False)
         self._declared: list[Any] = [
-            self._session.declare_subscriber(key, arrived) for key in self._keys.subscriptions(name, relayed=relayed)
+            self._session.declare_subscriber(key, arrived) for key in self._keys.subscriptions(name)
         ]
         if name != WATCHER:  # a watcher has no token, so it is not asked either
             self._declared.append(self._session.declare_queryable(self._keys.request(name, "*"), self._put))
@@ -114,12 +114,10 @@ class Bus:
     def join(
         self, expected: Collection[str], timeout_s: float, on_wait: Callable[[str], object] = lambda _: None
     ) -> Interrupted | None:
-        """Announce this process and wait until all expected processes are up.
+        """Announce this process and wait until all expected ones are up, or for an interruption, which is returned.
 
         Every `WAITING_S` seconds `on_wait` is called with a sentence about the missing ones.
-
-        Returns: None when all are up, or the interruption that came first.
-        Raises: BusError: a process did not appear, runs another scenario, or has this name already.
+        Raises: BusError: a process did not appear, runs another scenario or protocol, or has this name already.
         """
         self._declare_token(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
         deadline, sign_s = time.monotonic() + timeout_s, time.monotonic() + WAITING_S
@@ -137,46 +135,34 @@ class Bus:
                 break
             if now_s >= sign_s:
                 sign_s += WAITING_S
-                on_wait(f"waiting for {self._absent(missing)}; gives up in {max(0.0, deadline - now_s):.0f} s")
+                on_wait(f"waiting for {', '.join(sorted(missing))}; gives up in {max(0.0, deadline - now_s):.0f} s")
             try:
                 at_ns, item = self._inbox.get(timeout=max(0.0, min(deadline, sign_s, ask_s) - now_s))
             except queue.Empty:
                 if time.monotonic() < deadline:
                     continue
-                raise BusError(
-                    f"{self.name}: no sign of {self._absent(missing)} within {timeout_s:g} s; "
-                    f"listening on {', '.join(self._endpoints.listen) or 'nothing'}, "
-                    f"connecting to {', '.join(self._endpoints.connect) or 'none: others connect to it'}"
-                ) from None
+                listens, calls = (", ".join(at) for at in (self._endpoints.listen, self._endpoints.connect))
+                ends = f"listening on {listens or 'nothing'}, connecting to {calls or 'none: others connect to it'}"
+                absent = ", ".join(sorted(missing - self._left or missing))
+                raise BusError(f"{self.name}: no sign of {absent} within {timeout_s:g} s; {ends}") from None
             if isinstance(item, Interrupted):
                 return item
+            key = self._keys.end(str(item.key_expr)) if isinstance(item, zenoh.Sample) else ""
             if isinstance(item, zenoh.Query):
-                request = self._request(item, at_ns)
+                request = self._request(item)
                 early += [(at_ns, request)] if request is not None else []
-            elif isinstance(item, zenoh.Sample) and str(item.key_expr).startswith(f"{self._keys.prefix}/alive/"):
+            elif isinstance(item, zenoh.Sample) and key.startswith("alive/"):
                 self._note(item, joins=True)
             else:
                 early.append((at_ns, item))
-                if isinstance(item, zenoh.Sample) and self._keys.is_ready(str(item.key_expr), COORDINATOR):
-                    ask_s = 0.0
-        if self.name != COORDINATOR:
-            self.offset = clock_offset(lambda: self.ask(COORDINATOR, "health", timeout_s=1.0))
+                ask_s = 0.0 if key.startswith(f"ready/{COORDINATOR}/") else ask_s
         self._declare_token(self._keys.ready(self.name, self.incarnation))
         for stamped in early:
             self._inbox.put(stamped)
         return None
 
-    def _absent(self, missing: Collection[str]) -> str:
-        """Return the missing processes; those that have left, which gave up waiting themselves, only if no other is."""
-        return ", ".join(sorted(set(missing) - self._left)) or f"{', '.join(sorted(missing))} (came and left)"
-
     def _note(self, sample: zenoh.Sample, *, joins: bool = False) -> Presence | None:
-        """Take note of a token that has appeared or disappeared; return the event for the node.
-
-        A process takes part from its "ready" token on, not from "alive" on. The gate learns of new incarnations.
-
-        Raises: BusError: while this process joins, another one has its name, or another scenario or protocol version.
-        """
+        """Return the event in a token: a process takes part from "ready" on, is gone with "alive". Raises: `join`."""
         key, here = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
         try:
             token = self._keys.token(key)
@@ -193,8 +179,7 @@ class Bus:
                 spoken = f"{token.name} speaks version {token.version} of the protocol, {self.name} version {VERSION}"
                 raise BusError(f"{spoken}: install the same release on all hosts")
             if token.digest != self._digest:
-                digests = f"digest {token.digest}, here {self._digest}"
-                raise BusError(f"{token.name} runs another scenario ({digests}): start all from the same file")
+                raise BusError(f"{token.name} runs another scenario: start all processes from the same file")
         if token.digest != self._digest or token.version != VERSION:
             return None  # a process of another scenario finds out by itself that it does not belong here
         if here:
@@ -208,10 +193,7 @@ class Bus:
         return Presence(token.name, token.incarnation, alive=False)
 
     def _taking_part(self, expected: Collection[str]) -> set[str] | None:
-        """Return the others that take part in a run that has begun, and its observers; None if it has not.
-
-        Such a run goes on without processes that are gone for good; with its observers the record misses nothing.
-        """
+        """Return the others that take part in a run that has begun, and its observers; None if it has not."""
         status = self.ask(COORDINATOR, "status", timeout_s=1.0)
         if status is None or status.get("tick", -1) < 0:
             return None
@@ -269,9 +251,9 @@ class Bus:
                 return event
 
     def leave(self, after: Collection[str] = ()) -> None:
-        """Say at the end of the run that the last message was sent; wait until the recorder and others have left.
+        """Say that the last message was sent; wait `LINGER_S` at most until the recorder and others have left.
 
-        Closing a session drops what a peer has not read yet. The wait ends after `LINGER_S` or with an interruption.
+        Closing a session drops what a peer has not read yet.
         """
         self.put(self._keys.left(self.name), b"")
         deadline = time.monotonic() + LINGER_S
@@ -295,7 +277,7 @@ class Bus:
     def _declare_token(self, token: str) -> None:
         self._tokens.append(self._session.liveliness().declare_token(token))
 
-    def _request(self, query: zenoh.Query, at_ns: int) -> Request | None:
+    def _request(self, query: zenoh.Query) -> Request | None:
         """Return a request from the network as an event, or None if it is answered here: bad ones, and health."""
         key = str(query.key_expr)
         what = key.removeprefix(self._keys.request(self.name, ""))
@@ -304,27 +286,17 @@ class Bus:
             query.reply(key, json.dumps(answer))
             query.drop()  # type: ignore[no-untyped-call]
 
-        try:
+        given = None
+        with suppress(ValueError, RecursionError, zenoh.ZError):
             given = json.loads(query.payload.to_string()) if query.payload is not None else {}
-            if not isinstance(given, dict) or "/" in what or "*" in what:
-                raise ValueError("expected a JSON object under the key of one request")
-        except (ValueError, RecursionError, zenoh.ZError) as error:
-            self.gate.refuse(self._keys.end(key), MessageError("malformed", f"not a request ({type(error).__name__})"))
+        if not isinstance(given, dict) or "/" in what or "*" in what:
+            self.gate.refuse(self._keys.end(key), MessageError("malformed", "not a request"))
             query.reply_err(json.dumps({"error": "expected a JSON object under the key of one request"}))
             query.drop()  # type: ignore[no-untyped-call]
             return None
         if what == "health":
-            health = {
-                "name": self.name,
-                "incarnation": self.incarnation,
-                "protocol": VERSION,
-                "tick": self.gate.tick,
-                "refused": self.gate.rejections.total,
-                "clock_offset_s": self.offset and self.offset[0],
-                "clock_uncertainty_s": self.offset and self.offset[1],
-                **usage(),
-            }
-            reply({**health, "asked_ns": at_ns, "answered_ns": time.time_ns()})
+            seen = {"protocol": VERSION, "tick": self.gate.tick, "refused": self.gate.rejections.total}
+            reply({"name": self.name, "incarnation": self.incarnation, **seen, **usage()})
         elif self._serves:
             return Request(what, given, reply)
         else:
@@ -338,9 +310,9 @@ class Bus:
         if isinstance(item, Interrupted | Request):  # a request came while this process joined
             return item
         if isinstance(item, zenoh.Query):
-            return self._request(item, self.arrived_ns)
+            return self._request(item)
         key = str(item.key_expr)
-        if self._keys.is_token(key):
+        if self._keys.end(key).startswith(("alive/", "ready/")):
             return self._note(item)
         name = key.removeprefix(self._keys.left(""))
         if name != key:

@@ -26,8 +26,7 @@ class Endpoints:
     def checked(self, name: str, scenario: Scenario) -> "Endpoints":
         """Return these endpoints, if a process with a name can use them.
 
-        Raises: SecurityError: keys that it cannot use, or unencrypted ones where other hosts can connect, unless the
-            scenario says `insecure`.
+        Raises: SecurityError: its keys are unusable, or other hosts could connect without, and not `insecure`.
         """
         if self.security is not None:
             self.security.check(name)
@@ -53,9 +52,7 @@ def security_of(scenario: Scenario) -> Security | None:
 
 
 def mesh(scenario: Scenario, names: Sequence[str], ports: Sequence[int]) -> dict[str, Endpoints]:
-    """Return the endpoints of processes with a port each: clients of the scenario's router, or a mesh on its host.
-
-    In a mesh each process listens on its port and connects to those listed before it.
+    """Return the endpoints of processes with a port each: clients of the router, or each connected to those before it.
 
     Raises: SecurityError: the folder of keys has none.
     """
@@ -69,10 +66,7 @@ def mesh(scenario: Scenario, names: Sequence[str], ports: Sequence[int]) -> dict
 
 
 def default_mesh(scenario: Scenario) -> dict[str, Endpoints]:
-    """Return the endpoints of processes that are started by hand: consecutive ports from the base port.
-
-    Raises: SecurityError: the folder of keys has none.
-    """
+    """Return the endpoints of processes that are started by hand: consecutive ports from the base port."""
     names, base = process_names(scenario), scenario.network.base_port or DEFAULT_BASE_PORT
     return mesh(scenario, names, range(base, base + len(names)))
 
@@ -80,17 +74,14 @@ def default_mesh(scenario: Scenario) -> dict[str, Endpoints]:
 def endpoints_of(
     name: str, scenario: Scenario, listen: Sequence[str] | None = None, connect: Sequence[str] | None = None
 ) -> Endpoints:
-    """Return the endpoints of a process that is started by itself: those of its scenario, or the given ones.
+    """Return the endpoints of a process started by itself: as given, of its scenario, or connected to all.
 
-    A process that the mesh lacks listens nowhere and connects to all.
-
-    Raises: SecurityError: keys that it cannot use, or an endpoint that is open to all.
+    Raises: SecurityError: as `Endpoints.checked`.
     """
     usual = default_mesh(scenario)
     everywhere = [at for endpoints in usual.values() for at in endpoints.listen]
-    found = usual.get(name) or replace(usual[COORDINATOR], listen=[])
-    if name not in usual and everywhere:
-        found = replace(found, connect=everywhere)
+    observer = replace(usual[COORDINATOR], listen=[], connect=everywhere or usual[COORDINATOR].connect)
+    found = usual.get(name, observer)
     if listen is not None or connect is not None:
         listens = found.listen if listen is None else listen
         calls = found.connect if connect is None and listen is None else connect or []

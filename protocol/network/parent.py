@@ -31,11 +31,7 @@ def ending_signals() -> list[signal.Signals]:
 
 
 def python(module: str) -> list[str]:
-    """Return the command that starts a module of this project as a child process.
-
-    The child does not import from the current folder: a person's `model.py` or `agent/` there would hide a package of
-    this project.
-    """
+    """Return the command that starts a module of this project, which a `model.py` in the current folder cannot hide."""
     return [sys.executable, "-P", "-m", module]
 
 

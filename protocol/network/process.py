@@ -22,26 +22,10 @@ from protocol.network.parent import PARENT_PIPE, ending_signals
 from protocol.network.security import exposed
 from protocol.scenario.faults import Fault, due
 from protocol.scenario.setup import Setup
+from protocol.wire import messages as wire
 from protocol.wire.codec import encode
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from protocol.wire.keys import Keys
-from protocol.wire.messages import (
-    ActualInputs,
-    Answer,
-    Bundle,
-    Control,
-    Event,
-    Instant,
-    Measurement,
-    Message,
-    Plan,
-    PlantState,
-    Record,
-    Relay,
-    Roster,
-    StepReport,
-    Tick,
-)
 from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER
 from protocol.wire.node import Node, Outbox
 
@@ -59,11 +43,10 @@ def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put)
 class Exchange:
     """Sends the messages of one process: in real time each alone and at once, in lockstep also in bundles.
 
-    In lockstep the coordinator waits for the plans of tick k before it opens tick k + 1, so that it can send them with
-    it. An agent then has one message to send and two to receive in a tick, whatever the size of the team.
+    The coordinator sends the plans of tick k with tick k + 1: an agent sends one message per tick and receives two.
     """
 
-    bundled: tuple[type[Message], ...] = ()  # kinds of messages that are kept for a bundle
+    bundled: tuple[type[wire.Message], ...] = ()  # kinds of messages that are kept for a bundle
 
     def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
         self._keys, self._put = keys, put
@@ -71,10 +54,10 @@ class Exchange:
         self._kept: list[tuple[str, bytes]] = []  # keys without the prefix of the run, encoded messages
         self._tick = 0  # of the newest message kept
 
-    def received(self, event: Event, bundle: Bundle | None) -> None:
+    def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
         """Note an event that the node has accepted, and the bundle it came in."""
 
-    def send(self, message: Message) -> None:
+    def send(self, message: wire.Message) -> None:
         """Send a message, or keep it for a bundle; proposals of a negotiation are sent at once."""
         if isinstance(message, self.bundled) and not getattr(message, "negotiation", 0):
             if message.incarnation != self._out.incarnation:
@@ -91,7 +74,7 @@ class Exchange:
         """Send the bundle if it need not wait any longer: when all messages received together are handled."""
         self.flush()
 
-    def _send_bundle(self, kind: type[Bundle], entries: list[tuple[str, bytes]], **fields: int) -> None:
+    def _send_bundle(self, kind: type[wire.Bundle], entries: list[tuple[str, bytes]], **fields: int) -> None:
         """Send messages, as they are kept, in a bundle; forget those kept."""
         keys, parts = zip(*entries, strict=True)
         bundle = self._out.stamp(kind, tick=self._tick, keys=keys, parts=parts, **fields)
@@ -102,60 +85,57 @@ class Exchange:
 class _Agent(Exchange):
     """Sends plan and report of a tick to the coordinator alone."""
 
-    bundled = (Plan, StepReport)
+    bundled = (wire.Plan, wire.StepReport)
 
     def flush(self) -> None:
         if self._kept:
-            self._send_bundle(Answer, self._kept, agent=int(self._out.sender.removeprefix(AGENT)))
+            self._send_bundle(wire.Answer, self._kept, agent=int(self._out.sender.removeprefix(AGENT)))
 
 
 class _Plant(Exchange):
     """Sends the agents their measurements with the relayed plans; state and measurements to the record afterwards."""
 
-    bundled = (Measurement, PlantState, ActualInputs)
+    bundled = (wire.Measurement, wire.PlantState, wire.ActualInputs)
+    _shared: tuple[tuple[str, bytes], ...] = ()  # accepted plans for the agents since the last measurement
 
-    def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
-        super().__init__(name, incarnation, keys, put)
-        self._shared: list[tuple[str, bytes]] = []  # accepted plans for the agents since the last measurement
-
-    def received(self, event: Event, bundle: Bundle | None) -> None:
-        if isinstance(event, Plan) and event.shared and bundle is not None:
+    def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
+        if isinstance(event, wire.Plan) and event.shared and bundle is not None:
             key = self._keys.end(self._keys.of(event))
-            self._shared.append((key, bundle.parts[bundle.keys.index(key)]))
+            self._shared = *self._shared, (key, bundle.parts[bundle.keys.index(key)])
 
     def flush(self) -> None:
         recorded = self._kept
-        measured = [entry for entry in recorded if entry[0].startswith(Measurement.kind)]
+        measured = [entry for entry in recorded if entry[0].startswith(wire.Measurement.kind)]
         if measured:
-            self._send_bundle(Instant, self._shared + measured)
-            self._shared = []
+            self._send_bundle(wire.Instant, [*self._shared, *measured])
+            self._shared = ()
         if recorded:
-            self._send_bundle(Record, recorded)
+            self._send_bundle(wire.Record, recorded)
 
 
 class _Coordinator(Exchange):
     """Relays the answers of a tick with the next one; at once if all are here and no tick follows yet."""
 
-    bundled = (Tick,)
+    bundled = (wire.Tick,)
 
     def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
         super().__init__(name, incarnation, keys, put)
-        self._answers: dict[int, Answer] = {}  # accepted answers, by agent
+        self._answers: dict[int, wire.Answer] = {}  # accepted answers, by agent
         self._awaited: set[int] = set()  # agents that are to answer the open tick
 
-    def received(self, event: Event, bundle: Bundle | None) -> None:
-        if isinstance(event, Plan) and isinstance(bundle, Answer):
+    def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
+        if isinstance(event, wire.Plan) and isinstance(bundle, wire.Answer):
             self._awaited.discard(event.agent)
             self._answers[event.agent] = bundle
             self._tick = bundle.tick
 
-    def send(self, message: Message) -> None:
-        if isinstance(message, Roster):
+    def send(self, message: wire.Message) -> None:
+        if isinstance(message, wire.Roster):
             self._awaited &= set(message.agents)
-        if isinstance(message, Control):
+        if isinstance(message, wire.Control):
             self.flush()
         super().send(message)
-        if isinstance(message, Tick):
+        if isinstance(message, wire.Tick):
             self._awaited = set(message.members)
             self.flush()
 
@@ -164,7 +144,7 @@ class _Coordinator(Exchange):
         entries = [entry for answer in answers for entry in zip(answer.keys, answer.parts, strict=True)]
         if entries or self._kept:
             self._answers = {}
-            self._send_bundle(Relay, [*entries, *self._kept])
+            self._send_bundle(wire.Relay, [*entries, *self._kept])
 
     def settle(self) -> None:
         if not self._awaited:
@@ -175,9 +155,8 @@ class _Coordinator(Exchange):
 _COLLECT_EVERY = 256
 # How long a peer that does not read may delay the others before the link to it is closed, by clock mode.
 PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
-_ORPHANED = "parent is gone"
-# How long a process that has lost its parent may take to end in an orderly way.
-_ORPHAN_GRACE_S = 5.0
+# Why a process without its parent ends, and how long it may take to do so in an orderly way.
+_ORPHANED, _ORPHAN_GRACE_S = "parent is gone", 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,12 +177,10 @@ class Journal:
 
     def log(self, event: str, **keys: object) -> None:
         """Write one event."""
+        line = json.dumps({"time": time.time(), "run_id": self._run, "role": self._role, "event": event, **keys})
         if sys.stderr.isatty():
             shown = "  ".join(f"{key}={value}" for key, value in keys.items() if value != "")
             line = f"{time.strftime('%H:%M:%S')}  {self._role:<12}{event:<12}{shown}"
-        else:
-            entry = {"time": time.time(), "run_id": self._run, "role": self._role, "event": event, **keys}
-            line = json.dumps(entry, default=str)
         with suppress(OSError):  # the disk is full: the process works without its log lines
             sys.stderr.write(line + "\n")
             sys.stderr.flush()
@@ -219,13 +196,10 @@ def run_node(
 ) -> int:
     """Join the run with the expected processes, drive the node until it is finished, leave; return the exit code.
 
-    `on_interrupt` returns the node's last messages when a signal ends it. Processes to `linger_for` leave before this
-    one, so that its last messages reach them.
-
+    `on_interrupt` returns the node's last messages when a signal ends it; processes to `linger_for` leave before it.
     Raises: BusError: the network cannot be used, or an expected process did not appear.
     """
     journal = Journal(place.run, node.name)
-    relayed = setup.scenario.clock.relayed
     gate = Gate(node.name, Keys(place.run), setup.shape, node.check_moment)
     # A garbage collection in mid-step is a latency spike: reference counting frees nearly all that the loop makes, and
     # the rest is collected between steps. Before this process joins, no other waits for it.
@@ -241,17 +215,16 @@ def run_node(
             digest=setup.scenario.digest(),
             endpoints=place.endpoints,
             gate=gate,
-            relayed=relayed,
             serves=node.name == COORDINATOR,
             patience_s=PATIENCE_S[setup.scenario.clock.mode],
             reach_s=place.join_timeout_s,
         ) as bus,
     ):
         _watch_signals(bus)
-        if open_to_all := exposed(place.endpoints.listen):
-            journal.log("insecure", at=open_to_all, means="any host with access can read and send all messages")
-        elif place.endpoints.security is None and place.endpoints.listen:
-            journal.log("open", means="any process on this host can read and send all messages (docs/deploy.md)")
+        if place.endpoints.security is None and place.endpoints.listen:
+            at = exposed(place.endpoints.listen) or ""
+            who = "host with access" if at else "process on this host"
+            journal.log("open", at=at, means=f"any {who} can read and send all messages (docs/deploy.md)")
         journal.log("listening", cpu_s=time.process_time(), at=", ".join(place.endpoints.listen))
         exchange = exchange_of(setup, node.name, place.incarnation, Keys(place.run), bus.put)
 
@@ -263,16 +236,14 @@ def run_node(
         bus.before_wait = settle
         interruption = bus.join(expected, place.join_timeout_s, lambda text: journal.log("waiting", text=text))
         if interruption is None:
-            names = ("clock_offset_ms", "clock_uncertainty_ms")
-            clock = {name: round(1e3 * time_s, 3) for name, time_s in zip(names, bus.offset or (), strict=False)}
-            journal.log("joined", peers=len(expected), **clock)
+            journal.log("joined", peers=len(expected))
             interruption = _drive(node, bus, exchange, setup.faults)
         if interruption is not None and node.finished is None:
             journal.log("interrupted", reason=interruption.reason)
             for message in on_interrupt(interruption.reason) if on_interrupt else ():
                 exchange.send(message)
         exchange.flush()
-        for message in gate.last_notices(node.incarnation):
+        for message in gate.notices(node.incarnation):
             bus.publish(message)
         for entry in gate.rejections:
             journal.log("rejected", sender=entry.sender, reason=entry.reason, count=entry.count, example=entry.example)
@@ -280,24 +251,20 @@ def run_node(
         if end is not None:
             journal.log("finished", outcome=end.outcome, reason=end.reason, tick=end.tick, cpu_s=time.process_time())
             bus.leave(linger_for)
-    if end is not None:
-        return end.exit_code
-    orphaned = interruption is not None and interruption.reason == _ORPHANED
-    return EXIT_UNREACHABLE if orphaned or interruption is None else EXIT_INTERRUPTED
+            return end.exit_code
+    return EXIT_UNREACHABLE if interruption is None or interruption.reason == _ORPHANED else EXIT_INTERRUPTED
 
 
 def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) -> Interrupted | None:
     """Feed events and time to a node until it is finished or interrupted; execute its own scripted faults."""
     handled = 0
     while node.finished is None:
-        wake_ns = node.wake_ns
-        timeout_s = None if wake_ns is None else max(0, wake_ns - time.monotonic_ns()) / 1e9
-        event = bus.next(timeout_s)
+        event = bus.next(None if node.wake_ns is None else max(0, node.wake_ns - time.monotonic_ns()) / 1e9)
         if isinstance(event, Interrupted):
             return event
         if isinstance(event, Left | Sample):
             continue  # for recorders
-        if isinstance(event, Message):
+        if isinstance(event, wire.Message):
             _fail_if_due(faults, node.name, event, exchange)
         now_ns = time.monotonic_ns()
         messages = node.poll(now_ns) if event is None else node.receive(event, now_ns)
@@ -305,7 +272,7 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
             exchange.received(event, bus.gate.bundle)
         if node.incarnation != bus.incarnation:
             bus.renew(node.incarnation)
-        for notice in bus.gate.notices(now_ns, node.incarnation):
+        for notice in bus.gate.notices(node.incarnation, now_ns):
             bus.publish(notice)
         if not messages:
             continue
@@ -321,10 +288,9 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
     return None
 
 
-def _fail_if_due(faults: Sequence[Fault], name: str, message: Message, exchange: Exchange) -> None:
+def _fail_if_due(faults: Sequence[Fault], name: str, message: wire.Message, exchange: Exchange) -> None:
     """Kill or stop this process if a scripted fault says so for this message; earlier messages are sent before."""
-    fault = due(faults, name, message)
-    if fault is not None:
+    if fault := due(faults, name, message):
         exchange.flush()
         os.kill(os.getpid(), signal.SIGKILL if fault == "kill" else signal.SIGSTOP)
 

@@ -1,7 +1,6 @@
-"""A node of ROS 2 that publishes and subscribes, by the conventions of rmw_zenoh: keys, liveliness tokens, attachments.
+"""A node of ROS 2 as a client of a router of rmw_zenoh: its keys, liveliness tokens and attachments.
 
-Its session is a client of a router of ROS 2, which passes on nothing between peers. Source: design document of
-rmw_zenoh_cpp, https://github.com/ros2/rmw_zenoh.
+Source: design document of rmw_zenoh_cpp, https://github.com/ros2/rmw_zenoh.
 """
 
 import hashlib
@@ -23,12 +22,9 @@ _PATIENCE_S, _REACH_S = 1.0, 5.0
 
 
 class RosNode:
-    """Node in one ROS domain, with publishers of topics and subscribers of those heard.
+    """Node in one ROS domain; topics to publish and to hear have a type, "geometry_msgs/msg/PoseStamped", and its hash.
 
-    A topic with its leading slash has a type, such as "geometry_msgs/msg/PoseStamped", and its RIHS01 hash. `dropped`
-    counts received messages that are not read, by reason.
-
-    Raises: BusError: no router accepts the connection.
+    `dropped` counts received messages that are not read, by reason. Raises: BusError: no router is reached.
     """
 
     def __init__(

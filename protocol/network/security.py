@@ -1,11 +1,10 @@
 """Authentication and access control: the folder of keys, and Zenoh's rules made from the table of key expressions.
 
-With certificates every link is TLS, both ends authenticate, and each process admits from a peer only the messages that
-the name in its certificate may send. A secret is one password for all processes of a run on one host: it keeps
-strangers out, and all who have it may send every message.
+Certificates admit from each peer only what its name may send; a secret only keeps strangers out (docs/deploy.md).
 """
 
 import ipaddress
+import os
 import secrets
 import ssl
 from collections.abc import Iterator, Sequence
@@ -25,14 +24,10 @@ SHARED = "secret.txt"
 
 # Messages of a TLS handshake in either direction, at most.
 _FLIGHTS = 4
-
 # All kinds of messages in Zenoh's access control.
-_PUBLISHING = ("put", "delete")
-_OBSERVING = ("declare_liveliness_subscriber", "liveliness_query")
-_ALL = (
-    *(*_PUBLISHING, *_OBSERVING, "declare_subscriber", "liveliness_token"),
-    *("query", "reply", "declare_queryable"),
-)
+_PUBLISHING, _OBSERVING = ("put", "delete"), ("declare_liveliness_subscriber", "liveliness_query")
+_ANSWERING, _JOINING = ("declare_queryable", "reply"), ("liveliness_token",)
+_ALL = (*_PUBLISHING, *_OBSERVING, *_ANSWERING, *_JOINING, "declare_subscriber", "query")
 
 
 class SecurityError(TransportError, ValueError):
@@ -50,41 +45,25 @@ class Security:
 
     @property
     def scheme(self) -> str:
-        """Protocol of every endpoint: tls with certificates, tcp with a secret.
-
-        Raises: SecurityError: there are neither.
-        """
-        try:
-            if (self.folder / AUTHORITY).is_file():
-                return "tls"
-            if (self.folder / SHARED).is_file():
-                return "tcp"
-        except (OSError, ValueError) as error:  # no file can have the name
-            raise SecurityError(f"network.keys: cannot read {str(self.folder)!r} ({error})") from error
-        raise SecurityError(
-            f"network.keys: expected a folder with {AUTHORITY} (transport deploy keys), got {self.folder}"
-        )
+        """Protocol of every endpoint: tls with certificates, tcp with a secret. Raises: SecurityError: without both."""
+        for file, scheme in ((AUTHORITY, "tls"), (SHARED, "tcp")):
+            if os.access(self.folder / file, os.F_OK):
+                return scheme
+        expected = f"expected a folder with {AUTHORITY} (transport deploy keys)"
+        raise SecurityError(f"network.keys: {expected}, got {self.folder}")
 
     def check(self, name: str) -> None:
-        """Refuse keys that a process cannot use.
-
-        Raises: SecurityError: naming the file, what was expected and what came.
-        """
+        """Refuse keys that a process cannot use. Raises: SecurityError: naming the file, expected and got."""
         self.configure({"transport": {"link": {}}}, name, "transport/*")
 
     def configure(self, configuration: dict[str, Any], name: str, prefix: str) -> None:
-        """Add security to Zenoh's configuration of a process; `prefix` is that of its key expressions.
-
-        Raises: SecurityError: as `check`.
-        """
+        """Add security to Zenoh's configuration of a process; `prefix` is that of its keys. Raises: as `check`."""
         if self.scheme == "tcp":
             file = self.folder / SHARED
             try:
-                user, _, password = file.read_text(encoding="utf-8").strip().partition(":")
-            except (OSError, UnicodeDecodeError) as error:
-                raise SecurityError(f"network.keys: cannot read {file} ({error})") from error
-            if not (user and password):
-                raise SecurityError(f"network.keys: {file}: expected a line USER:SECRET")
+                user, password = file.read_text(encoding="utf-8").strip().split(":", 1)
+            except (OSError, ValueError) as error:
+                raise SecurityError(f"network.keys: {file}: expected a line USER:SECRET ({error})") from error
             shared = {"user": user, "password": password, "dictionary_file": str(file)}
             configuration["transport"]["auth"] = {"usrpwd": shared}
             return
@@ -104,10 +83,8 @@ class Security:
             "enable_mtls": True,
             "verify_name_on_connect": True,
             "close_link_on_expiration": True,
-            "listen_certificate": str(certificate),
-            "listen_private_key": str(key),
-            "connect_certificate": str(certificate),
-            "connect_private_key": str(key),
+            **{f"{end}_certificate": str(certificate) for end in ("listen", "connect")},
+            **{f"{end}_private_key": str(key) for end in ("listen", "connect")},
         }
         configuration["access_control"] = access_control(self.names, prefix)
 
@@ -116,8 +93,7 @@ class Security:
 def new_secret(folder: Path) -> Iterator[Path]:
     """Make a folder of keys with a random secret, which only this user can read; remove it in the end.
 
-    Raises: SecurityError: the file system keeps no permissions (FAT, some shares). OSError: the folder exists or cannot
-        be made.
+    Raises: SecurityError: the file system keeps no permissions (FAT, some shares). OSError: it cannot be made.
     """
     folder.mkdir(mode=0o700)
     file = folder / SHARED
@@ -136,9 +112,8 @@ def new_secret(folder: Path) -> Iterator[Path]:
 def access_control(names: Sequence[str], prefix: str) -> dict[str, Any]:
     """Return Zenoh's access control, which allows each name only the key expressions of `protocol.wire.keys`.
 
-    Peers are known by the names in their certificates; watchers, operators and a router are added to those given. The
-    run in the prefix of the key expressions may be `*` for any. Incoming messages are checked against their sender's
-    rights. Outgoing ones are not: the receiver's rights were checked when it subscribed.
+    The run in the prefix may be `*`. Incoming messages are checked against the rights of their sender's certificate;
+    outgoing ones are not: the rights of the receiver were checked when it subscribed.
     """
     keys = Keys.below(prefix)
     subjects = [*dict.fromkeys([*names, WATCHER, OPERATOR, ROUTER])]
@@ -161,20 +136,16 @@ def exposed(endpoints: Sequence[str]) -> str | None:
     for endpoint in endpoints:
         protocol, _, address = endpoint.partition("/")
         host = address.rpartition(":")[0].strip("[]")
-        try:
+        is_local = host == "localhost"
+        with suppress(ValueError):  # a name
             is_local = ipaddress.ip_address(host).is_loopback
-        except ValueError:
-            is_local = host == "localhost"
         if protocol in ("tcp", "udp", "ws") and not is_local:
             return endpoint
     return None
 
 
 def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
-    """Check authority, validity and key of a certificate as a peer would, by a TLS handshake with itself.
-
-    Raises: ssl.SSLError: a peer would refuse it. OSError: a file cannot be read.
-    """
+    """Check a certificate as a peer would, by a handshake with itself. Raises: ssl.SSLError, OSError."""
     there, back, ends = ssl.MemoryBIO(), ssl.MemoryBIO(), []
     for protocol, incoming, outgoing in (
         (ssl.PROTOCOL_TLS_SERVER, there, back),
@@ -203,11 +174,10 @@ def _rights(keys: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:
     yield ("query",), [keys.request("*", what) for what in questions]
     if observes:
         return
-    published = keys.publications(name)
-    if published:
+    if published := keys.publications(name):
         yield _PUBLISHING, published
-    yield ("liveliness_token",), [f"{keys.prefix}/{kind}/{name}/**" for kind in ("alive", "ready")]
-    yield ("declare_queryable", "reply"), [keys.request(name, "*")]
+    yield _JOINING, [f"{keys.prefix}/{kind}/{name}/**" for kind in ("alive", "ready")]
+    yield _ANSWERING, [keys.request(name, "*")]
 
 
 def _rule(name: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,13 +19,8 @@ from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 
 # How long closing may take: it blocks while a peer does not read (zenoh issue 2675).
 CLOSE_S = 2.0
-
-# Largest message that Zenoh reassembles: larger ones are dropped uncounted.
-_MAX_RECEIVED_BYTES = 2 * MAX_BYTES
-
 # Duration of one attempt of a client to connect.
 _TRY_MS = 500
-_SOURCE_FILE = re.compile(r"\s*\bat \S+\.rs:\d+\.?")
 
 
 class BusError(TransportError, RuntimeError):
@@ -36,10 +30,6 @@ class BusError(TransportError, RuntimeError):
 
 
 _first_user = 0  # process id of the process that opened the first session
-
-
-class UnreachableError(BusError):
-    """No endpoint that a client may connect to accepts it."""
 
 
 def check_usable() -> None:
@@ -52,9 +42,7 @@ def check_usable() -> None:
 
 
 def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
-    """Open the session of a process.
-
-    Sending waits for a peer that does not read for `patience_s`, a client looks for its router for `reach_s`.
+    """Open the session of a process; `patience_s` and `reach_s` as those of `Bus`.
 
     Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
     """
@@ -70,22 +58,19 @@ def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys,
         try:
             return zenoh.open(zenoh.Config.from_json5(text))
         except zenoh.ZError as error:
-            if endpoints.mode == "client" and time.monotonic() <= deadline:
-                continue
             if endpoints.mode == "client":
+                if time.monotonic() <= deadline:
+                    continue
                 where = ", ".join(endpoints.connect)
-                problem = f"{name}: no router accepts a connection at {where} within {reach_s:g} s"
-                raise UnreachableError(problem) from error
+                raise BusError(f"{name}: no router accepts a connection at {where} within {reach_s:g} s") from error
             problem = "address already in use; choose another base port, or end the process that has it"
-            if "in use" not in str(error):  # Zenoh's texts name files of its source
-                problem = f"cannot listen ({_SOURCE_FILE.sub('', str(error))[:200].strip()})"
+            if "in use" not in str(error):
+                problem = f"cannot listen ({error!s:.200})"
             raise BusError(f"{', '.join(endpoints.listen)}: {problem}") from error
 
 
 def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
     """Return Zenoh's configuration of a process: fixed endpoints, no discovery, retries until `Bus.join` gives up.
-
-    The arguments are those of `open_session`.
 
     Raises: SecurityError: keys that cannot be used.
     """
@@ -101,7 +86,7 @@ def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys
         },
         "transport": {
             "link": {
-                "rx": {"max_message_size": _MAX_RECEIVED_BYTES},
+                "rx": {"max_message_size": 2 * MAX_BYTES},  # larger ones are dropped uncounted
                 "tx": {"queue": {"congestion_control": {"block": {"wait_before_close": round(patience_s * 1e6)}}}},
             },
             # Zenoh keeps its segments until the process ends, and leaves them in /dev/shm when it is killed.
@@ -125,10 +110,8 @@ def ask(
 ) -> Mapping[str, Any]:
     """Send a request, with its kind and arguments, to a process from outside its run (docs/protocol.md).
 
-    Connects to endpoints of the run's processes, or of their router. The timeout is that of finding the process, and
-    that of its answer. The keys are those of an operator or, for requests that change nothing, a watcher.
-
-    Raises: BusError: there is no such process, or it does not answer.
+    Connects to endpoints of the run or of its router, as operator or, if nothing is changed, as watcher.
+    Raises: BusError: there is no such process, or it does not answer in time.
     """
     keys = Keys(run)
     log_errors(to_output=False)
@@ -137,10 +120,8 @@ def ask(
     deadline = time.monotonic() + timeout_s
     try:
         session = open_session(endpoints, 1.0, OPERATOR if what in ACTING else WATCHER, keys, timeout_s)
-    except UnreachableError as error:
-        raise BusError(
-            f"{name} of run {run} is not reachable at {', '.join(connect)}: it has ended or uses other keys"
-        ) from error
+    except BusError as error:
+        raise BusError(f"{name} of run {run} is not reachable, it has ended or uses other keys: {error}") from error
     try:
         while not any(reply.ok for reply in session.liveliness().get(f"{keys.prefix}/alive/{name}/**", timeout=1.0)):
             if time.monotonic() > deadline:
@@ -158,10 +139,7 @@ def ask(
 
 @contextmanager
 def route(endpoints: Endpoints) -> Iterator[None]:
-    """Route the messages of the clients of any run while the context is open.
-
-    Raises: BusError: the endpoint cannot be listened on, or the keys not used.
-    """
+    """Route the messages of the clients of any run while the context is open. Raises: BusError: as `open_session`."""
     log_errors(to_output=True)
     session = open_session(endpoints, 1.0, ROUTER, Keys.below("transport/*"), 0.0)
     try:

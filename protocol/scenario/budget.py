@@ -1,7 +1,6 @@
 """Budget of a run: what a scenario asks of memory, disk and processor, estimated before anything starts.
 
-Each limit can be exceeded on purpose with the option --allow-large. Sizes of arrays are exact, the numbers of bytes and
-seconds were fitted to runs (`tests/protocol/test_budget.py` compares them with real ones).
+Sizes of arrays are exact, numbers of bytes and seconds were fitted to runs (`tests/protocol/test_budget.py`).
 """
 
 import math
@@ -26,12 +25,9 @@ MOST_STEP_S = 1.25
 ADMITTED = "--allow-large admits more"
 
 _FLOAT = 8  # bytes
-# Interpreter and packages; and the functions of a model, per UAV.
-_BASE_BYTES, _MODEL_BYTES = 60 * MB, 1 * MB
-# Bytes of the log over bytes of its messages: compression.
-_COMPRESSED = 0.65
-# Bytes in the memory of the report per tick and agent: Python objects of plans and step reports.
-_REPORTED_BYTES = 4_000.0
+# Interpreter and packages, and the functions of a model per UAV; bytes of the log over bytes of its messages; bytes in
+# the memory of the report per tick and agent: Python objects of plans and step reports.
+_BASE_BYTES, _MODEL_BYTES, _COMPRESSED, _REPORTED_BYTES = 60 * MB, 1 * MB, 0.65, 4_000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,14 +70,11 @@ def estimate(scenario: Scenario) -> Budget:
     variables = INPUTS * own * horizon + sum(map(bool, softened)) + user
     rows = INPUTS * own * (horizon - 1) + horizon * (sum(softened) + user)
 
-    # Messages of a tick: arrays, and what is beside them.
+    # Messages of a tick: arrays, and what is beside them; plant state and, in some runs, actual inputs.
     plan = _FLOAT * own * (INPUTS * horizon * (1 + (controller.prediction == "closed_loop")) + PER_UAV) + 100.0
     measurement = _FLOAT * (PAYLOAD + (PER_UAV + INPUTS) * own)
     of_agent = plan * controller.negotiation_iterations + measurement + 320.0 + 13.0 * M
-    tick_bytes = M * of_agent + _FLOAT * (n + INPUTS * N) + 60.0
-    is_degraded = any(event.do == "degrade" for event in scenario.faults.event)
-    if plant.motors.lag_s or plant.motors.thrust_step_N or plant.motors.rotors or is_degraded:
-        tick_bytes += (_FLOAT * INPUTS + 1.0) * N + 60.0  # the log has the actual inputs
+    tick_bytes = M * of_agent + _FLOAT * (n + 2.0 * INPUTS * N) + 120.0
 
     # Reference, with intermediate results; the preview and its recursion.
     path_bytes = _FLOAT * (ticks + horizon + 2) * (3.5 * outputs + (7.0 * states if controller.preview else 0.0))
@@ -112,10 +105,7 @@ def ticks_of(scenario: Scenario) -> int:
 
 
 def check_budget(scenario: Scenario, source: str) -> Budget:
-    """Return the budget of a run whose estimate is within all limits.
-
-    Raises: ScenarioError: a limit is exceeded, naming the field that causes it, the limit and the estimate.
-    """
+    """Return the budget of a run. Raises: ScenarioError: it exceeds a limit; with field, limit and estimate."""
     found = estimate(scenario)
     size = "maneuver.phase" if found.ticks > 20 * found.variables else "controller.horizon"
     steps = "plant.mujoco.step_s" if scenario.plant.engine == "mujoco" else "plant.step_s"
@@ -133,6 +123,6 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
 
 
 def most_workers(scenarios: Iterable[Scenario]) -> int:
-    """Return how many processes that each simulate one of these runs fit into the memory of a run, at least one."""
+    """Return how many processes that simulate one of these runs each fit into the memory of a run, at least one."""
     largest = max((estimate(scenario).worker_bytes for scenario in scenarios), default=_BASE_BYTES)
     return max(1, int(MOST_TOTAL_BYTES // largest))

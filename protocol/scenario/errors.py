@@ -12,7 +12,7 @@ from model.parameters import ParameterError
 from mpc.feedback import FeedbackError
 from mpc.settings import SettingsError
 from protocol.scenario.keys import names_of, out_of_range, section_in
-from protocol.wire.errors import TransportError
+from protocol.wire.errors import MessageError, TransportError
 from protocol.wire.exit_codes import EXIT_SCENARIO
 
 T = TypeVar("T")
@@ -34,18 +34,19 @@ class ScenarioError(TransportError, ValueError):
 
     def blaming(self, settings: Sequence[str]) -> "ScenarioError":
         """Return the same error, with the settings in place of the file if they gave the field or part of it."""
-        given: list[str] = []
-        for setting in reversed(settings):
-            key = key_of(setting)
-            around = f"{self.field}.".startswith(f"{key}.")
-            if around or key.startswith(f"{self.field}."):
-                given.insert(0, setting)
-            if around:
-                break  # it replaced all that settings before it had given
+        own = f"{self.field}."
+        given = [s for s in settings if own.startswith(f"{key_of(s)}.") or f"{key_of(s)}.".startswith(own)]
         if not given:
             return self
         field = "" if [key_of(setting) for setting in given] == [self.field] else self.field
         return ScenarioError(" ".join(map(option, given)), field, self.problem)
+
+
+class RequestError(TransportError, MessageError):
+    """A change of links or a target that is refused; the text says what was expected and what came."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__("out_of_range", text)
 
 
 def building(source: str, field: str, build: Callable[[], T]) -> T:
@@ -80,7 +81,7 @@ def _short(text: str) -> str:
 def validated(section: type[S], tree: Any, source: str = "", folder: Path | None = None) -> S:
     """Return a section made from plain data; the paths of its files are relative to a folder.
 
-    Raises: ScenarioError: with the first problem; unknown keys come first, as a mistyped key is also a missing one.
+    Raises: ScenarioError: with the first problem, an unknown key first: a mistyped one is also missing.
     """
     try:
         found = section.model_validate(tree, context=folder)
@@ -92,18 +93,8 @@ def validated(section: type[S], tree: Any, source: str = "", folder: Path | None
     return found
 
 
-# Words instead of pydantic's.
-_WORDS = {
-    "greater_than": "a number > {gt}",
-    "greater_than_equal": "a number >= {ge}",
-    "less_than": "a number < {lt}",
-    "less_than_equal": "a number <= {le}",
-    "model_type": "a section",
-}
-
-
 def _problem(problem: Any, section: type[BaseModel]) -> tuple[str, str]:
-    """Return the field of one of pydantic's problems, and the problem in the project's words."""
+    """Return the field of one of pydantic's problems, and the problem."""
     kind, message, value = problem["type"], problem["msg"], problem["input"]
     last = problem["loc"][-1] if problem["loc"] else ""
     field: list[str] = []
@@ -124,8 +115,6 @@ def _problem(problem: Any, section: type[BaseModel]) -> tuple[str, str]:
         return ".".join(field), "expected a value, got nothing"
     if kind == "value_error":  # of a validator, whose text says all
         return ".".join(field), str(problem["ctx"]["error"])
-    if kind in _WORDS:
-        message = f"expected {_WORDS[kind].format(**problem.get('ctx', {}))}"
     expected = message.replace("Input should be", "expected")
     shown = list(value) if isinstance(value, tuple) else value  # lists of numbers become tuples
     return ".".join(field), f"{expected[0].lower()}{expected[1:]}, got {_short(repr(shown))}"

@@ -1,8 +1,6 @@
 """Scripted faults: kills, stops and restarts of processes, failures of UAVs, each at a tick.
 
-A process kills or stops itself on the message that opens the tick for it, so that the fault happens at that tick on
-every machine. Its parent restarts or continues it. The plant applies faults of UAVs, and the coordinator reports them
-with the roster of the tick.
+A process kills or stops itself on the message that opens the tick for it; its parent restarts or continues it.
 """
 
 import math
@@ -19,11 +17,7 @@ OF_UAVS = ("motor_off", "release", "degrade")
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault.
-
-    "kill" and "stop" happen when the tick opens for the target; "continue" and "start" bring it back before the tick
-    opens; "motor_off", "release" and "degrade" apply from the tick on.
-    """
+    """One fault of a process when the tick opens for it, its return before that, or a fault of a UAV from then on."""
 
     tick: int
     do: Literal["kill", "stop", "continue", "start", "motor_off", "release", "degrade"]
@@ -36,17 +30,13 @@ class Fault:
         return int(self.target.removeprefix("uav")) - 1
 
 
-# Fault of a UAV: tick, kind, UAV (0-based).
-UavFault = tuple[int, Literal["motor_off", "release"], int]
-
-
 def uav_name(uav: int) -> str:
     """Return the name of a UAV as a target of faults, such as "uav3" for the 0-based 2."""
     return f"uav{uav + 1}"
 
 
-def uav_faults(faults: Sequence[Fault]) -> tuple[UavFault, ...]:
-    """Return the failures of UAVs in the order of time."""
+def uav_faults(faults: Sequence[Fault]) -> tuple[tuple[int, Literal["motor_off", "release"], int], ...]:
+    """Return ticks, kinds and UAVs, 0-based, of the failures of UAVs, in the order of time."""
     return tuple((f.tick, f.do, f.uav) for f in faults if f.do == "motor_off" or f.do == "release")
 
 

@@ -18,7 +18,7 @@ __all__ = ["ScenarioError", "find_scenario", "read_scenario", "read_tree", "vali
 
 
 def find_scenario(name: str, package: str = "scenarios") -> Path:
-    """Return the file of a scenario, or of what else is in a package: a path, or the name of one that comes with it.
+    """Return the file of a scenario, or of what else is in a package: a path, or the name of a ready one.
 
     Raises: ScenarioError: no file has the name, the text lists the names.
     """
@@ -36,14 +36,10 @@ def find_scenario(name: str, package: str = "scenarios") -> Path:
 
 
 def read_scenario(path: Path, settings: Sequence[str] = (), *, allow_large: bool = False) -> Scenario:
-    """Read and validate a scenario file.
+    """Read and validate a TOML file with settings on top, which may exceed the limits of `protocol.scenario.budget`.
 
-    Args:
-        path: TOML file.
-        settings: Changes on top of it, "dotted.key=value" with a TOML value; list entries by number from 1, files
-            relative to the current folder.
-        allow_large: Whether the run may exceed the limits of `protocol.scenario.budget`.
-    Raises: ScenarioError: naming file, field, expected and got; the setting in place of the file if it gave the field.
+    A setting is "dotted.key=value" in TOML; list entries by number from 1, files relative to the current folder.
+    Raises: ScenarioError: naming file, or the setting that gave the field, field, expected and got.
     """
     return with_settings(read_tree(path), settings, str(path), allow_large=allow_large)
 
@@ -52,19 +48,15 @@ def read_tree(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file. Raises: ScenarioError: it cannot be read."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise ScenarioError(str(path), "", "no such file") from error
     except OSError as error:
-        raise ScenarioError(str(path), "", f"cannot be read ({error})") from error
+        problem = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error})"
+        raise ScenarioError(str(path), "", problem) from error
     except (ValueError, RecursionError) as error:  # also of integers of thousands of digits, and of deep nesting
         raise ScenarioError(str(path), "", f"not valid TOML: {error}") from error
 
 
 def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str, *, allow_large: bool = False) -> Scenario:
-    """Return the scenario in a tree of plain data, which is changed, with settings on top as in `read_scenario`.
-
-    Raises: ScenarioError: as `read_scenario`; `source` is the file of the tree.
-    """
+    """Return the scenario in a tree of plain data, which is changed, with settings on top as in `read_scenario`."""
     for setting in settings:
         _apply(tree, setting, Path(source).parent)
     try:
@@ -77,10 +69,7 @@ def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str, *,
 
 
 def validate(tree: dict[str, Any], source: str) -> Scenario:
-    """Check a tree of plain data against the scenario's schema, then the relations between its fields.
-
-    Files of its maneuver are read here; their paths are relative to the folder of `source`, the scenario's file.
-    """
+    """Check a tree against the schema and the relations of its fields; files are relative to the folder of `source`."""
     scenario = validated(Scenario, tree, source, Path(source).parent)
     check_relations(scenario, source)
     return scenario

@@ -1,8 +1,7 @@
 """Keys of a scenario, as its sections describe them: paths, units, ranges, labels, meanings.
 
-The units and ranges of numbers follow from the ending of their key. The ranges are far wider than anything that flies.
-Beyond them float64 overflows or loses all digits somewhere in the model, the QP or the clock, so such numbers are
-refused by name.
+Unit and range of a number follow from the ending of its key. Beyond the ranges, far wider than anything that
+flies, float64 overflows or loses all digits somewhere, so such numbers are refused by name.
 """
 
 import ast
@@ -69,10 +68,7 @@ def names_of(section: type[BaseModel]) -> dict[str, str]:
 
 
 def walk(section: type[BaseModel] = Scenario, path: str = "") -> Iterator[tuple[str, str, type[BaseModel], FieldInfo]]:
-    """Yield every key: the dotted path of its section, its name, the class of its section, its field.
-
-    Sections are keys of the section around them, too; entries of lists have no number.
-    """
+    """Yield every key and section: the dotted path of the section around it, its name, that class, its field."""
     for key, name in names_of(section).items():
         field = section.model_fields[name]
         yield path, key, section, field
@@ -96,7 +92,7 @@ def short_names() -> dict[str, str]:
 def meanings(section: type[BaseModel]) -> dict[str, str]:
     """Return the meaning of each key of a section, one sentence in Markdown: the docstring of its field.
 
-    They are read from the source when asked for: pydantic's `use_attribute_docstrings` would read it at every start.
+    They are read when asked for: pydantic's `use_attribute_docstrings` would read the source at every start.
     """
     found: dict[str, str] = {}
     for owner in reversed([owner for owner in section.__mro__ if issubclass(owner, BaseModel)][:-1]):

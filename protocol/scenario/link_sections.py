@@ -13,11 +13,6 @@ Probability = Annotated[float, Interval(ge=0.0, le=1.0)]
 _PROCESS = "agent1, agent2, ..., plant"
 
 
-def _key(label: str, shown: str, option: str, words: str, short: str = "") -> Key:
-    """Return the properties of an impairment: axis label and unit, option of `transport link set`, and words."""
-    return Key(label=label, shown=shown, option=option, words=words, short=short)
-
-
 class GilbertElliottSection(Section):
     """Bursts of loss: a chain between a good state without and a bad state with loss, one step per tick."""
 
@@ -35,9 +30,11 @@ class LinkSection(Section):
     The default of each key means a link without that impairment.
     """
 
-    delay_s: Annotated[NotNegative, _key("delay of plans", "ms", "--delay", "delay {:g} s", "delay_s")] = 0.0
+    delay_s: Annotated[NotNegative, Key(label="delay of plans", shown="ms", option="--delay", short="delay_s")] = 0.0
     """fixed part of the delay"""
-    jitter_s: Annotated[NotNegative, _key("jitter of plans", "ms", "--jitter", "jitter {:g} s", "jitter_s")] = 0.0
+    jitter_s: Annotated[NotNegative, Key(label="jitter of plans", shown="ms", option="--jitter", short="jitter_s")] = (
+        0.0
+    )
     """scale of the random part of the delay: width (uniform, centred on `delay_s`), standard deviation (normal,
     lognormal), mean (exponential); delays below 0 become 0"""
     distribution: Annotated[
@@ -48,20 +45,18 @@ class LinkSection(Section):
     samples: str | None = None
     """file of measured delays in s, separated by blanks or commas, in or below the scenario's folder (in `--set`:
     relative to the current folder), or by its absolute path; for empirical"""
-    loss: Annotated[Probability, _key("loss of plans", "%", "--loss", "loss {:g} %", "loss")] = 0.0
+    loss: Annotated[Probability, Key(label="loss of plans", shown="%", option="--loss", short="loss")] = 0.0
     """probability that a message is lost, independent for each message"""
     gilbert_elliott: GilbertElliottSection | None = None
-    duplicate: Annotated[Probability, _key("duplicated plans", "%", "--duplicate", "duplication {:g} %")] = 0.0
+    duplicate: Annotated[Probability, Key(label="duplicated plans", shown="%", option="--duplicate")] = 0.0
     """probability that a message arrives a second time, with a separate delay"""
-    reorder: Annotated[Probability, _key("plans held back", "%", "--reorder", "reordering {:g} %")] = 0.0
+    reorder: Annotated[Probability, Key(label="plans held back", shown="%", option="--reorder")] = 0.0
     """probability that a message is held back by `reorder_s`"""
-    reorder_s: Annotated[
-        NotNegative, _key("extra delay of plans held back", "ms", "--reorder-s", "{:g} s more for reordered messages")
-    ] = 0.0
+    reorder_s: Annotated[NotNegative, Key(label="extra delay of plans held back", shown="ms", option="--reorder-s")] = (
+        0.0
+    )
     """extra delay of a message that is held back"""
-    rate_hz: Annotated[
-        Positive | None, _key("plans per second on a link", "", "--rate", "at most {:g} messages per second")
-    ] = None
+    rate_hz: Annotated[Positive | None, Key(label="plans per second on a link", option="--rate")] = None
     """messages per second of scenario time that the link carries, evenly spread; those beyond are dropped. There is
     one per tick: half of 1 / T_s drops every other"""
 

@@ -1,8 +1,7 @@
 """Impairments of the network: delay, jitter, loss, bursts, duplication, reordering, rate limits, partitions.
 
-Impairments act at the receiver, on messages, in scenario time. Every random number is drawn from a counter keyed by
-seed, sender, receiver, kind and the message's tick, so that the delays of a message do not depend on when or in which
-order anything arrives.
+They act at the receiver, in scenario time. Random numbers are drawn from a counter keyed by seed, sender, receiver,
+kind and the message's tick, so they do not depend on when or in which order anything arrives.
 """
 
 import hashlib
@@ -17,11 +16,11 @@ import numpy.typing as npt
 from numpy.random import Generator, Philox
 
 from model.arrays import Array
-from protocol.scenario.errors import ScenarioError, validated
-from protocol.scenario.keys import UNITS, key_of
+from protocol.scenario.errors import RequestError, ScenarioError, validated
+from protocol.scenario.keys import UNITS
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
-from protocol.wire.errors import TransportError
-from protocol.wire.messages import LinkChange, Measurement, MessageError, Plan
+from protocol.wire.errors import MessageError
+from protocol.wire.messages import LinkChange, Measurement, Plan
 from protocol.wire.names import PLANT
 
 Key = npt.NDArray[np.uint64]
@@ -40,33 +39,18 @@ def generator(key: Key, tick: int, stream: int = 0) -> Generator:
 
 # Uniform numbers drawn for each message, by their first use; jitter takes two. A new one goes to the end.
 _LOSS, _BURST, _JITTER, _DUPLICATE, _ECHO, _REORDER, _DRAWS = 0, 1, 2, 4, 5, 7, 8
-
-# Streams of them at each tick: of the burst chain, and of the message (and those of the negotiation before it).
-_CHAIN, _MESSAGE = 2**32, 0
-
+# Stream of the burst chain at each tick; those of the message and of the negotiation before it are 0, 1, ...
+_CHAIN = 2**32
 # Rounding of a delay that is a whole number of sampling periods must not cost one more.
 _SLACK = 1e-9
-
 # Longest delay: that of a key in seconds.
 *_, _LONGEST_S = UNITS["_s"]
-
 # Settings of a link that make it perfect: the defaults.
 PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.model_fields.items()}
 
 
-class LinkError(TransportError, MessageError):
-    """An invalid change of links; the text names the key, what was expected and what came."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__("out_of_range", text)
-
-
 class Link:
-    """One directed link of a run: decides which messages arrive, and when.
-
-    Of the scenario's links it has the general keys or the last override, partitions and changes. Given are also the
-    run's seed, the sampling period, s, and measured delays, s, by file name.
-    """
+    """One link of a run: which messages arrive, and when. Measured delays, s, are by file name."""
 
     def __init__(
         self,
@@ -117,7 +101,7 @@ class Link:
     def delays(self, tick: int, negotiation: int = 0) -> list[float]:
         """Return the delays with which the message of a tick arrives, s: none if it is lost, two if duplicated.
 
-        Messages of the negotiation within the tick, before the one it ends with, are numbered from 1.
+        Messages of a negotiation before the one it ends with are numbered from 1.
         """
         section, perfect = self._in_force(tick)
         sent_s = tick * self._period_s
@@ -129,10 +113,8 @@ class Link:
             per_tick = section.rate_hz * self._period_s  # the messages that the rate leaves room for are evenly spread
             if math.floor(tick * per_tick + _SLACK) == math.floor((tick - 1) * per_tick + _SLACK):
                 return []
-        draw = generator(self._key, tick, _MESSAGE + negotiation).random(_DRAWS)
-        if draw[_LOSS] < section.loss:
-            return []
-        if self._in_burst(tick) and section.gilbert_elliott and draw[_BURST] < section.gilbert_elliott.loss:
+        draw, bursts = generator(self._key, tick, negotiation).random(_DRAWS), section.gilbert_elliott
+        if draw[_LOSS] < section.loss or (self._in_burst(tick) and bursts and draw[_BURST] < bursts.loss):
             return []
         delays = [self._delay(section, draw[_JITTER : _JITTER + 2])]
         if draw[_REORDER] < section.reorder:
@@ -142,10 +124,7 @@ class Link:
         return [min(delay, _LONGEST_S) for delay in delays]
 
     def usable_ticks(self, tick: int, after: int = 1) -> list[int]:
-        """Return the ticks from which the message of a tick can be used: the first at or after its arrival.
-
-        Over a perfect link it needs `after` ticks: 1 for what is used at the next tick.
-        """
+        """Return the ticks from which the message of a tick can be used: at or after its arrival, and `after` ticks."""
         if not self._partitions and self._in_force(tick)[1]:
             return [tick + after]
         return [max(tick + after, math.ceil(tick + delay / self._period_s - _SLACK)) for delay in self.delays(tick)]
@@ -190,16 +169,16 @@ class LinkChanges:
         self._links, self._samples_s = tuple(links), samples_s
         self._applied = 0
 
-    def check(self, message: LinkChange) -> None:
-        """Check a change. Raises: MessageError: it is invalid, or not the next one."""
+    def check(self, message: LinkChange) -> LinkOverrideSection:
+        """Return a change. Raises: MessageError: it is invalid, or neither the next one nor one that is repeated."""
         if message.number > self._applied + 1:
             raise MessageError("future", f"change {message.number} of the links after {self._applied}")
-        link_change(message.source, message.target, message.settings, self._samples_s)
+        return link_change(message.source, message.target, message.settings, self._samples_s)
 
     def apply(self, message: LinkChange) -> None:
         """Apply a change, unless it was repeated for a process that has just joined."""
         if message.number == self._applied + 1:
-            change = link_change(message.source, message.target, message.settings, self._samples_s)
+            change = self.check(message)
             self._applied += 1
             for link in self._links:
                 link.change(message.tick, change)
@@ -208,24 +187,22 @@ class LinkChanges:
 def link_change(source: str, target: str, settings: str, samples: Collection[str] | None = None) -> LinkOverrideSection:
     """Return a change of links: both ends, empty for any agent, and a JSON object of a link's keys and new values.
 
-    Files of measured delays must be among `samples`, unless that is None.
-
-    Raises: LinkError: it is invalid.
+    Raises: RequestError: it is invalid, or names a file of delays beyond `samples`, unless that is None.
     """
     try:
         given = json.loads(settings)
     except (ValueError, RecursionError):
         given = None
     if not isinstance(given, dict):
-        raise LinkError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
+        raise RequestError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
     ends = {key: name for key, name in (("from", source), ("to", target)) if name}
     try:
         change = validated(LinkOverrideSection, {**given, **ends})
     except ScenarioError as error:
-        raise LinkError(str(error)) from error
+        raise RequestError(str(error)) from error
     if change.samples is not None and samples is not None and change.samples not in samples:
         known = ", ".join(sorted(samples)) or "none"
-        raise LinkError(f"samples: expected a file that the scenario names ({known}), got {change.samples!r}")
+        raise RequestError(f"samples: expected a file that the scenario names ({known}), got {change.samples!r}")
     return change
 
 
@@ -233,29 +210,15 @@ def words_of(change: LinkChange) -> str:
     """Return the change in a message of the coordinator in words; its text as it is if it is no valid change."""
     try:
         settings = link_change(change.source, change.target, change.settings).settings()
-    except LinkError:
+    except RequestError:
         return f"links: {change.settings}"
     return change_in_words(change.source, change.target, settings)
 
 
 def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> str:
-    """Return a change of links in words, such as "links from agent1 to agent2: delay 0.2 s, loss 30 %".
-
-    Empty names are any agents; all of `PERFECT` as settings are a cleared link.
-    """
+    """Return a change in words, such as "links from agent1 to agent2: delay_s 0.2, loss 0.3"; "" is any agent."""
     ends = (f" from {source}" if source else "") + (f" to {target}" if target else "")
     links = f"links{ends or ' between agents'}"
     if PERFECT.items() <= settings.items():
         return f"{links} cleared"
-    return f"{links}: {', '.join(_words(key, value) for key, value in settings.items())}"
-
-
-def _words(key: str, value: Any) -> str:
-    template = key_of(LinkSection.model_fields[key]).words
-    if key == "gilbert_elliott":
-        if value is None or not value["enter"]:
-            return "no burst loss"
-        return f"burst loss, entered with {100.0 * value['enter']:g} % and left with {100.0 * value['leave']:g} %"
-    if value is None:
-        return f"no {key}"
-    return template.format(100.0 * value if "%" in template else value) if template else f"{key} {value}"
+    return f"{links}: {', '.join(f'{key} {value}' for key, value in settings.items())}"

@@ -38,10 +38,9 @@ def or_class(*names: str) -> AfterValidator:
 
 
 def own_class(name: str) -> Any:
-    """Return the user's class "package.module:Class", which may lie in the current folder.
+    """Return the user's class "package.module:Class", which may lie in the current folder: that hides no package.
 
-    The folder is on the path during this import only, and last: a file there hides no package. A module whose file has
-    changed is imported again: the recorded version must be that of the code that runs.
+    A module whose file has changed is imported again: the recorded version must be that of the code that runs.
 
     Raises: OwnClassError: it is not found, or its import fails.
     """
@@ -67,8 +66,7 @@ def own_class(name: str) -> Any:
     found = getattr(module, attribute, None)
     if not callable(found):
         where = getattr(module, "__file__", None) or module_name
-        got = "none" if found is None else f"an object of type {type(found).__name__}"
-        raise OwnClassError(f"expected a class {attribute!r} in {where}, got {got}")
+        raise OwnClassError(f"expected a class {attribute!r} in {where}, got {type(found).__name__}")
     return found
 
 
@@ -85,23 +83,17 @@ def _digest(module: str) -> str:
 
 
 def made(make: Callable[..., Any], methods: Sequence[str], *arguments: object) -> Any:
-    """Return a new object of a class that has the given methods.
-
-    Raises: OwnClassError: its constructor fails, or a method is missing.
-    """
+    """Return a new object of a class. Raises: OwnClassError: its constructor fails, or it lacks one of the methods."""
     with told("the constructor"):
         found = make(*arguments)
-    missing = [name for name in methods if not callable(getattr(found, name, None))]
-    if missing:
-        raise OwnClassError(f"expected the methods {', '.join(methods)}, got no {missing[0]}")
+    for name in methods:
+        if not callable(getattr(found, name, None)):
+            raise OwnClassError(f"expected the methods {', '.join(methods)}, got no {name}")
     return found
 
 
 def real_array(what: str, given: object) -> Array:
-    """Return a copy of an array that a method returned; it need not be finite. Call it within `told`.
-
-    Raises: OwnClassError: its numbers are not real.
-    """
+    """Return a copy of a real array, finite or not, that a method returned, within `told`. Raises: OwnClassError."""
     found = np.asarray(given)
     if np.iscomplexobj(found):
         raise OwnClassError(f"{what}: expected real numbers, got {found.dtype}")
@@ -110,11 +102,9 @@ def real_array(what: str, given: object) -> Array:
 
 @contextmanager
 def told(what: str) -> Iterator[None]:
-    """Turn any exception of the code of a class into one line: what was called, the error, file and line.
+    """Turn any exception of the code of a class into an OwnClassError: what was called, the error, file and line.
 
     Its output goes to standard error: results are on standard output.
-
-    Raises: OwnClassError: the code has raised anything but KeyboardInterrupt.
     """
     try:
         with redirect_stdout(sys.stderr):
@@ -122,9 +112,9 @@ def told(what: str) -> Iterator[None]:
     except (OwnClassError, KeyboardInterrupt):
         raise
     except BaseException as error:
-        text = " ".join(f"{type(error).__name__}: {error}".splitlines())
-        shown = text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]}..."
-        line = "".join(c if c.isprintable() else "?" for c in shown)  # a message can hold it
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        text = text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]}..."
+        line = "".join(c if c.isprintable() else "?" for c in text)  # a message can hold it
         raise OwnClassError(f"{what} raised {line}{_place(error)}") from error
 
 

@@ -84,19 +84,17 @@ def _ownership(scenario: Scenario) -> Problems:
 
 def _links(scenario: Scenario) -> Problems:
     links, names = scenario.links, _processes(scenario)
-    ends = [
-        (f"links.partition.{i}.between", name) for i, p in enumerate(links.partition, start=1) for name in p.between
-    ]
+    ends: list[tuple[str, str | None]] = []
     for place, section in links.all().items():
-        field = f"links.{place}" if place else "links"
         if isinstance(section, LinkOverrideSection):
-            ends += [(f"{field}.{key}", name) for key, name in (("from", section.from_), ("to", section.to)) if name]
-    for field, name in ends:
-        if name not in names:
-            yield field, f"one of {', '.join(names)}", repr(name)
+            ends += [(f"links.{place}.from", section.from_), (f"links.{place}.to", section.to)]
     for i, partition in enumerate(links.partition, start=1):
+        ends += [(f"links.partition.{i}.between", name) for name in partition.between]
         if partition.end_s <= partition.start_s:
             yield f"links.partition.{i}.end_s", f"more than start_s {partition.start_s}", partition.end_s
+    for field, name in ends:
+        if name is not None and name not in names:
+            yield field, f"one of {', '.join(names)}", repr(name)
 
 
 def _processes(scenario: Scenario) -> list[str]:
@@ -125,16 +123,15 @@ def _controller(scenario: Scenario) -> Problems:
 
 
 def _clock(scenario: Scenario) -> Problems:
-    clock = scenario.clock
-    if clock.mode == "realtime" and clock.speed == 0.0:
+    if scenario.clock.mode == "realtime" and scenario.clock.speed == 0.0:
         yield "clock.speed", "a number > 0 with mode realtime, such as 1", 0
-    if clock.mode == "realtime" and clock.actuation == "immediate":
+    if scenario.clock.mode == "realtime" and scenario.clock.actuation == "immediate":
         yield "clock.actuation", "'next_tick' with mode realtime, where a step takes time", "'immediate'"
 
 
 def _faults(scenario: Scenario) -> Problems:
-    plant, *agents = _processes(scenario)
-    processes, uavs = [COORDINATOR, plant, *agents], [f"uav{section.id}" for section in scenario.system.uav]
+    processes, uavs = [COORDINATOR, *_processes(scenario)], [f"uav{section.id}" for section in scenario.system.uav]
+    agents = processes[2:]
     state = dict.fromkeys([*processes, *uavs], "running")
     for i, event in sorted(enumerate(scenario.faults.event, start=1), key=lambda entry: entry[1].at_s):
         field, target = f"faults.event.{i}", event.target
@@ -177,8 +174,8 @@ def _phases(scenario: Scenario) -> Problems:
         if phase.kind in ("take_off", "land"):
             if scenario.plant.ground_m is None:
                 yield f"{field}.kind", "plant.ground_m with it", f"{phase.kind!r} without a ground"
-            if x != 0.0 or y != 0.0 or (z >= 0.0 if phase.kind == "take_off" else z <= 0.0):
-                direction = "up, negative z" if phase.kind == "take_off" else "down, positive z"
+            sign, direction = (-1.0, "up, negative z") if phase.kind == "take_off" else (1.0, "down, positive z")
+            if x != 0.0 or y != 0.0 or sign * z <= 0.0:
                 yield f"{field}.displacement_m", f"a path straight {direction}", [x, y, z]
         if phase.kind != "move" and phase.way is not None:
             yield f"{field}.kind", "'move' with a path from a file", repr(phase.kind)

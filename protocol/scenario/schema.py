@@ -73,11 +73,7 @@ class SystemSection(Section):
 
 
 class PhaseSection(Section):
-    """One piece of the payload's path; displacement in the inertial frame, z down.
-
-    Once its `file` is read, a phase has the table in `way`, and takes duration and displacement from it. A circle,
-    eight or spline takes them from its curve.
-    """
+    """One piece of the payload's path; a table or a curve defines displacement and, mostly, duration."""
 
     name: str
     """name of the phase in progress display and figures"""
@@ -86,10 +82,9 @@ class PhaseSection(Section):
     displacement_m: Annotated[Vector, Key(within=(0.0, 1e5))]  # that of a path from a file: a difference of its rows
     """displacement of the payload over the phase, inertial frame; up is negative z"""
     kind: PhaseKind = "move"
-    """a take_off begins and a land ends with the payload standing on the ground, `plant.ground_m`; both are vertical,
-    with minimum jerk. In the first quarter of a take_off and the last of a land the payload stands still, and its
-    weight passes from the ground to the team or back. After a land only a take_off or a hover follows. circle, eight
-    and spline are smooth curves from rest to rest ([bring-your-own.md](bring-your-own.md#your-own-maneuver))"""
+    """a take_off begins and a land ends vertically on the ground, `plant.ground_m`, where the payload stands for a
+    quarter of the phase while its weight passes over; after a land only a take_off or hover follows. circle, eight and
+    spline are smooth curves from rest to rest ([bring-your-own.md](bring-your-own.md#your-own-maneuver))"""
     way: Annotated[
         list[list[float]] | None, Key(type="list of lists of 4 numbers", unit="s and m", within=(0.0, 1e9))
     ] = None
@@ -97,8 +92,7 @@ class PhaseSection(Section):
     it, from zeros to duration and displacement, which can then be omitted; between rows at constant speed"""
     file: str | None = None
     """path of the phase as a table, instead of duration and displacement: CSV with the columns `t_s,x_m,y_m,z_m`,
-    relative to the scenario's folder, in `--set` to the current folder; see
-    [bring-your-own.md](bring-your-own.md#your-own-maneuver)"""
+    relative to the scenario's folder ([bring-your-own.md](bring-your-own.md#your-own-maneuver))"""
     size_m: Annotated[Vector, Key(within=(0.0, 1e5))] = (0.0, 0.0, 0.0)
     """a, b, c of a circle, (a sin A, b (1 - cos A), c sin A), or an eight, (a sin A, b sin 2 A, c sin A), with the
     angle A from 0 to 2 pi `laps`"""
@@ -115,10 +109,9 @@ class PhaseSection(Section):
     formation: Annotated[
         list[Vector] | None, Key(type="list of lists of 3 numbers", unit="shares of duration, length, width")
     ] = None
-    """rods lean out or in: rows of a share of the phase's duration, rising to at most 1, and from then on length and
-    width of the team of UAVs, along x and y, as multiples of those at hover
-    ([equations.md](equations.md#references-that-a-team-can-fly), (66a)). Between rows they change smoothly, the last
-    row is held; at the end of the maneuver both are 1 again. Only with `reference` flat"""
+    """rods lean out or in: rows of a share of the phase's duration, up to 1 at most, and length and width of a team
+    from then on as multiples of those at hover ([equations.md](equations.md#references-that-a-team-can-fly), (66a));
+    at the end of the maneuver both are 1 again. Only with `reference` flat"""
 
     @model_validator(mode="before")
     @classmethod
@@ -202,9 +195,9 @@ class ManeuverSection(Section):
     start_m: Vector = (0.0, 0.0, -10.0)
     """payload position at t = 0, inertial frame; the run starts there at rest in hover"""
     reference: Literal["hover", "flat"] = "hover"
-    """reference of the controllers: hover moved along the path, or the motion of the whole team that carries the
-    payload along it ([equations.md](equations.md#references-that-a-team-can-fly)), which the shared control law follows
-    by gains along the path. flat needs a smooth path within all limits, and closed_loop, along, riccati, preview"""
+    """hover moved along the path, or the motion of the whole team that carries the payload along it
+    ([equations.md](equations.md#references-that-a-team-can-fly)), which needs a smooth path within all limits, and
+    closed_loop, along, riccati, preview"""
     profile: Profile = "ramp"
     """speed profile along a straight segment: constant speed, minimum jerk, a step, or smooth to the seventh
     derivative. smooth also replaces tables by splines from rest to rest, which round corners within some 0.5 s"""
@@ -237,8 +230,7 @@ class ObstacleSection(Section):
     heading_deg: float = 0.0
     """direction of the first edge of a box, or of the passage through a gap, from x towards y"""
     penalty: Annotated[Positive, Key(unit="1/m", within=(1e-12, 1e8))] = 100.0
-    """penalty on the largest violation of a margin by a UAV or the payload over the horizon; only with a flat
-    reference"""
+    """penalty on the largest violation of a margin over the horizon; only with a flat reference"""
 
 
 class DisturbanceSection(Section):
@@ -259,8 +251,7 @@ class ControllerSection(ControllerSettings):
     """share w of the new optimum in the published plan, the rest is the previous plan. With closed_loop it acts on the
     corrections alone; the feedback acts in full. auto: 1 over the number of agents"""
     received_plans: Literal["by_age", "by_one", "held"] = "by_age"
-    """alignment of the others' plans with the horizon: shifted by their actual age; shifted by one period at any age,
-    as published; or their current input, held. On a network without delay and loss the first two are the same"""
+    """the others' plans in the horizon: shifted by their actual age; by one period at any age, as published; held"""
     received_states: Literal["predicted", "as_received"] = "predicted"
     """states of the others: predicted from the time of sending to now, or as received"""
     estimator: Literal["measured", "kalman"] = "measured"
@@ -269,18 +260,15 @@ class ControllerSection(ControllerSettings):
     negotiation_iterations: Annotated[
         int, Interval(ge=1, le=MAX_NEGOTIATION_ITERATIONS), Key(label="negotiation iterations")
     ] = 1
-    """iterations of negotiation: number of solves of each agent within a tick, with an exchange of plans after each
-    ([time.md](time.md#negotiation)); in real time 1"""
+    """solves of each agent within a tick, with an exchange of plans after each ([time.md](time.md#negotiation))"""
     share: Annotated[Literal["always", "on_change"], Key(short="share")] = "always"
     """plans that an agent sends to the other agents: all, or only those that change what the others assume
-    ([equations.md](equations.md) (49)). The plant receives every plan. on_change requires `prediction` closed_loop,
-    `received_plans` by_age, `received_states` predicted, `negotiation_iterations` 1"""
+    ([equations.md](equations.md) (49)). The plant receives every plan"""
     share_threshold: Annotated[
         NotNegative,
         Key(unit="share of the input's range", label="threshold of sharing", shown="% of the input's range"),
     ] = 0.01
-    """with on_change: change of the corrections above which a plan is sent, the largest over horizon and inputs. 0.01
-    is 0.45 N of thrust and 0.02 N m of roll moment with the default limits"""
+    """with on_change: change of the corrections above which a plan is sent, the largest over horizon and inputs"""
     share_heartbeat_s: Annotated[Positive, Key(label="longest time without a plan")] = 1.0
     """with on_change: longest interval between two plans sent, so that a lost plan is replaced"""
     disturbance: DisturbanceSection = DisturbanceSection()
@@ -311,16 +299,13 @@ class ClockSection(Section):
     """a plan acts from its own tick on, or from the next. If omitted: immediate in lockstep, next_tick in real time,
     which allows no other"""
     barrier_timeout_s: Annotated[Positive, Key(within=_WAIT_S)] = 5.0
-    """wall time after which a silent agent counts as lost: one that has not answered the open tick (lockstep), or any
-    tick (real time; the plant likewise)"""
+    """wall time after which a silent agent counts as lost, in real time also the plant"""
     join_timeout_s: Annotated[Positive, Key(within=_WAIT_S)] = 30.0
-    """wall time the processes wait for each other at the start; in lockstep also the longest wait of a tick for an
-    agent that `[[faults.event]]` restarts"""
+    """wall time the processes wait for each other at the start, in lockstep also a tick for a restarted agent"""
     on_agent_loss: Annotated[Literal["abort", "continue"], Key(short="on_agent_loss")] = "abort"
     """end the run with exit code 4, or continue without the agent, which may return"""
     on_overrun: Literal["continue", "hold", "abort"] = "continue"
-    """in real time, when plans are missing at a deadline: open the next tick anyway, hold it until they arrive, or end
-    the run with exit code 5"""
+    """in real time, when plans are missing at a deadline: open the next tick, hold it for them, or end the run"""
     overrun_limit: Annotated[int, Interval(ge=0)] = 0
     """with abort: number of plans that may miss their deadline"""
     overrun_limit_s: Annotated[Positive | None, Key(within=(1e-9, 1e6))] = None
@@ -343,10 +328,9 @@ class FaultSection(Section):
     at_s: NotNegative
     """scenario time of the fault"""
     do: Literal["kill", "stop", "continue", "restart", "motor_off", "release", "degrade"]
-    """kill: SIGKILL; stop: SIGSTOP; continue: SIGCONT to a stopped process; restart: start an agent again and end the
-    old process if there is one; motor_off: thrust and moments of a UAV are zero from then on; release: a UAV is
-    detached from its rod, and its motors stop; degrade: the motors of a UAV produce only a share of thrust and moments
-    from then on"""
+    """kill: SIGKILL; stop: SIGSTOP; continue: SIGCONT to a stopped process; restart: start an agent again, instead of
+    an old one; motor_off: thrust and moments of a UAV are zero; release: it leaves its rod, motors off; degrade: its
+    motors produce only a share of thrust and moments from then on"""
     target: Annotated[
         str, Key(type="coordinator, plant, agent1, agent2, ...; uav1, uav2, ... for motor_off, release and degrade")
     ]
@@ -362,10 +346,7 @@ class FaultsSection(Section):
 
 
 class NetworkSection(Section):
-    """Addresses of the processes: the coordinator listens on the base port, the plant one above, agents above that.
-
-    They belong to one host, so they are not in the digest.
-    """
+    """Addresses of the processes: coordinator at the base port, plant, agents above that; not in the digest."""
 
     host: Annotated[str, Field(pattern=r"^[A-Za-z0-9_:%-]{1,63}(\.[A-Za-z0-9_:%-]{1,63}){0,9}$")] = "127.0.0.1"
     """address the processes listen on; beyond the loopback interface only with `keys` or `insecure`"""
@@ -373,8 +354,7 @@ class NetworkSection(Section):
     """port of the coordinator, then plant, agent 1, ... If omitted: free ports for `transport run`, 7447 and up for
     processes started by hand"""
     router: Annotated[str, Field(pattern=r"^(tcp|tls)/\S+:\d+$")] | None = None
-    """address of a router such as `tls/192.0.2.1:7447`: all processes are its clients and none listens
-    ([deploy.md](deploy.md#topologies))"""
+    """address of a router, `tls/192.0.2.1:7447`: all processes are its clients ([deploy.md](deploy.md#topologies))"""
     keys: Annotated[str, Field(pattern=r"^[^\x00]*$")] | None = None
     """folder of certificates, relative to the current folder: TLS and access control on every link
     ([deploy.md](deploy.md#access-control))"""

@@ -26,13 +26,13 @@ from mpc.regulation import KEPT, Ahead, Regulation
 from mpc.rows import compile_constraints
 from mpc.settings import ControllerSettings
 from protocol.scenario.budget import ticks_of
-from protocol.scenario.errors import ScenarioError, building
+from protocol.scenario.errors import RequestError, ScenarioError, building
 from protocol.scenario.faults import Fault, scripted, uav_faults
 from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
 from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
-from protocol.scenario.targets import ON_GROUND_M, TargetError, check_scripted, exceeded, least_slowing
-from protocol.wire.run_shape import RunShape
+from protocol.scenario.targets import ON_GROUND_M, check_scripted, exceeded, least_slowing
+from protocol.wire.node import RunShape
 
 # Field of a scenario; expected and got.
 Problems = Iterator[tuple[str, str]]
@@ -91,7 +91,7 @@ class Setup:
                 raise ScenarioError(source, key, problem)
         try:
             check_scripted(setup)
-        except TargetError as error:
+        except RequestError as error:
             raise ScenarioError(source, "maneuver.target", str(error)) from error
         return setup
 
@@ -183,12 +183,12 @@ class Setup:
 
     @property
     def agents(self) -> tuple[int, ...]:
-        """Return the agent ids, 1-based."""
+        """Agent ids, 1-based."""
         return tuple(range(1, len(self.owned) + 1))
 
     @property
     def ticks(self) -> int:
-        """Return the number of sampling instants of the run: t_k < duration of the maneuver."""
+        """Sampling instants of the run: t_k < duration of the maneuver."""
         return ticks_of(self.scenario)
 
     @property
@@ -199,13 +199,10 @@ class Setup:
     @cached_property
     def shape(self) -> RunShape:
         """What the messages of the run must fit."""
-        clock, settings = self.scenario.clock, self.settings
+        clock, settings, agents = self.scenario.clock, self.settings, dict(enumerate(self.owned, start=1))
         return RunShape(
-            owned={agent: tuple(uav + 1 for uav in owned) for agent, owned in enumerate(self.owned, start=1)},
-            limits={
-                agent: (settings.lower(len(owned)), settings.upper(len(owned)))
-                for agent, owned in enumerate(self.owned, start=1)
-            },
+            owned={agent: tuple(uav + 1 for uav in owned) for agent, owned in agents.items()},
+            limits={agent: (settings.lower(len(o)), settings.upper(len(o))) for agent, o in agents.items()},
             uavs=self.system.N,
             ticks=self.ticks,
             delay=1 if clock.next_tick else 0,
@@ -216,14 +213,8 @@ class Setup:
 
     def link(self, sender: str, receiver: str) -> Link:
         """Return the link that carries one process's messages to another: plans, or measurements from the plant."""
-        return Link(
-            self.scenario.links,
-            sender,
-            receiver,
-            seed=self.scenario.seed,
-            period_s=self.settings.sampling_period_s,
-            samples_s=self.samples_s,
-        )
+        links, period_s = self.scenario.links, self.settings.sampling_period_s
+        return Link(links, sender, receiver, seed=self.scenario.seed, period_s=period_s, samples_s=self.samples_s)
 
     @cached_property
     def faults(self) -> tuple[Fault, ...]:
@@ -236,24 +227,8 @@ class Setup:
         x[:3] += self.maneuver.start_I
         return x
 
-    def doubts(self) -> list[str]:
-        """Return the phases that exceed the vehicles' thrust, one line each: they take longer than planned."""
-        mass = self.system.payload.mass + sum(uav.mass for uav in self.system.uavs)
-        weight, (least, most) = mass * self.system.gravity, np.multiply(self.system.N, self.settings.limits.thrust_N)
-        sideways, up, down = math.sqrt(most**2 - weight**2) / mass, (most - weight) / mass, (weight - least) / mass
-        found = []
-        for phase in self.maneuver.phases:
-            x, y, z = phase.displacement_I
-            ways = ((math.hypot(x, y), sideways), (max(-z, 0.0), up), (max(z, 0.0), down))
-            # Fastest motion from rest to rest: full thrust forwards over half the distance, then full thrust backwards.
-            takes_s = max(2.0 * math.sqrt(way_m / a) for way_m, a in ways)
-            if takes_s > phase.duration_s:
-                asked = f"{np.linalg.norm(phase.displacement_I):g} m in {phase.duration_s:g} s"
-                found.append(f"phase {phase.name!r}: {asked}; at full thrust it takes {takes_s:.1f} s")
-        return found
-
     def _off_ground(self) -> Problems:
-        """Yield take-offs that do not begin and landings that do not end on the ground, and paths below it."""
+        """Yield take-offs that do not begin, landings that do not end on the ground, and phases that end below it."""
         ground_m = self.scenario.plant.ground_m
         if ground_m is None:
             return  # without take-offs and landings: protocol.scenario.relations
@@ -264,17 +239,12 @@ class Setup:
             yield "maneuver.start_m", f"expected a start above {at}, got {height_m:g}"
         for number, phase in enumerate(self.maneuver.phases, start=1):
             before_m, height_m = height_m, height_m + float(phase.displacement_I[2])
-            lowest_m = height_m if phase.way is None else before_m + float(phase.way[:, 3].max())
-            if phase.curve is not None:
-                along = phase.curve.path(np.linspace(0.0, phase.duration_s, 1001), 1)
-                lowest_m = before_m + float(along[0, :, 2].max())
-            for what, got_m, wrong in (
-                ("a take-off from", before_m, phase.kind == "take_off" and abs(before_m - resting_m) > ON_GROUND_M),
-                ("a landing at", height_m, phase.kind == "land" and abs(height_m - resting_m) > ON_GROUND_M),
-                ("a path above", lowest_m, lowest_m > resting_m + ON_GROUND_M),
-            ):
-                if wrong:
-                    yield f"maneuver.phase.{number}", f"expected {what} {at}, got {got_m:g}"
+            ends = {"take_off": ("a take-off from", before_m), "land": ("a landing at", height_m)}
+            what, got_m = ends.get(phase.kind, ("", resting_m))
+            if abs(got_m - resting_m) > ON_GROUND_M:
+                yield f"maneuver.phase.{number}", f"expected {what} {at}, got {got_m:g}"
+            elif height_m > resting_m + ON_GROUND_M:
+                yield f"maneuver.phase.{number}", f"expected a path above {at}, got {height_m:g}"
 
     def _off_limits(self) -> Problems:
         """Yield how a flat reference exceeds the limits, and the least slowing with which it does not."""
@@ -299,9 +269,8 @@ class Setup:
     def _off_obstacles(self) -> Problems:
         """Yield the obstacle whose margins the reference does not keep at the sampling instants."""
         if blocked := self.blocked(self._instants_s()):
-            number, wrong = blocked
-            remedy = "move the path or the obstacle, or lean the rods (maneuver.phase.formation)"
-            yield f"obstacle.{number}", f"{wrong}; slowing does not help: {remedy}"
+            remedy = "slowing does not help: move the path or the obstacle, or lean the rods (maneuver.phase.formation)"
+            yield f"obstacle.{blocked[0]}", f"{blocked[1]}; {remedy}"
 
     def blocked(self, times_s: Array) -> tuple[int, str] | None:
         """Return the first obstacle whose margins the reference does not keep, from 1, and got and expected."""
@@ -310,44 +279,41 @@ class Setup:
             margins_m = obstacle.margins(self.system.N)
             row, body = np.unravel_index(np.argmin(clear_m - margins_m), clear_m.shape)
             if clear_m[row, body] < margins_m[body]:
-                name = bodies(self.system.N)[body]
-                wrong = f"expected {margins_m[body]:g} m between {name} and the {obstacle.name} along the reference"
-                return number, f"{wrong}, got {max(float(clear_m[row, body]), 0.0):.3g} m at {times_s[row]:g} s"
+                between = f"{bodies(self.system.N)[body]} and the {obstacle.name} along the reference"
+                got = f"{max(float(clear_m[row, body]), 0.0):.3g} m at {times_s[row]:g} s"
+                return number, f"expected {margins_m[body]:g} m between {between}, got {got}"
         return None
 
     def _off_hover(self) -> Problems:
         """Yield limits on thrust, tension or the distance of UAVs that hover exceeds."""
-        thrusts_N, rotors, limits = self.hover.u[::4], self.scenario.plant.motors.rotors, self.settings.limits.thrust_N
-        for uav, thrust_N in enumerate(thrusts_N, start=1):
-            if not limits[0] <= thrust_N <= limits[1]:
-                expected = f"expected a range that contains the hover thrust {thrust_N:.2f} N of UAV{uav}"
-                yield "controller.limits.thrust_N", f"{expected}, got {list(limits)}"
-            if rotors and not rotors.thrust_N[0] <= thrust_N / 4.0 <= rotors.thrust_N[1]:
-                expected = f"a quarter of the hover thrust of UAV{uav}, {thrust_N / 4.0:.2f} N"
-                got = f"got {list(rotors.thrust_N)}"
-                yield "plant.motors.rotors.thrust_N", f"expected a range that contains {expected}, {got}"
-        tension, least_N = self.settings.tension, float(self.hover.tensions.min())
+        settings, rotors = self.settings, self.scenario.plant.motors.rotors
+        for uav, thrust_N in enumerate(self.hover.u[::4], start=1):
+            for key, what, section, share in (
+                ("controller.limits.thrust_N", "the hover thrust", settings.limits, 1.0),
+                ("plant.motors.rotors.thrust_N", "a quarter of the hover thrust", rotors, 0.25),
+            ):
+                if section and not section.thrust_N[0] <= share * thrust_N <= section.thrust_N[1]:
+                    expected = f"expected a range that contains {what} {share * thrust_N:.2f} N of UAV{uav}"
+                    yield key, f"{expected}, got {list(section.thrust_N)}"
+        tension, least_N = settings.tension, float(self.hover.tensions.min())
         if tension is not None and least_N <= tension.minimum_N:
-            expected = f"expected less than the {least_N:.2f} N at hover"
-            yield "controller.tension.minimum_N", f"{expected}, got {tension.minimum_N}"
-        separation = self.settings.separation
-        r = self.model.outputs(self.hover.x)[: 3 * self.system.N].reshape(-1, 3)
-        for i, j in combinations(range(len(r)), 2):
-            distance_m = float(np.linalg.norm(r[i] - r[j]))
-            if separation is not None and distance_m < separation.minimum_m:
-                expected = f"expected at most the {distance_m:.3f} m between UAV{i + 1} and UAV{j + 1} at hover"
-                yield "controller.separation.minimum_m", f"{expected}, got {separation.minimum_m}"
+            yield "controller.tension.minimum_N", f"expected less than {least_N:.2f} N (hover), got {tension.minimum_N}"
+        if settings.separation is not None:
+            r = self.model.outputs(self.hover.x)[: 3 * self.system.N].reshape(-1, 3)
+            least_m = min((float(np.linalg.norm(a - b)) for a, b in combinations(r, 2)), default=math.inf)
+            if least_m < settings.separation.minimum_m:
+                problem = f"expected at most {least_m:.3f} m (hover), got {settings.separation.minimum_m}"
+                yield "controller.separation.minimum_m", problem
 
 
 def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
     """Return the measured delays by the files that the links name, relative to the scenario's folder."""
     sections = scenario.links.all().values()
     files = dict.fromkeys(link.samples for link in sections if link.distribution == "empirical" and link.samples)
-    for file in files:
-        if ".." in Path(file).parts:
-            expected = "expected an absolute path or one below the scenario's folder"
-            raise ScenarioError(source, "links.samples", f"{expected}, got {file!r}")
     try:
+        for file in files:
+            if ".." in Path(file).parts:
+                raise TableError(f"expected an absolute path or one below the scenario's folder, got {file!r}")
         return {file: delays_of(Path(source).parent / file) for file in files}
     except TableError as error:
         raise ScenarioError(source, "links.samples", str(error)) from error
@@ -360,27 +326,16 @@ def _uav(section: UavSection) -> Uav:
 def _maneuver(scenario: Scenario) -> Maneuver:
     section, phases = scenario.maneuver, []
     for p in section.phase:
-        curve = p.curve()
-        if curve is None and p.way is not None and section.profile == "smooth":
-            curve = Curve(kind=None, duration_s=p.duration_s, ramp_s=0.0, table=p.way)
-        phases.append(
-            Phase(
-                name=p.name,
-                duration_s=p.duration_s,
-                displacement_I=p.displacement_m,
-                kind=p.kind,
-                way=p.way if curve is None else None,
-                curve=curve,
-                formation=p.formation,
-            )
-        )
+        curve, way = p.curve(), p.way
+        if curve is None and way is not None and section.profile == "smooth":
+            curve, way = Curve(kind=None, duration_s=p.duration_s, ramp_s=0.0, table=way), None
+        same = {key: getattr(p, key) for key in ("name", "duration_s", "kind", "formation")}
+        phases.append(Phase(displacement_I=p.displacement_m, way=way, curve=curve, **same))
     return Maneuver(start_I=section.start_m, phases=phases, profile=section.profile, press_m=section.press_m)
 
 
 def _obstacle(section: ObstacleSection) -> Obstacle:
-    centre_I, heading_rad = np.array(section.at_m), math.radians(section.heading_deg)
-    half, radius = np.zeros(3), section.radius_m or 0.0
-    shifts_m = [0.0]
+    heading_rad, half, shifts_m = math.radians(section.heading_deg), np.zeros(3), [0.0]
     if section.kind == "cylinder":
         half[2] = np.inf
     elif section.size_m is not None:
@@ -389,10 +344,8 @@ def _obstacle(section: ObstacleSection) -> Obstacle:
         half = np.array([section.thickness_m / 2.0, _WALL_M, np.inf])
         shifts_m = [sign * (section.width_m / 2.0 + _WALL_M) for sign in (-1.0, 1.0)]
     across = np.array([-math.sin(heading_rad), math.cos(heading_rad), 0.0])
-    solids = tuple(
-        Solid(centre_I=centre_I + shift_m * across, heading_rad=heading_rad, half=half, radius=radius)
-        for shift_m in shifts_m
-    )
+    body: dict[str, Any] = {"heading_rad": heading_rad, "half": half, "radius": section.radius_m or 0.0}
+    solids = tuple(Solid(centre_I=section.at_m + shift_m * across, **body) for shift_m in shifts_m)
     margins_m = {"margin_m": section.margin_m, "load_margin_m": section.load_margin_m}
     return Obstacle(name=section.kind, solids=solids, penalty=section.penalty, **margins_m)
 

@@ -14,8 +14,7 @@ from protocol.scenario.setup import Setup
 class StageCost:
     """Stage cost of the team as the scripted failures of UAVs leave it.
 
-    After a failure, inputs count against the hover of the UAVs with running motors. A released UAV, which has left the
-    team, does not count from its release on: neither outputs nor inputs.
+    Inputs count against the hover of the UAVs with running motors; released UAVs do not count.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -33,10 +32,7 @@ class StageCost:
             self._teams.append((cost, input_indices(sorted(released))))
 
     def at(self, tick: int, y: Array, y_ref: Array, u: Array) -> float:
-        """Return the stage cost of a tick, docs/equations.md (21).
-
-        Output y and its reference, (4 N + 9,); input u, (4 N,).
-        """
+        """Return the stage cost of a tick, (21), of output y, its reference, (4 N + 9,), and input u, (4 N,)."""
         cost, uncounted = self._teams[bisect_right(self._begins, tick) - 1]
         if len(uncounted):
             u = u.copy()

@@ -1,6 +1,6 @@
-"""Targets given during a run: what is asked for becomes a message of the coordinator, and that a new reference.
+"""Targets given during a run, which become messages of the coordinator, and those a new reference.
 
-The coordinator decides the timing once, so that every process makes the same reference from the numbers of the message.
+The coordinator decides the timing once, so that every process makes the same reference.
 """
 
 import math
@@ -20,11 +20,10 @@ from model.maneuver import Target
 from model.parameters import System, resting_height
 from model.state import INPUTS, StateView
 from mpc.settings import ControllerSettings
-from protocol.scenario.errors import ScenarioError, validated
+from protocol.scenario.errors import RequestError, ScenarioError, validated
 from protocol.scenario.schema import TargetSection
 from protocol.wire import messages
-from protocol.wire.errors import TransportError
-from protocol.wire.message import MessageError
+from protocol.wire.errors import MessageError
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox
 
@@ -32,8 +31,14 @@ from protocol.wire.node import Outbox
 Run = Any
 
 # Largest slowing tried, and relative accuracy of the one found.
-_SLOWEST = 64.0
-_ACCURACY = 1e-3
+_SLOWEST, _ACCURACY = 64.0, 1e-3
+# Largest speed where none is given, m/s; time of speeding up that is tried first, s; its factors, largest one.
+SPEED_MPS, _RAMP_S, _LONGER, _LONGEST = 1.0, 2.0, 1.25, 64.0
+# Targets of one run: a process that joins receives all of them.
+MOST = 1000
+# How far a payload that takes off or lands may be from the ground, m.
+ON_GROUND_M = 1e-3
+_SLACK = 1e-9
 
 
 def exceeded(
@@ -48,10 +53,9 @@ def exceeded(
     if not held.min() >= LEAST_TENSION * held.mean():
         return f"expected all rods of the UAVs left to carry the payload at hover, got {held.min():.4g} N in one"
     rho, lengths = np.array([uav.rho for uav in system.uavs]), np.array([uav.rod_length for uav in system.uavs])
-    if path.shape[-1] > 3:
-        aside = float((np.linalg.norm((path[0, :, None, 3:] - 1.0) * rho[:, :2], axis=-1) / lengths).max())
-        if aside >= 1.0:
-            return f"expected a formation with UAVs less than a rod's length off their attachments, got {aside:.3g}"
+    aside = np.linalg.norm((path[0, :, None, 3:] - 1.0) * rho[:, : path.shape[-1] - 3], axis=-1) / lengths
+    if aside.max() >= 1.0:
+        return f"expected a formation with UAVs less than a rod's length off their attachments, got {aside.max():.3g}"
     flown, limits = flight(system, hover, path, released=released), settings.limits
     view, inputs = StateView(flown.x), flown.u.reshape(len(flown.x), system.N, INPUTS)[:, left]
     pulled = (flown.tensions / hover.tensions)[:, left]
@@ -97,28 +101,12 @@ def least_slowing(
     return high
 
 
-# Largest speed where none is given, m/s; time of speeding up that is tried first, s; its factors, largest one.
-SPEED_MPS, _RAMP_S, _LONGER, _LONGEST = 1.0, 2.0, 1.25, 64.0
-# Targets of one run: a process that joins receives all of them.
-MOST = 1000
-# How far a payload that takes off or lands may be from the ground, m.
-ON_GROUND_M = 1e-3
-_SLACK = 1e-9
-
-
-class TargetError(TransportError, MessageError):
-    """A target that cannot be flown; the text says what was expected and what came."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__("out_of_range", text)
-
-
 def asked(given: Mapping[str, Any]) -> TargetSection:
-    """Return what a request asks for. Raises: TargetError: it is not valid, whatever the run."""
+    """Return what a request asks for. Raises: RequestError: it is not valid, whatever the run."""
     try:
         return validated(TargetSection, dict(given))
     except ScenarioError as error:
-        raise TargetError(str(error)) from error
+        raise RequestError(str(error)) from error
 
 
 def target_of(message: messages.Target, period_s: float) -> Target:
@@ -148,8 +136,7 @@ def with_targets(setup: Run, found: Iterable[messages.Target]) -> Run:
 
 def check_target(setup: Run, message: messages.Target) -> None:
     """Raise MessageError for a target that is neither the next one of a run nor one that is repeated."""
-    known = len(setup.maneuver.targets)
-    if message.number > known + 1:
+    if message.number > (known := len(setup.maneuver.targets)) + 1:
         raise MessageError("future", f"target {message.number} after {known}")
 
 
@@ -163,19 +150,18 @@ def target_in_words(message: messages.Target) -> str:
 def scripted(setup: Run) -> list[tuple[int, TargetSection]]:
     """Return the targets of a scenario with their ticks, in the order of time."""
     period_s, sections = setup.settings.sampling_period_s, setup.scenario.maneuver.target
-    found = [(math.ceil(section.at_s / period_s - _SLACK), section) for section in sections]
-    return sorted(found, key=itemgetter(0))
+    return sorted([(math.ceil(s.at_s / period_s - _SLACK), s) for s in sections], key=itemgetter(0))
 
 
 def check_scripted(setup: Run) -> None:
-    """Check that the targets of a scenario can be flown one after the other. Raises: TargetError: one cannot."""
+    """Check that the targets of a scenario can be flown one after the other. Raises: RequestError: one cannot."""
     out = Outbox(COORDINATOR, 0)
     for number, (tick, section) in enumerate(scripted(setup), start=1):
         setup = headed(setup, out.stamp(messages.Target, number=number, **planned(setup, section, tick)))
 
 
 def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
-    """Return the numbers of the message for a target from a tick on. Raises: TargetError: it cannot be flown."""
+    """Return the numbers of the message for a target from a tick on. Raises: RequestError: it cannot be flown."""
     points, period_s = np.array(section.points_m), setup.settings.sampling_period_s
     since_s = tick * period_s
     _check_places(setup, points, since_s)
@@ -187,14 +173,14 @@ def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
         if way.times_s is not None:
             times[1:] = way.times_s
         _check_places(setup, points[0] + way.path(_instants(way.duration_s, period_s), 1)[0], since_s)
-    ends_s = since_s + approach.duration_s + (way.duration_s if way else 0.0)
-    if ends_s > _last_s(setup):
-        expected = f"expected a target before the end of the run at t = {_last_s(setup):.2f} s"
-        raise TargetError(f"{expected}, got {ends_s:.2f} s")
+    ends_s, last_s = since_s + approach.duration_s + (way.duration_s if way else 0.0), (setup.ticks - 1) * period_s
+    if ends_s > last_s:
+        expected = f"expected a target before the end of the run at t = {last_s:.2f} s"
+        raise RequestError(f"{expected}, got {ends_s:.2f} s")
     if setup.scenario.obstacle:
         led = setup.headed(Target(since_s=since_s, point_I=points[0], approach=approach, way=way), object())
         if blocked := led.blocked(np.arange(since_s, ends_s + period_s, period_s)):
-            raise TargetError(f"points_m: {blocked[1]}")
+            raise RequestError(f"points_m: {blocked[1]}")
     return {
         "tick": tick,
         "points": points,
@@ -207,10 +193,7 @@ def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
 
 
 def _check_places(setup: Run, points: Array, since_s: float) -> None:
-    """Check that points are in reach and above the ground, and that the payload flies.
-
-    Without a ground in the plant, none may be below z = 0 unless the payload has been as low.
-    """
+    """Check that points are above the ground (without one z = 0, or as low as it has been), and the payload flies."""
     ground_m = setup.scenario.plant.ground_m
     flown = setup.maneuver.path(np.array([0.0, since_s]))[0]
     if ground_m is None:
@@ -218,10 +201,10 @@ def _check_places(setup: Run, points: Array, since_s: float) -> None:
     else:
         lowest_m, why = resting_height(setup.system, ground_m), "where the payload stands on the ground"
     if points[:, 2].max() > lowest_m + _SLACK:
-        raise TargetError(f"points_m: expected z of at most {lowest_m:g} m, {why}, got {points[:, 2].max():g}")
+        raise RequestError(f"points_m: expected z of at most {lowest_m:g} m, {why}, got {points[:, 2].max():g}")
     phase = setup.maneuver.phase_at(since_s)
     if ground_m is not None and (phase.kind in ("take_off", "land") or flown[1, 2] > lowest_m - ON_GROUND_M):
-        raise TargetError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")
+        raise RequestError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")
 
 
 def _approach(setup: Run, point_I: Array, since_s: float, speed_mps: float) -> Curve:
@@ -243,7 +226,7 @@ def _approach(setup: Run, point_I: Array, since_s: float, speed_mps: float) -> C
         if wrong is None:
             return straight
         ramp_s *= _LONGER
-    raise TargetError(f"points_m: {wrong}")
+    raise RequestError(f"points_m: {wrong}")
 
 
 def _way(setup: Run, further: Array, section: TargetSection) -> Curve:
@@ -262,13 +245,11 @@ def _way(setup: Run, further: Array, section: TargetSection) -> Curve:
         return way
     factor = least_slowing(path, setup.system, setup.hover, setup.settings)
     if factor is None:
-        raise TargetError(f"points_m: {wrong}")
-    if section.times_s is not None:
-        raise TargetError(f"times_s: {wrong}; feasible in {factor:.3f} times the time")
-    way = replace(way, duration_s=factor * way.duration_s, ramp_s=factor * way.ramp_s)
-    if section.speed_mps is not None:
-        raise TargetError(f"speed_mps: {wrong}; feasible with {section.speed_mps / factor:.3f} m/s")
-    return way
+        raise RequestError(f"points_m: {wrong}")
+    if section.times_s is not None or section.speed_mps is not None:
+        key = "speed_mps" if section.times_s is None else "times_s"
+        raise RequestError(f"{key}: {wrong}; feasible in {factor:.3f} times the time")
+    return replace(way, duration_s=factor * way.duration_s, ramp_s=factor * way.ramp_s)
 
 
 def _spline(further: Array, duration_s: float, ramp_s: float, times_s: list[float] | None) -> Curve:
@@ -277,8 +258,3 @@ def _spline(further: Array, duration_s: float, ramp_s: float, times_s: list[floa
 
 def _instants(duration_s: float, period_s: float) -> Array:
     return np.linspace(0.0, duration_s, max(2, math.ceil(duration_s / period_s)) + 1)
-
-
-def _last_s(setup: Run) -> float:
-    """Return the time of the last sampling instant."""
-    return float((setup.ticks - 1) * setup.settings.sampling_period_s)

@@ -1,7 +1,4 @@
-"""A team of any size: UAVs in a ring, the paper's or those of a vehicle file, over a payload of the paper's shape.
-
-Only the system is new; the rest is taken from an existing scenario (docs/scenario.md, "A team of any size").
-"""
+"""A team of any size: UAVs in a ring over a payload of the paper's shape; all else is that of a scenario."""
 
 import math
 from collections.abc import Iterable
@@ -46,10 +43,7 @@ class Vehicle(Section):
 
 
 def read_vehicle(name: str) -> Vehicle:
-    """Return a vehicle: of a file, or a ready one by its name.
-
-    Raises: ScenarioError: naming file, field, expected, got.
-    """
+    """Return a vehicle: of a file, or a ready one by its name. Raises: ScenarioError: as `read_scenario`."""
     path = find_scenario(name, "vehicles")
     return validated(Vehicle, read_tree(path), str(path))
 
@@ -57,12 +51,9 @@ def read_vehicle(name: str) -> Vehicle:
 def ring(
     N: int, gravity_mps2: float, airframe: AirframeSection | None = None, load_kg: float | None = None
 ) -> SystemSection:
-    """Return N UAVs, 2 or more, over a payload of the paper's shape, as large as the ring has to be.
+    """Return N UAVs, 2 or more, in a ring over a payload of the paper's shape (docs/scenario.md); four are Table I.
 
-    By default they are the paper's, neighbours are as far apart as the paper's, 0.5 m, and each carries as much as the
-    paper's, half its own mass. The payload's lengths, the height of the attachment points among them, grow with the
-    radius, its inertia with mass times radius^2. UAV 1 is the first to the right of the x axis (forward), an axis of
-    symmetry; they count counter-clockwise seen from above. Four of them are Table I.
+    By default UAVs, their distance and the load of each, half its mass, are the paper's.
     """
     paper = table_1()
     uav, payload = paper.uavs[0], paper.payload
@@ -79,19 +70,12 @@ def ring(
     scale = radius / paper_radius
     inertia = payload.inertia.diagonal() * (mass / payload.mass * scale**2)
     angles = [math.pi / N * (1 - 2 * i) for i in range(N)]
+    rho_m = [tuple(_rounded([radius * math.cos(a), radius * math.sin(a), scale * z])) for a in angles]
+    same: dict[str, Any] = {"mass_kg": own.mass_kg, "inertia_kgm2": own.inertia_kgm2, "rod_length_m": own.rod_length_m}
     return SystemSection(
         gravity_mps2=gravity_mps2,
         payload=PayloadSection(mass_kg=mass, inertia_kgm2=_rounded(inertia)),
-        uav=[
-            UavSection(
-                id=i,
-                mass_kg=own.mass_kg,
-                inertia_kgm2=own.inertia_kgm2,
-                rho_m=tuple(_rounded([radius * math.cos(angle), radius * math.sin(angle), scale * z])),
-                rod_length_m=own.rod_length_m,
-            )
-            for i, angle in enumerate(angles, start=1)
-        ],
+        uav=[UavSection(id=i, rho_m=place, **same) for i, place in enumerate(rho_m, start=1)],
     )
 
 
@@ -108,14 +92,11 @@ def resized(
 ) -> Scenario:
     """Return a scenario for a ring of UAVs, the keys of their vehicle, and all others of the template.
 
-    Paths in the template are relative to its folder and become absolute. No more keys are given than it gives.
-
     Args:
-        template: Source of controller, clock, links, maneuver, ... and gravity.
-        folder: Of the template's file.
+        template: Source of controller, clock, links, maneuver, ... and gravity; its keys alone are given.
+        folder: Of the template's file; its paths become absolute.
         uavs: N, from `FEWEST` to `MOST`.
-        group: UAVs per agent, the last agent may have fewer; None: as many as the template's first agent has, and
-            all of them where that one has all.
+        group: UAVs per agent, the last may have fewer; None: as many as the template's first agent, or all if it has.
         name: Of the scenario; the template's with the number of UAVs when None.
         source: Name of the template in error texts.
         vehicle: File or name of a vehicle; the paper's UAV when None.

@@ -1,8 +1,6 @@
-"""Messages as bytes: one version byte, then MessagePack; arrays as raw little-endian float64.
+"""Messages as bytes (docs/protocol.md): one version byte, then MessagePack [kind, field, field, ...].
 
-Layout (docs/protocol.md): `version (1 byte) | MessagePack [kind, field, field, ...]`, fields in the order of the
-message class. An array is MessagePack extension type 1: number of axes and up to three lengths as four little-endian
-uint32, then the values row by row.
+An array is extension type 1: number of axes and three lengths as little-endian uint32, then float64, row by row.
 """
 
 import math
@@ -16,8 +14,8 @@ import msgspec
 import numpy as np
 
 from model.arrays import Array
-from protocol.wire.message import Message, MessageError, Reason
-from protocol.wire.messages import BUNDLES, KINDS
+from protocol.wire.errors import MessageError, Reason
+from protocol.wire.messages import BUNDLES, KINDS, Message
 from protocol.wire.names import is_name
 
 VERSION = 6
@@ -50,10 +48,7 @@ def encode(message: Message) -> bytes:
 
 
 def decode(data: bytes) -> Message:
-    """Return the message in some bytes.
-
-    Raises: MessageError: they are no valid message of this version.
-    """
+    """Return the message in some bytes. Raises: MessageError: they are no valid message of this version."""
     try:
         message: Message = _decoded(data, _DECODER)
         message.check()
@@ -66,10 +61,7 @@ def decode(data: bytes) -> Message:
 
 
 def header_of(data: bytes) -> Header:
-    """Return the header of a message.
-
-    Raises: MessageError: no message of this version begins so.
-    """
+    """Return the header of a message. Raises: MessageError: no message of this version begins so."""
     header: Header = _decoded(data, _HEADER_DECODER)
     return header
 

@@ -1,23 +1,14 @@
 """Key expressions: the only place that knows under which key a message travels and which process subscribes to it.
 
-transport/{run}/{kind}                   messages with one key, such as tick; a link change has the key of the roster
-transport/{run}/{kind}/{agent}           measurement, plan, report
-transport/{run}/unshared/{agent}         plans that the other agents do not receive
-transport/{run}/answer/{agent}           bundle of an agent's plan and report; relay, instant, record: other bundles
-transport/{run}/rejected/{name}          messages that any process refused
-transport/{run}/left/{name}              empty: the process has sent its last message
-transport/{run}/ask/{name}/{what}        queryable: every process answers requests, each under a key of its own
-transport/{run}/alive/{name}/{incarnation}/{digest}/{version}     liveliness token: the process is up
-transport/{run}/ready/{name}/{incarnation}              liveliness token: it has seen all the others
-
-Senders and receivers of each kind are in the `Route` of its class (docs/protocol.md has the table).
+Keys are transport/{run}/{kind}[/{agent or name}] and some others: docs/protocol.md has the table. Senders and receivers
+of each kind are in the `Route` of its class.
 """
 
 import re
 from dataclasses import dataclass
 
-from protocol.wire.errors import TransportError
-from protocol.wire.messages import BUNDLES, KINDS, Measurement, Message, MessageError
+from protocol.wire.errors import MessageError, TransportError
+from protocol.wire.messages import BUNDLES, KINDS, Message
 from protocol.wire.names import AGENT, COORDINATOR, OPERATOR, PLANT, RECORDER, ROUTER, WATCHER, agent_name, role_of
 
 __all__ = ["ACTING", "OPERATOR", "READING", "RECORDER", "ROUTER", "WATCHER", "Keys", "RunNameError", "Token", "matches"]
@@ -71,13 +62,10 @@ class Keys:
         key = route.unshared_key if unshared else route.key or message.kind
         return f"{self.prefix}/{key}/{getattr(message, route.each)}" if route.each else f"{self.prefix}/{key}"
 
-    def subscriptions(self, name: str, *, relayed: bool | None = None) -> list[str]:
-        """Return the key expressions a process subscribes to, with relayed plans, with direct ones, or (None) both."""
+    def subscriptions(self, name: str) -> list[str]:
+        """Return the key expressions a process subscribes to."""
         role, found = role_of(name), []
         for cls in (cls for cls in _CLASSES if role in cls.route.receivers):
-            # No process relays what is in bundles, and bundles bring measurements.
-            if (relayed is False and cls.kind in BUNDLES) or (relayed and cls is Measurement):
-                continue
             # An agent receives what other processes send to it, and from the other agents everything they share.
             end = name.removeprefix(AGENT) if role == AGENT and cls.route.sender != AGENT else "*"
             found += self._under(cls, end, unshared=role != AGENT)
@@ -111,23 +99,12 @@ class Keys:
         """Return the liveliness token of a process that has seen all the others."""
         return f"{self.prefix}/ready/{name}/{incarnation}"
 
-    def is_token(self, key: str) -> bool:
-        """Return whether a key is that of a liveliness token."""
-        return self.end(key).startswith(("alive/", "ready/"))
-
-    def is_ready(self, key: str, name: str) -> bool:
-        """Return whether a key is the `ready` token of a process."""
-        return key.startswith(f"{self.prefix}/ready/{name}/")
-
     def request(self, name: str, what: str) -> str:
         """Return the key of a request to a process; `*` for all of its requests."""
         return f"{self.prefix}/ask/{name}/{what}"
 
     def token(self, key: str) -> Token:
-        """Return the content of a liveliness token from its key.
-
-        Raises: MessageError: it is no token of this run.
-        """
+        """Return the content of a liveliness token from its key. Raises: MessageError: it is none of this run."""
         found = _TOKEN.fullmatch(self.end(key))
         if found is None:
             raise MessageError("malformed", f"expected the key of a token, got {key}")
@@ -140,10 +117,7 @@ class Keys:
         return key.removeprefix(f"{self.prefix}/")
 
     def check_sender(self, key: str, message: Message) -> None:
-        """Refuse a message that travels under a key its sender does not own.
-
-        Raises: MessageError: with the key and the sender.
-        """
+        """Raise MessageError for a message that travels under a key its sender does not own."""
         sender, owner = message.sender, message.route.sender
         if key != self.of(message):
             raise MessageError("wrong_sender", f"{message.kind} of {sender} under the key {key}", sender)
@@ -155,7 +129,5 @@ class Keys:
 
 def matches(expression: str, key: str) -> bool:
     """Return whether a key expression of `Keys.subscriptions` covers a key (a trailing `*` is one chunk)."""
-    if not expression.endswith("/*"):
-        return expression == key
     head, _, last = key.rpartition("/")
-    return head == expression[:-2] and bool(last)
+    return key == expression or (f"{head}/*" == expression and bool(last))

@@ -6,42 +6,108 @@ shared, the other agents `Plan`. For the record: plant `PlantState` and `ActualI
 bundles: `Answer`, `Relay`, `Instant` and `Record`.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
+import msgspec
 import numpy as np
 from msgspec import Meta
-from msgspec import field as with_default
 
 from model.arrays import Array
 from model.state import INPUTS, PAYLOAD, PER_UAV, REPORTED, REPORTS, SENSED
-from protocol.wire.message import (
-    MAX_HORIZON,
-    MAX_NEGOTIATION_ITERATIONS,
-    MAX_POINTS,
-    MAX_TEXT,
-    MAX_TICK,
-    Age,
-    Agent,
-    Ages,
-    Count,
-    Counts,
-    Finite,
-    Ids,
-    KeyEnds,
-    Message,
-    MessageError,
-    Names,
-    Parts,
-    PlanTicks,
-    Reason,
-    Route,
-    ShapeOf,
-    Text,
-    lengths_fit,
-)
+from protocol.wire.errors import MessageError, Reason
 from protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, WATCHER, agent_name, is_name
+
+# Limits of a message; anything beyond them is refused, from any sender.
+MAX_HORIZON = 10_000
+MAX_NEGOTIATION_ITERATIONS = 20
+MAX_TICK = 2**48
+MAX_TEXT = 1_000
+MAX_KEY = 80
+MAX_NAMES, MAX_NAME = 64, 80  # numbers of a note, characters of their names
+MAX_PARTS = 1_024
+MAX_POINTS = 256  # of a target
+
+_LARGEST = float(np.finfo(np.float64).max)
+
+Count = Annotated[int, Meta(ge=0, le=MAX_TICK)]
+# In ticks; -1 where nothing was ever received.
+Age = Annotated[int, Meta(ge=-1, le=MAX_TICK)]
+Agent = Annotated[int, Meta(ge=1, le=MAX_UAVS)]
+# Ids of agents or UAVs, 1-based, ascending.
+Ids = Annotated[tuple[Agent, ...], Meta(max_length=MAX_UAVS)]
+Counts = Annotated[tuple[Count, ...], Meta(max_length=MAX_UAVS)]
+Ages = Annotated[tuple[Age, ...], Meta(max_length=MAX_UAVS)]
+# Tick of the plan that the actuators of each UAV follow; the negative ones are special.
+PlanTicks = Annotated[tuple[Annotated[int, Meta(ge=-3, le=MAX_TICK)], ...], Meta(max_length=MAX_UAVS)]
+Finite = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
+Text = Annotated[str, Meta(max_length=MAX_TEXT)]
+# Keys without the prefix of the run, and encoded messages.
+KeyEnds = Annotated[tuple[Annotated[str, Meta(max_length=MAX_KEY)], ...], Meta(max_length=MAX_PARTS)]
+Names = Annotated[tuple[Annotated[str, Meta(max_length=MAX_NAME)], ...], Meta(max_length=MAX_NAMES)]
+Parts = Annotated[tuple[bytes, ...], Meta(max_length=MAX_PARTS)]
+
+# Shape of an array from the other fields of its message; None for an axis of any length.
+ShapeOf = Callable[[Any], tuple[int | None, ...]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Route:
+    """Keys, publishers, subscribers and order of a kind of message."""
+
+    sender: str | None  # role that publishes it; None for any process
+    receivers: tuple[str, ...]  # roles that subscribe to it
+    key: str = ""  # beginning of its key: the kind, unless it shares the key of another kind
+    each: str = ""  # field that ends the key, "agent" or "sender"; empty where there is one key for all
+    unshared_key: str = ""  # beginning of the key if its field `shared` is false; agents do not subscribe to that
+    grows: str = "sequence"  # field that grows from message to message: "sequence", "tick" or one of its own
+    falls: str = ""  # field that falls while the other stays the same
+
+
+class Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, kw_only=True):
+    """Fields of every message; subclasses give their kind as `tag`."""
+
+    kind: ClassVar[str]
+    route: ClassVar[Route]
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {}  # of its arrays, by field
+
+    sender: str  # process name
+    incarnation: Count  # which start of that process, growing with every restart
+    sequence: Count  # number of the message among all its sender sent in this incarnation, from 0
+    tick: Count  # the sampling instant it belongs to, from 0
+
+    def check(self) -> None:
+        """Check arrays, and fields against each other. Raises: MessageError: with field, expected and got."""
+        for field, shape_of in self.shapes.items():
+            value: Array = getattr(self, field)
+            expected = shape_of(self)
+            if value.shape != expected and (
+                len(value.shape) != len(expected)
+                or any(b not in (None, a) for a, b in zip(value.shape, expected, strict=True))
+            ):
+                shown = ", ".join("any" if length is None else str(length) for length in expected)
+                raise MessageError("wrong_shape", f"{field}: expected shape ({shown}), got {value.shape}")
+            # The first test takes one pass, but overflows for large numbers.
+            if not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
+                raise MessageError("not_finite", f"{field}: expected finite numbers, got nan or infinity")
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Value that grows from each message of its kind and sender to the next (docs/protocol.md)."""
+        route = self.route
+        return getattr(self, route.grows), -getattr(self, route.falls) if route.falls else 0
+
+
+def lengths_fit(**lists: tuple[object, ...]) -> None:
+    """Check that the lists of a message are as long as the first of them. Raises: MessageError: naming the field."""
+    (first, given), *others = lists.items()
+    for field, value in others:
+        if len(value) != len(given):
+            text = f"{field}: expected one for each of {len(given)} {first}, got {len(value)}"
+            raise MessageError("wrong_shape", text)
+
 
 Outcome = Literal["completed", "diverged", "aborted"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
@@ -105,10 +171,7 @@ class Roster(Message, tag="roster", frozen=True, kw_only=True):
 
 
 class LinkChange(Message, tag="link", frozen=True, kw_only=True):
-    """Coordinator to all: from this tick on links treat messages differently.
-
-    Messages keep their order within one key only: with the key of the roster a change arrives before the next roster.
-    """
+    """Coordinator to all: from this tick on links differ. With the key of the roster it arrives before the next."""
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
 
@@ -184,10 +247,7 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
 
 
 class Plan(Message, tag="plan", frozen=True, kw_only=True):
-    """Agent to plant and coordinator, if shared also to the other agents: states of its UAVs and inputs to apply.
-
-    Its negotiation is 0 for the plan a tick ends with, otherwise how many exchanges within the tick follow.
-    """
+    """Agent to plant and coordinator, if shared also to the other agents: states of its UAVs and inputs to apply."""
 
     route: ClassVar[Route] = Route(
         sender=AGENT,
@@ -205,7 +265,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
 
     agent: Agent  # the agent that planned
     start_tick: Count  # first sampling instant the inputs are for
-    negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]
+    negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]  # exchanges that follow within the tick
     shared: bool  # whether the other agents receive it: it travels under another key if not
     uavs: Ids  # owned UAVs, 1-based ids, ascending
     # Their states at `tick`, (owned, 12), SI; with `plant.sensors` vehicle the measurements and inputs of the last four
@@ -288,8 +348,7 @@ class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
 class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):
     """Plant to the record: mean thrust and moments over [t_k, t_{k+1}), and the least tension of each cable.
 
-    Sent only in a run whose motors are not ideal, with commanded body rates or with cables. With the commands of
-    `PlantState` it explains the motion.
+    Sent only in a run whose motors are not ideal, with commanded body rates or with cables.
     """
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(RECORDER,), grows="tick")
@@ -301,7 +360,7 @@ class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):
     uavs: Ids  # all of them, 1-based ids, ascending
     inputs: Array  # (N, 4), N and N m
     cables: Ids = ()  # UAVs on cables, in the order of `uavs`; none with rods
-    tensions: Array = with_default(default_factory=lambda: np.zeros(0))  # of these, N, 0 while slack
+    tensions: Array = msgspec.field(default_factory=lambda: np.zeros(0))  # of these, N, 0 while slack
 
 
 class FaultNote(Message, tag="fault", frozen=True, kw_only=True):
@@ -315,10 +374,7 @@ class FaultNote(Message, tag="fault", frozen=True, kw_only=True):
 
 
 class Rejected(Message, tag="rejected", frozen=True, kw_only=True):
-    """Any process to the record: it has refused messages. Sent only when there were any; not reproducible.
-
-    Its sequence numbers count messages of this kind alone, so that they do not change those of the others.
-    """
+    """Any process to the record: it has refused messages; not reproducible. Sequence numbers count this kind alone."""
 
     route: ClassVar[Route] = Route(sender=None, receivers=(RECORDER, WATCHER), each="sender")
 

@@ -1,16 +1,31 @@
-"""Interface of a node: a state machine without I/O, driven by two runtimes; and the numbering of its messages."""
+"""Interface of a node, a state machine without I/O; the numbering of its messages, and what they must fit."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 import msgspec
 import numpy as np
 
+from model.arrays import Array
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from protocol.wire.message import Message
-from protocol.wire.messages import Control, Event
+from protocol.wire.messages import Control, Event, Message
 
 M = TypeVar("M", bound=Message)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunShape:
+    """What the messages of a run must fit, from its scenario (`protocol.scenario.setup.Setup.shape`)."""
+
+    owned: Mapping[int, tuple[int, ...]]  # ids of the UAVs of each agent, both 1-based
+    limits: Mapping[int, tuple[Array, Array]]  # smallest and largest inputs of each agent, (4 owned,), SI
+    uavs: int
+    ticks: int
+    delay: int  # ticks from a plan to its first input
+    negotiation_iterations: int
+    vehicle_sensors: bool  # whether UAVs are told by the measurements of their own sensors, not by states
+    relayed: bool  # whether plans come in bundles
 
 
 class Node(Protocol):
@@ -32,10 +47,7 @@ class Node(Protocol):
         """Return the latest time of the next call of `poll`; None while only events matter."""
 
     def check_moment(self, message: Message) -> None:
-        """Check that a message is from the present start of an agent and can be used: the last check of a gate.
-
-        Raises: MessageError: with the reason.
-        """
+        """Raise MessageError for a message of an earlier start, or that cannot be used: the last check of a gate."""
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Handle one event and return the messages to send. Messages have passed all checks."""

@@ -164,7 +164,7 @@ def test_start_and_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     ("name", "text"),
     [
         ("none:Mine", "expected a module 'none' in {folder} or among the installed packages, got none"),
-        ("my_own:Yours", "expected a class 'Yours' in {folder}/my_own.py, got none"),
+        ("my_own:Yours", "expected a class 'Yours' in {folder}/my_own.py, got NoneType"),
         ("my_own:Mine", "start raised RuntimeError: no gains (my_own.py:3)"),
         ("numpy:ndarray", "the constructor raised TypeError: "),
         ("pathlib:Path", "expected the methods start, step, stop, got no start"),

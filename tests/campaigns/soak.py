@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.loop import processes_of
 from benchmarks.page import BenchmarkError
-from protocol.network.health import usage
+from protocol.network.bus import usage
 from transport.flight import live
 
 # Share of the time left out, in which caches fill.

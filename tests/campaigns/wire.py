@@ -86,7 +86,7 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
             secure, awaited, hears = None, proofs_of_connection(keys, run.agents), list[str]()
             if access == "certificates":  # the session hears what agent 1 may hear
                 secure, awaited = attacker.tls(keyring("one"), "agent1"), {f"{keys.prefix}/instant"}
-                hears = keys.subscriptions("agent1", relayed=True)
+                hears = keys.subscriptions("agent1")
             with intruding(keys, endpoints, secure, hears) as mesh:
                 until = round(_UNTIL * ticks)
                 result.sent.update(bombard(mesh, source, process, awaited, shots=messages, until_tick=until))

@@ -151,8 +151,8 @@ def test_a_failing_engine_ends_the_run(failure: str, tmp_path: Path, monkeypatch
     [
         ("mine_none:Mine", "expected a module 'mine_none' in {folder} or among the installed packages, got none"),
         ("mine.none:Mine", "expected a module 'mine' in {folder} or among the installed packages, got none"),
-        ("mine_bad:Yours", "expected a class 'Yours' in {folder}/mine_bad.py, got none"),
-        ("mine_bad:number", "expected a class 'number' in {folder}/mine_bad.py, got an object of type int"),
+        ("mine_bad:Yours", "expected a class 'Yours' in {folder}/mine_bad.py, got NoneType"),
+        ("mine_bad:number", "expected a class 'number' in {folder}/mine_bad.py, got int"),
         ("mine_bad:Unready", "the constructor raised RuntimeError: no licence (mine_bad.py:2)"),
         ("mine_bad:Half", "expected the methods reset, advance, state, got no advance"),
         ("mine_bad:Late", "state: expected the state given to reset, got 0 instead of -10 at index 2"),

@@ -6,9 +6,9 @@ import pytest
 
 from protocol.admission.gate import Gate
 from protocol.wire.codec import MAX_BYTES, encode
+from protocol.wire.errors import MessageError
 from protocol.wire.keys import Keys
-from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Answer, LinkChange, Plan, Relay
+from protocol.wire.messages import Answer, LinkChange, Message, Plan, Relay
 from protocol.wire.node import Outbox
 from tests.support import runs
 from tests.support.messages import changed, sample

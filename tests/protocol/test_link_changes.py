@@ -5,8 +5,10 @@ from typing import Any
 
 import pytest
 
-from protocol.scenario.links import Link, LinkChanges, LinkError, link_change
-from protocol.wire.messages import LinkChange, MessageError
+from protocol.scenario.errors import RequestError
+from protocol.scenario.links import Link, LinkChanges, link_change
+from protocol.wire.errors import MessageError
+from protocol.wire.messages import LinkChange
 from tests.support.runs import setup
 
 SAMPLES = {"a.csv": (0.1, 0.2), "b.csv": (0.3,)}
@@ -76,7 +78,7 @@ WRONG = [
 @pytest.mark.parametrize("settings", WRONG)
 def test_what_is_no_change_is_refused(settings: str) -> None:
     """Anything but a JSON object of a link's keys is refused on one line, without effect, and does not count."""
-    with pytest.raises(LinkError) as caught:
+    with pytest.raises(RequestError) as caught:
         link_change("", "", settings)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 300

@@ -3,7 +3,8 @@
 import pytest
 
 from protocol.admission.membership import Membership
-from protocol.wire.messages import MessageError, Plan
+from protocol.wire.errors import MessageError
+from protocol.wire.messages import Plan
 from tests.support.runs import INCARNATION, plan, roster, setup
 
 

@@ -9,13 +9,8 @@ import pytest
 from hypothesis import given, settings
 
 from protocol.wire.codec import CLASSES, MAX_BYTES, VERSION, decode, encode, header_of
-from protocol.wire.messages import (
-    Measurement,
-    Message,
-    MessageError,
-    Plan,
-    Tick,
-)
+from protocol.wire.errors import MessageError
+from protocol.wire.messages import Measurement, Message, Plan, Tick
 from protocol.wire.node import Outbox
 from tests.support.messages import array, bundles, changed, content, fields, messages, packed, sample, samples
 

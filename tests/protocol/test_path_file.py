@@ -80,9 +80,9 @@ def test_the_scenario_stands_for_itself_once_read(tmp_path: Path) -> None:
 GARBAGE = [
     ("", "expected the heading t_s,x_m,y_m,z_m, got ''"),
     ("0,0,0,0\n1,0,0,0\n", "expected the heading t_s,x_m,y_m,z_m, got '0,0,0,0'"),
-    (HEADING + "0,0,0,0\n", "duration_s: expected a number > 0.0, got 0.0"),
-    (HEADING + "0,0,0,0\n1,2,x,3\n", "row 2: expected finite numbers t_s,x_m,y_m,z_m, got '1,2,x,3'"),
-    (HEADING + "0,0,0,nan\n1,2,3,4\n", "row 1: expected finite numbers"),
+    (HEADING + "0,0,0,0\n", "duration_s: expected greater than 0, got 0.0"),
+    (HEADING + "0,0,0,0\n1,2,x,3\n", "could not convert string 'x' to float64 at row 1, column 3"),
+    (HEADING + "0,0,0,nan\n1,2,3,4\n", "expected rows of finite numbers t_s,x_m,y_m,z_m"),
 ]
 
 

@@ -7,8 +7,9 @@ import pytest
 from msgspec.structs import replace
 
 from protocol.admission.plausibility import check_plausible
-from protocol.wire.messages import Message, MessageError
-from protocol.wire.run_shape import RunShape
+from protocol.wire.errors import MessageError
+from protocol.wire.messages import Message
+from protocol.wire.node import RunShape
 from tests.support import runs
 from tests.support.logs import report
 from tests.support.messages import sample

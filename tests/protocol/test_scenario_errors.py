@@ -35,7 +35,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("maneuver.phase=[{name='hover',duration_s=1}]", "maneuver.phase.1.displacement_m: expected a value, got nothing"),
     ("controller.separation={penalty=1}", "controller.separation.minimum_m: expected a value, got nothing"),
     # Types.
-    ("controller.weights=3", "expected a section, got 3"),
+    ("controller.weights=3", "expected a valid dictionary or instance of Weights, got 3"),
     ("system.uav=3", "expected a valid list, got 3"),
     ("controller.horizon=2.5", "expected a valid integer, got 2.5"),
     ("controller.horizon=true", "expected a valid integer, got True"),
@@ -56,13 +56,13 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("system.payload.inertia_kgm2=[[1,0,0],[0,1]]", "expected 3 principal moments or 3 rows"),
     ("system.payload.inertia_kgm2=x", "expected a valid list, got 'x'"),
     # Ranges.
-    ("system.payload.mass_kg=-1", "expected a number > 0.0, got -1"),
-    ("controller.horizon=0", "expected a number >= 1, got 0"),
-    ("controller.relaxation=0", "expected a number > 0.0, got 0"),
-    ("controller.weights.moments=[1,1,-1]", "controller.weights.moments.3: expected a number > 0.0, got -1"),
-    ("clock.speed=-1", "expected a number >= 0.0, got -1"),
-    ("plant.max_attitude_deg=90", "expected a number < 90.0, got 90"),
-    ("network.base_port=80", "expected a number >= 1024, got 80"),
+    ("system.payload.mass_kg=-1", "expected greater than 0, got -1"),
+    ("controller.horizon=0", "expected greater than or equal to 1, got 0"),
+    ("controller.relaxation=0", "expected greater than 0, got 0"),
+    ("controller.weights.moments=[1,1,-1]", "controller.weights.moments.3: expected greater than 0, got -1"),
+    ("clock.speed=-1", "expected greater than or equal to 0, got -1"),
+    ("plant.max_attitude_deg=90", "expected less than 90, got 90"),
+    ("network.base_port=80", "expected greater than or equal to 1024, got 80"),
     # Choices.
     ("maneuver.profile=zigzag", "expected 'ramp', 'min_jerk', 'step' or 'smooth', got 'zigzag'"),
     ("controller.solver=osqp", "expected 'daqp' or 'clarabel', got 'osqp'"),
@@ -76,7 +76,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("system.uav.1.id=2", "system.uav.id: expected 1, 2, ... 4 in order, got [2, 2, 3, 4]"),
     ("controller.limits.thrust_N=[5,1]", "expected smallest < largest, got [5, 1]"),
     # Links.
-    ("links.delay_s=-0.1", "expected a number >= 0.0, got -0.1"),
+    ("links.delay_s=-0.1", "expected greater than or equal to 0, got -0.1"),
     ("links.delay=0.1", "unknown key; did you mean 'delay_s'?"),
     ("links.distribution=gauss", "expected 'uniform', 'normal', 'exponential', 'lognormal' or"),
     ("links.distribution=empirical", "links: samples: expected a file of measured delays, got nothing"),
@@ -116,7 +116,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         ("controller.negotiation_iterations=2", *ON_CHANGE),
         "expected 1 with controller.share = 'on_change', got 2",
     ),
-    ("controller.negotiation_iterations=21", "expected a number <= 20, got 21"),
+    ("controller.negotiation_iterations=21", "expected less than or equal to 20, got 21"),
     # Sensors of the vehicles.
     ("plant.sensors=vehicle", "plant.sensors: expected 'state' with controller.estimator = 'measured', got 'vehicle'"),
     (
@@ -187,7 +187,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "faults.event=[{at_s=1,do='motor_off',target='uav3',efficiency=0.5}]",
         "faults.event.1.efficiency: expected no efficiency without 'degrade', got 0.5",
     ),
-    ("controller.tension.minimum_N=8", "expected less than the 7.36 N at hover, got 8"),
+    ("controller.tension.minimum_N=8", "expected less than 7.36 N (hover), got 8"),
     (
         ("controller.tension.minimum_N=2", "controller.motor_lag_s=0.05"),
         "controller.tension: expected controller.motor_lag_s = 0 with it, got 0.05",
@@ -201,11 +201,11 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ),
     (
         "plant.motors.rotors={arm_m=0.2,drag_to_thrust_m=0.02,thrust_N=[0.0,5.0]}",
-        "plant.motors.rotors.thrust_N: expected a range that contains a quarter of the hover thrust of UAV1, "
-        "5.52 N, got [0.0, 5.0]",
+        "plant.motors.rotors.thrust_N: expected a range that contains a quarter of the hover thrust "
+        "5.52 N of UAV1, got [0.0, 5.0]",
     ),
     # The truth, and what is to be estimated of it.
-    ("plant.uav_mass_factor=1000", "expected a number <= 100.0, got 1000"),
+    ("plant.uav_mass_factor=1000", "expected less than or equal to 100, got 1000"),
     (
         ("plant.wind.drag_uav_kgps=31", "plant.wind.gust_mps=[1,1,1]"),
         "expected at most mass over sampling period 30, got 31",
@@ -219,7 +219,7 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "controller.limits.thrust_N=[0,20]",
         "expected a range that contains the hover thrust 22.07 N of UAV1, got [0.0, 20.0]",
     ),
-    ("controller.separation.minimum_m=0.6", "expected at most the 0.500 m between UAV1 and UAV2 at hover, got 0.6"),
+    ("controller.separation.minimum_m=0.6", "expected at most 0.500 m (hover), got 0.6"),
     (
         "system.payload.inertia_kgm2=[1,1,3]",
         "system.payload: no body has principal moments [1.0, 1.0, 3.0] kg m^2: the largest exceeds the sum",
@@ -294,7 +294,7 @@ def test_wrong_scenario(settings: str | tuple[str, ...], problem: str) -> None:
 @pytest.mark.parametrize(
     ("line", "wrong", "problem"),
     [
-        ("horizon = 20", "horizon = 0", "controller.horizon: expected a number >= 1, got 0"),
+        ("horizon = 20", "horizon = 0", "controller.horizon: expected greater than or equal to 1, got 0"),
         ("horizon = 20", "horizn = 20", "controller.horizn: unknown key; did you mean 'horizon'?"),
         ("mass_kg = 3.0", "", "system.payload.mass_kg: expected a value, got nothing"),
         ("[0.0, 45.0]", "[0.0, 20.0]", "controller.limits.thrust_N: expected a range that contains the hover thrust"),
@@ -308,16 +308,14 @@ def test_wrong_file(line: str, wrong: str, problem: str, tmp_path: Path) -> None
         assert refusal(path, *settings).startswith(f"{path}: {problem}")
 
 
-def test_the_last_setting_is_blamed() -> None:
-    """The error names the last of several settings of a key, and all settings that cause it together."""
-    horizons = ["controller.horizon=0", "controller.horizon=-1"]
-    assert refusal(PAPER, *horizons).startswith("--set controller.horizon=-1: expected")
+def test_all_settings_of_a_field_are_blamed() -> None:
+    """The error names all settings that gave its field or part of it."""
     thrusts = ["controller.limits.thrust_N.1=50", "controller.limits.thrust_N.2=40"]
     both = " ".join(f"--set {setting}" for setting in thrusts)
     assert refusal(PAPER, *thrusts).startswith(f"{both}: controller.limits.thrust_N: expected smallest < largest")
-    whole = ["agents.owned.1=[9]", "agents.owned=[[1],[2],[3,4]]", "seed=1", "agents.owned.3=[4]"]
-    last = f"--set {whole[1]} --set {whole[3]}: agents.owned: expected each UAV of [1, 2, 3, 4] once, got [1, 2, 4]"
-    assert refusal(PAPER, *whole) == last  # the first was overwritten, the third is about something else
+    whole = ["agents.owned=[[1],[2],[3,4]]", "seed=1", "agents.owned.3=[4]"]
+    last = f"--set {whole[0]} --set {whole[2]}: agents.owned: expected each UAV of [1, 2, 3, 4] once, got [1, 2, 4]"
+    assert refusal(PAPER, *whole) == last
 
 
 def test_settings_that_contradict_the_cost_to_go() -> None:

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from protocol.scenario.setup import Setup
 from protocol.wire import codec
 from protocol.wire.codec import VERSION, decode, encode
+from protocol.wire.errors import MessageError
 from protocol.wire.keys import Keys, matches
 from protocol.wire.messages import (
     Answer,
@@ -19,7 +20,6 @@ from protocol.wire.messages import (
     Instant,
     Measurement,
     Message,
-    MessageError,
     Plan,
     PlantState,
     Record,

@@ -20,9 +20,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.hosts import Host, Inventory, Placement, placements
-from deploy.keys import LOOPBACK, OTHERS, KeysError, make_certificates
-from deploy.render import RenderError, command, render
+from deploy.hosts import DeployError, Host, Inventory, Placement, placements
+from deploy.keys import LOOPBACK, OTHERS, make_certificates
+from deploy.render import command, render
 from protocol.network.endpoints import process_names
 from protocol.network.parent import ENVIRONMENT, python
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
@@ -205,7 +205,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ScenarioError as error:
         sys.stderr.write(f"lab: {error.blaming(options.settings)}\n")
         return EXIT_SCENARIO
-    except (LabError, KeysError, RenderError, subprocess.CalledProcessError) as error:
+    except (LabError, DeployError, subprocess.CalledProcessError) as error:
         sys.stderr.write(f"lab: {error}\n")
         return EXIT_USAGE
     except KeyboardInterrupt:

@@ -6,11 +6,11 @@ from typing import Any
 from agent import node as agent_node
 from coordinator import node as coordinator_node
 from plant import node as plant_node
+from protocol.admission.gate import Rejections
 from protocol.admission.plausibility import check_plausible
 from protocol.scenario.setup import Setup
-from protocol.wire.message import Message, MessageError
-from protocol.wire.messages import Event
-from protocol.wire.rejections import Rejections
+from protocol.wire.errors import MessageError
+from protocol.wire.messages import Event, Message
 
 
 class _Checked:

@@ -105,9 +105,9 @@ class Receiver(Protocol):
 class SilentGate(Gate):
     """Gate whose notices wait for the end of the run: their times depend on the host."""
 
-    def notices(self, now_ns: int, incarnation: int) -> list[Rejected]:
-        """Return no notices."""
-        return []
+    def notices(self, incarnation: int, now_ns: int | None = None) -> list[Rejected]:
+        """Return notices only at the end."""
+        return [] if now_ns is not None else super().notices(incarnation)
 
 
 class NodeReceiver:
@@ -123,7 +123,6 @@ class NodeReceiver:
             digest=setup.scenario.digest(),
             endpoints=Endpoints(listen=[], connect=[]),
             gate=self.gate,
-            relayed=setup.scenario.clock.relayed,
         )
         self.exchange = exchange_of(setup, node.name, node.incarnation, keys, self.bus.put)
         self.bus.before_wait = self.exchange.settle
@@ -181,7 +180,7 @@ class Wire:
 
     def __init__(self, setup: Setup, recorder: Recorder, before: Before = lambda *_: None) -> None:
         self.keys = Keys(setup.scenario.name)
-        self._before, self._relayed = before, setup.scenario.clock.relayed
+        self._before = before
         self._coordinator = CoordinatorNode(setup, INCARNATION)
         agents = [AgentNode(setup, agent, INCARNATION) for agent in setup.agents]
         nodes: list[Node] = [self._coordinator, PlantNode(setup, INCARNATION), *agents]
@@ -218,7 +217,7 @@ class Wire:
 
     def subscriptions(self, name: str) -> list[str]:
         """Return the key expressions a process subscribes to."""
-        return self.keys.subscriptions(name, relayed=self._relayed)
+        return self.keys.subscriptions(name)
 
     def disturb(self, name: str, key: str, data: bytes) -> list[str]:
         """Let a receiver read bytes that are no message of this run; return the keys of its answers."""
@@ -228,7 +227,7 @@ class Wire:
         """Send each receiver's rejections to the recorder, as at the end of a run; the recorder's own come last."""
         recorder = self.receivers["recorder"]
         for name, receiver in self.receivers.items():
-            for notice in receiver.gate.last_notices(INCARNATION):
+            for notice in receiver.gate.notices(INCARNATION):
                 if name == "recorder":
                     assert isinstance(recorder, RecordingReceiver)
                     recorder._recorder.receive(notice)

@@ -110,7 +110,6 @@ def test_a_run_under_attack(tmp_path: Path) -> None:
 
     health = json.loads(asked.stdout)
     assert (health["name"], health["incarnation"]) == ("agent2", 0)
-    assert abs(health["clock_offset_s"]) <= health["clock_uncertainty_s"] + 1e-3  # one clock
     assert health["memory_bytes"] > 1e7
     assert {sample.labels["process"] for sample in families["transport_up"].samples} == set(process_names(scenario))
     assert all(sample.value > 1e7 for sample in families["transport_memory_bytes"].samples)
@@ -180,7 +179,7 @@ def test_routers_on_both_sides(tmp_path: Path) -> None:
     assert record.returncode == 0, record.stderr
     assert [process.returncode for process in started] == [0] * 6, errors
     assert table(tmp_path / "out") == calm(tmp_path / "calm", *BRIEF)
-    assert all('"clock_offset_ms"' in text for text in errors[:5])
+    assert all('"joined"' in text for text in errors[:5])
 
 
 @pytest.mark.parametrize(
@@ -229,4 +228,4 @@ def test_insecure_is_logged(tmp_path: Path) -> None:
     )
     assert done.returncode == 4  # no other process joined
     first = json.loads(done.stderr.splitlines()[0])
-    assert (first["event"], first["at"]) == ("insecure", f"tcp/0.0.0.0:{base + 1}")
+    assert (first["event"], first["at"]) == ("open", f"tcp/0.0.0.0:{base + 1}")

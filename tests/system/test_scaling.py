@@ -42,7 +42,7 @@ REFUSED = [
     (("--max", "17"), USAGE, "--max: expected a number of UAVs from 2 to 16, got 17"),
     (("--max", "many"), USAGE, "invalid value for '--max'"),
     (("--jobs", "0"), USAGE, "--jobs"),
-    (("--set", "controller.horizon=0"), SCENARIO, "--set controller.horizon=0: expected a number >= 1, got 0"),
+    (("--set", "controller.horizon=0"), SCENARIO, "controller.horizon=0: expected greater than or equal to 1"),
     (
         ("--set", "system.uav.2.mass_kg=1.6"),
         SCENARIO,

@@ -67,23 +67,11 @@ UNREACHABLE = [(200.0, 0.0), (0.0, -200.0), (0.0, 200.0), (9e4, 0.0)]
 
 @pytest.mark.parametrize(("x", "z"), UNREACHABLE)
 def test_way_points_no_vehicle_reaches(x: float, z: float) -> None:
-    """Paths of 100 m/s and more give a warning, and the run diverges at the error bound, with the numbers."""
-    run = ready("resilient", phase(2.0, x, z))
-    (doubt,) = run.doubts()
-    assert doubt.startswith(f"phase 'dash': {max(abs(x), abs(z)):g} m in 2 s; at full thrust it takes ")
-    end = simulate(run)
+    """Runs along paths of 100 m/s and more diverge at the error bound, with the numbers."""
+    end = simulate(ready("resilient", phase(2.0, x, z)))
     assert (end.outcome, end.exit_code) == ("diverged", 6)
     assert "payload position error of" in end.reason
     assert "m exceeds 20 m at t = " in end.reason
-
-
-def test_ready_maneuvers_raise_no_doubt() -> None:
-    """Ready scenarios give no warning; a segment does exactly if its time is below the bound."""
-    for path in SCENARIOS.glob("*.toml"):
-        assert ready(path.stem).doubts() == []
-    # Upwards 45 N on 2.25 kg per UAV give 20 m/s^2, less gravity 10.19; both halves of 20 m take 2 sqrt(20 / 10.19) s.
-    doubts = [ready("paper", phase(t, 0.0, -20.0)).doubts() for t in (2.79, 2.81)]
-    assert doubts == [["phase 'dash': 20 m in 2.79 s; at full thrust it takes 2.8 s"], []]
 
 
 @pytest.mark.parametrize(
@@ -102,4 +90,4 @@ def test_paths_out_of_this_world(given: str, text: str) -> None:
 def test_uavs_too_close_at_the_start() -> None:
     """A start that violates the smallest distance is refused with both distances and the pair."""
     text = refusal("paper", "system.uav.2.rho_m=[0.25,-0.1,-0.125]", "system.uav.1.rho_m=[0.25,0.1,-0.125]")
-    assert "separation.minimum_m: expected at most the 0.200 m between UAV1 and UAV2 at hover, got 0.4" in text
+    assert "separation.minimum_m: expected at most 0.200 m (hover), got 0.4" in text

@@ -110,8 +110,8 @@ def test_events_are_marked() -> None:
     marks = marks_of(run, log_of([by_hand, by_hand, note]))
     assert [(mark.time_s, mark.of_links) for mark in marks] == [(0.2, True), (0.4, True), (0.5, True), (1.0, False)]
     caption = " ".join(caption_of(marks))
-    assert "1: agent2 cut off (0.2 s); 2: links from agent1: loss 100 % (0.4 s)" in caption
-    assert "3: links between agents: delay 0.2 s, loss 30 % (0.5 s); 4: agent3 killed (1 s)" in caption
+    assert "1: agent2 cut off (0.2 s); 2: links from agent1: loss 1.0 (0.4 s)" in caption
+    assert "3: links between agents: delay_s 0.2, loss 0.3 (0.5 s); 4: agent3 killed (1 s)" in caption
 
 
 def test_drawing_has_no_side_effects(tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ from protocol.network.endpoints import Endpoints
 from protocol.scenario.setup import Setup
 from protocol.wire import codec
 from protocol.wire.codec import decode, encode
-from protocol.wire.messages import Bundle, Message, MessageError, Reason, Rejected
+from protocol.wire.errors import MessageError, Reason
+from protocol.wire.messages import Bundle, Message, Rejected
 from tests.support import runs
 from tests.support.garbage import Garbage
 from tests.support.logs import HEADER, with_scenario

@@ -9,8 +9,9 @@ import pytest
 from msgspec.structs import replace
 
 from protocol.wire.codec import encode, header_of
+from protocol.wire.errors import MessageError
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Message, MessageError, Plan, Rejected
+from protocol.wire.messages import Message, Plan, Rejected
 from tests.support import runs
 from tests.support.logs import HEADER, with_scenario
 from transport.log.run_log import LogTail, RunLog, read_log

@@ -9,7 +9,8 @@ import pytest
 from jsonschema import Draft202012Validator
 from rich.console import Console
 
-from protocol.wire.messages import Message, Reason
+from protocol.wire.errors import Reason
+from protocol.wire.messages import Message
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, record_run
 from transport.report.report import summary_table, write_report

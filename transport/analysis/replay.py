@@ -18,20 +18,20 @@ from agent.node import AgentNode
 from agent.own import checked_controller
 from model.arrays import Array
 from model.state import INPUTS
+from protocol.admission.gate import Rejections
 from protocol.scenario.setup import Setup
+from protocol.wire.errors import MessageError
 from protocol.wire.messages import (
     FaultNote,
     LinkChange,
     Measurement,
     Message,
-    MessageError,
     Plan,
     Roster,
     StepReport,
     Target,
     agent_name,
 )
-from protocol.wire.rejections import Rejections
 from transport.log.run_log import RunLog
 from transport.log.tables import INPUT_NAMES
 

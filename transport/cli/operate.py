@@ -73,8 +73,6 @@ class ActiveRun:
 
 # Timeout after which a process counts as down.
 _TIMEOUT_S = 1.0
-# Parts of an answer that are for the clock of the asking process.
-_HIDDEN = ("asked_ns", "answered_ns")
 
 
 class Fact(NamedTuple):
@@ -92,8 +90,6 @@ FACTS = {
     "memory_bytes": Fact("memory_bytes", "Resident memory", 1e-6, "MB"),
     "threads": Fact("threads", "Threads"),
     "open_files": Fact("open_files", "Open files"),
-    "clock_offset_s": Fact("clock_offset_seconds", "Lead of the coordinator's wall clock", 1e3, "ms"),
-    "clock_uncertainty_s": Fact("clock_uncertainty_seconds", "Largest error of the offset", 1e3, "ms"),
     "incarnation": Fact("incarnation", "Number of this start of the process"),
     "cpu_s": Fact("cpu_seconds", "Processor time", 1.0, "s", counts=True),
     "refused": Fact("refused_messages", "Rejected messages", counts=True),
@@ -129,7 +125,7 @@ def _health(answer: dict[str, Any]) -> Iterator[tuple[str, str]]:
         if name in FACTS and value is not None:
             fact = FACTS[name]
             yield fact.text, f"{round(fact.scale * value, 3):.15g} {fact.unit}".rstrip()
-        elif name not in _HIDDEN and value is not None:
+        elif value is not None:
             yield name, value if isinstance(value, str) else json.dumps(value)
 
 

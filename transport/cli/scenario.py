@@ -117,12 +117,10 @@ def validate(
     Example: transport validate paper --set controller.horizon=10
     """
     setup = read_setup(scenario, settings, allow_large=large)
-    classes, doubts, tree, digest = checked(setup), list(setup.doubts()), setup.scenario.tree(), setup.scenario.digest()
-    show(output, {"scenario": tree, "digest": digest, "warnings": doubts}, tomli_w.dumps(tree).rstrip("\n"))
+    classes, tree, digest = checked(setup), setup.scenario.tree(), setup.scenario.digest()
+    show(output, {"scenario": tree, "digest": digest}, tomli_w.dumps(tree).rstrip("\n"))
     if output is Format.json:
         return
-    for doubt in doubts:
-        typer.echo(f"warning: {doubt}", err=True)
     hover = ", ".join(f"{thrust:.2f}" for thrust in setup.hover.u[::4])
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
     own = "".join(f", {what} {name}" for what, name in classes.items() if name != "mpc")

@@ -259,7 +259,6 @@ def top(
         digest=active.setup.scenario.digest(),
         endpoints=active.endpoints,
         gate=Gate(WATCHER, Keys(active.name), active.setup.shape),
-        relayed=active.setup.scenario.clock.relayed,
         gather_s=_GATHER_S,
     )
     with closing(bus):

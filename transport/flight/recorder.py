@@ -20,6 +20,7 @@ from protocol.scenario.links import link_change
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import check_target, with_targets
 from protocol.wire.codec import Header, decode, encode
+from protocol.wire.errors import MessageError
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import (
     BUNDLES,
@@ -29,7 +30,6 @@ from protocol.wire.messages import (
     FaultOrigin,
     LinkChange,
     Message,
-    MessageError,
     PlantState,
     Presence,
     Record,
@@ -102,7 +102,6 @@ class Recorder:
             digest=setup.scenario.digest(),
             endpoints=endpoints,
             gate=self.gate,
-            relayed=setup.scenario.clock.relayed,
             serves=True,
             gather_s=_GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S,
         )
@@ -162,7 +161,7 @@ class Recorder:
         try:
             if self._bus.join(self._expected, self._join_timeout_s, self._notices.append) is None:
                 self._record()
-                for notice in self.gate.last_notices(self._out.incarnation):
+                for notice in self.gate.notices(self._out.incarnation):
                     self._take(notice)
         except BusError as error:
             self.error = str(error)
@@ -200,7 +199,7 @@ class Recorder:
                     self.requests.put(event)
                 case _:
                     self.receive(event, self._bus.arrived_ns)
-            for notice in self.gate.notices(time.monotonic_ns(), self._out.incarnation):
+            for notice in self.gate.notices(self._out.incarnation, time.monotonic_ns()):
                 self._take(notice)
         if self.control is None:  # the coordinator cannot tell the end of the run
             state = self.plant_state

@@ -5,8 +5,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from protocol.scenario.errors import RequestError
 from protocol.scenario.files import TableError, points_of
-from protocol.scenario.targets import TargetError, asked
+from protocol.scenario.targets import asked
 from protocol.wire.names import COORDINATOR
 from transport.flight import live
 from transport.interface.settings import ArgumentError, public
@@ -64,7 +65,7 @@ class ActiveRun:
         try:
             asked(given)
             return self._there.ask(COORDINATOR, "target", given)
-        except (TargetError, live.RefusedError, live.UnansweredError) as error:
+        except (RequestError, live.RefusedError, live.UnansweredError) as error:
             raise ArgumentError(str(error)) from error
 
 

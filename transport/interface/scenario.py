@@ -87,7 +87,7 @@ class Scenario(Section):
     >>> scenario.links.loss = 1.5
     Traceback (most recent call last):
         ...
-    protocol.scenario.errors.ScenarioError: links.loss=1.5: expected a number <= 1.0, got 1.5
+    protocol.scenario.errors.ScenarioError: links.loss=1.5: expected less than or equal to 1, got 1.5
     >>> scenario.links.loss
     0.0
     >>> scenario.resized(6)

@@ -14,9 +14,9 @@ from protocol.admission.gate import Gate
 from protocol.scenario.file import ScenarioError, validate
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import VERSION, decode
-from protocol.wire.errors import TransportError
+from protocol.wire.errors import MessageError, TransportError
 from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.messages import KINDS, LinkChange, Message, MessageError, Plan, Target
+from protocol.wire.messages import KINDS, LinkChange, Message, Plan, Target
 from transport.log.parser import Parser
 
 # Name of the metadata record that describes the run.
@@ -146,7 +146,7 @@ class LogTail:
 
     def last_notices(self) -> list[Message]:
         """Return what is to be said at the end of the log."""
-        return [] if self._gate is None else list(self._gate.last_notices(0))
+        return [] if self._gate is None else list(self._gate.notices(0))
 
     def _accepted(self, topic: str, data: bytes, at_ns: int) -> Iterator[Message]:
         """Yield the messages of an entry that arrived at a time, ns.
@@ -163,7 +163,7 @@ class LogTail:
         for message in self._gate.accept(_KEYS.prefix + topic, data):
             if isinstance(message, Message):
                 yield message
-        yield from self._gate.notices(at_ns, 0)
+        yield from self._gate.notices(0, at_ns)
 
 
 def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:

@@ -28,7 +28,7 @@ REFUSED = [
         SCENARIO,
         "agents.owned=[[1],[2,3,4]]: expected one agent that owns all, got 2",
     ),
-    (("paper", "--set", "controller.horizon=0"), SCENARIO, "controller.horizon=0: expected a number >= 1, got 0"),
+    (("paper", "--set", "controller.horizon=0"), SCENARIO, "controller.horizon=0: expected greater than or equal to 1"),
     (("ablation", "--set", "clock.mode=realtime"), SCENARIO, "clock."),
     (("latency", "--scenario", "papr"), SCENARIO, "did you mean 'paper'?"),
     (("latency", "--set", "links.los=1"), SCENARIO, "links.los=1: unknown key; did you mean 'loss'?"),

@@ -56,7 +56,7 @@ def test_a_change_is_that_of_the_command_line(key: str, value: Any) -> None:
 
 
 REFUSED = [
-    ({"links.delay_s": -1.0}, "links.delay_s=-1.0: expected a number >= 0.0, got -1.0"),
+    ({"links.delay_s": -1.0}, "links.delay_s=-1.0: expected greater than or equal to 0, got -1.0"),
     ({"controller.horizn": 3}, "controller.horizn=3: unknown key; did you mean 'horizon'?"),
     ({"controller.limits.thrust_N": [0.0, 5.0]}, "expected a range that contains the hover thrust"),
     ({"agents.owned": [[1, 2], [3]]}, "expected each UAV of [1, 2, 3, 4] once, got [1, 2, 3]"),

@@ -111,7 +111,7 @@ def test_wrong_arguments(arguments: dict[str, Any], text: str) -> None:
 def test_refused_before_the_first_run(tmp_path: Path) -> None:
     """A combination that cannot be simulated, or an address that is none, ends the sweep before it begins."""
     folder = tmp_path / "sweep"
-    with pytest.raises(transport.ScenarioError, match="expected a number >= 0"):
+    with pytest.raises(transport.ScenarioError, match="expected greater than or equal to 0"):
         transport.sweep("paper", {"delay_s": [0.0, -1.0]}, folder=folder, progress=False)
     with pytest.raises(transport.ExperimentError, match="expected an address such as tcp://host:8786"):
         transport.sweep("paper", {"delay_s": [0.0]}, workers="nowhere", folder=folder, progress=False)
