@@ -24,7 +24,6 @@ TOLD = {
     "eclipse-zenoh": "EPL-2.0 OR Apache-2.0",
     "daqp": "MIT",
     "quadprog": "GPL-2.0-or-later",
-    "proxsuite": "BSD-2-Clause",
 }
 
 
