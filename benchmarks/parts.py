@@ -16,8 +16,8 @@ from protocol.wire.messages import Plan
 
 TEXT = (
     "Processor time, ms, median (99th percentile). The plant integrates one sampling period of 50 ms in steps of "
-    "`plant.step_s`. A plan has one UAV and {horizon} steps, {size} bytes. All checks: size, form, values, key, sender, "
-    "incarnation, order."
+    "`plant.step_s`. A plan has one UAV and {horizon} steps, {size} bytes. All checks: size, form, values, key, "
+    "sender, incarnation, order."
 )
 
 

@@ -8,9 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from tables import ROOT, commit, place, put, table
 
+from protocol.scenario.file import find_scenario, read_scenario, with_settings
+from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
+from protocol.scenario.team import given, resized
 from transport.analysis.series import series_of
-from transport.experiments.cases import Point, Team, cases_of
+from transport.experiments.cases import Case, cases_of_point
 from transport.experiments.simulation import Result
 from transport.experiments.sweep import simulated
 from transport.flight.header import machine, versions
@@ -109,7 +112,7 @@ def events(*given: tuple[float, str, str]) -> tuple[str, ...]:
 def renew(pages: Mapping[str, Sequence[Table]], version: str = "") -> None:
     """Simulate, and renew the tables of documents, or only those named as arguments.
 
-    A line of each document says where its numbers come from. The version is that of another package.
+    A line of each document says where all its numbers come from. The version is that of another package.
 
     Raises: SystemExit: a document lacks markers.
     """
@@ -124,13 +127,24 @@ def renew(pages: Mapping[str, Sequence[Table]], version: str = "") -> None:
     found = dict(zip(runs, simulated("pages", [_cases(run) for run in runs], kept), strict=True))
     for document, one in chosen:
         put(document, one.name, _text(one, found))
-        put(document, "origin", f"*Commit {now}; {versions()}{version}; {machine()}.*")
+        if not sys.argv[1:]:
+            put(document, "origin", f"*Commit {now}; {versions()}{version}; {machine()}.*")
 
 
-def _cases(run: Run) -> Any:
-    team = None if run.uavs is None else Team(run.uavs, 1)
-    point = Point({}, " ".join(run.settings), run.settings, team=team, scenario=run.scenario)
-    return cases_of([point], (), run.seeds, more=more)
+def scenario_of(run: Run) -> Scenario:
+    """Return the scenario of a run, with its settings made after its team.
+
+    Raises: ScenarioError: a setting is refused.
+    """
+    path = find_scenario(run.scenario)
+    if run.uavs is None:
+        return read_scenario(path, run.settings, allow_large=True)
+    team = resized(read_scenario(path), path.parent, run.uavs, group=1, name=None, source=str(path))
+    return with_settings(given(team), run.settings, str(path), allow_large=True)
+
+
+def _cases(run: Run) -> list[Case]:
+    return cases_of_point(0, scenario_of(run), find_scenario(run.scenario), run.seeds, more=more)
 
 
 def _text(shown: Table, found: Mapping[Run, Flown]) -> str:
