@@ -53,8 +53,7 @@ docs: $(VENV)/.installed-docs ## build the site into build/site; open build/site
 	@echo build/site/index.html
 
 reference: $(VENV)/.installed ## renew pages made from the code: keys of the scenario, commands
-	@$(BIN)/python docs/keys_page.py
-	@$(BIN)/python docs/commands_page.py
+	@$(BIN)/python docs/reference_page.py
 
 lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees them
 	@$(BIN)/ruff check .

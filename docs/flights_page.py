@@ -1,7 +1,7 @@
 """Renew the tables of fast flight, a gap and the paper's claims in docs/results.md, and that of docs/vehicles.md.
 
-Part of `make figures`, ten minutes on two cores; arguments name some of the tables. Seeds draw noise, delays, losses and
-gusts.
+Part of `make figures`, ten minutes on two cores; arguments name some of the tables. Seeds draw noise, delays, losses
+and gusts.
 """
 
 import math
