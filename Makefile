@@ -38,10 +38,10 @@ campaigns: $(VENV)/.installed-test ## search for defects by random runs, by nigh
 	@$(BIN)/python -m tests.campaigns.wire --messages 1000000
 	@$(BIN)/python -m tests.campaigns.soak --minutes 30
 
-bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (5 minutes)
+bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (3 minutes)
 	@$(BIN)/python -m benchmarks
 
-figures: $(VENV)/.installed-test $(VENV)/.installed-firmware ## run every experiment and renew figures and tables of README and docs (an hour)
+figures: $(VENV)/.installed-test $(VENV)/.installed-firmware ## run every experiment and renew figures and tables of README and docs (an hour and a half)
 	@$(BIN)/python docs/values_page.py
 	@$(BIN)/python docs/guarantees_page.py
 	@$(BIN)/python docs/engines_page.py

@@ -1,4 +1,4 @@
-"""Engines of a person and a plant started by hand among real processes: they fly, and what is wrong with them ends in one line."""
+"""Engines of a person and a plant started by hand: they fly, and what is wrong with them ends in one line."""
 
 import json
 import re
