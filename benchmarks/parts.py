@@ -28,8 +28,8 @@ def measure() -> str:
     run = setup("resilient", CLIMB)
     plans = [message for message in messages(run) if isinstance(message, Plan) and message.agent == 1]
     data = [encode(plan) for plan in plans]
-    rows.append(["plan to bytes", spread([ms for plan in plans for ms in times_ms(partial(encode, plan))])])
-    rows.append(["bytes to plan", spread([ms for part in data for ms in times_ms(partial(decode, part))])])
+    rows.append(["plan to bytes", spread(times_ms([partial(encode, plan) for plan in plans]))])
+    rows.append(["bytes to plan", spread(times_ms([partial(decode, part) for part in data]))])
     rows.append(["bytes to plan, all checks", spread(checking(run, plans, data))])
     text = TEXT.format(horizon=run.settings.horizon, size=len(data[-1]))
     return f"{text}\n\n{table(['', 'time'], rows)}"
@@ -40,7 +40,7 @@ def integration(engine_name: str, uavs: int) -> list[float]:
     run = setup("resilient", CLIMB, f"plant.engine={engine_name}", uavs=uavs)
     engine = PlantNode(run).engine
     engine.reset(run.initial_state())
-    return times_ms(partial(engine.advance, run.hover.u, None, run.settings.sampling_period_s), 400)
+    return times_ms([partial(engine.advance, run.hover.u, None, run.settings.sampling_period_s)], 400)
 
 
 def checking(run: Setup, plans: Sequence[Plan], data: Sequence[bytes]) -> list[float]:
@@ -51,7 +51,7 @@ def checking(run: Setup, plans: Sequence[Plan], data: Sequence[bytes]) -> list[f
     keys = Keys(run.scenario.name)
     gate = Gate("plant", keys, replace(run.shape, relayed=False))
     accepted = (message for part in data for message in gate.accept(keys.of(plans[0]), part))
-    found = times_ms(partial(next, accepted), len(plans) - WARM_UP)  # none twice, as it refuses repeated messages
+    found = times_ms([partial(next, accepted)], len(plans) - WARM_UP)  # none twice, as it refuses repeated messages
     if gate.rejections.total:
         raise BenchmarkError(f"codec: expected all plans to be accepted, got {gate.rejections.total} refusals")
     return found

@@ -52,7 +52,7 @@ def compare(qps: Sequence[QP], repetitions: int = 5) -> dict[str, tuple[list[flo
         for name, solver in SOLVERS.items():
             ms, apart = found[name]
             difference = float(np.abs(solver(qp) - reference).max())
-            found[name] = ([*ms, *times_ms(partial(solver, qp), repetitions)], max(apart, difference))
+            found[name] = ([*ms, *times_ms([partial(solver, qp)], repetitions)], max(apart, difference))
     return found
 
 

@@ -27,15 +27,17 @@ def quiet() -> Iterator[None]:
         gc.enable()
 
 
-def times_ms(call: Callable[[], object], repetitions: int = 5) -> list[float]:
-    """Return the processor times of this thread for some calls after a warm-up, ms."""
+def times_ms(calls: Sequence[Callable[[], object]], repetitions: int = 5) -> list[float]:
+    """Return the processor times of this thread for calls, each repeated after a warm-up, ms."""
     found = []
     with quiet():
-        for _ in range(WARM_UP + repetitions):
-            start_ns = time.thread_time_ns()
-            call()
-            found.append((time.thread_time_ns() - start_ns) / 1e6)
-    return found[WARM_UP:]
+        for call in calls:
+            for i in range(WARM_UP + repetitions):
+                start_ns = time.thread_time_ns()
+                call()
+                if i >= WARM_UP:
+                    found.append((time.thread_time_ns() - start_ns) / 1e6)
+    return found
 
 
 def digits(value: float) -> str:
