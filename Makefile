@@ -38,15 +38,14 @@ campaigns: $(VENV)/.installed-test ## search for defects by random runs, by nigh
 	@$(BIN)/python -m tests.campaigns.wire --messages 1000000
 	@$(BIN)/python -m tests.campaigns.soak --minutes 30
 
-bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (5 minutes)
+bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (3 minutes)
 	@$(BIN)/python -m benchmarks
 
-figures: $(VENV)/.installed-test $(VENV)/.installed-firmware ## run every experiment and renew figures and tables of README and docs (an hour)
-	@$(BIN)/python docs/scenario_page.py
+figures: $(VENV)/.installed-test $(VENV)/.installed-firmware ## run every experiment and renew figures and tables of README and docs (an hour and a half)
 	@$(BIN)/python docs/values_page.py
 	@$(BIN)/python docs/guarantees_page.py
-	@$(BIN)/python docs/time_page.py
 	@$(BIN)/python docs/engines_page.py
+	@$(BIN)/python docs/flights_page.py
 	@$(BIN)/python docs/results_page.py
 
 docs: $(VENV)/.installed-docs ## build the site into build/site; open build/site/index.html (no server, no network)
@@ -54,8 +53,7 @@ docs: $(VENV)/.installed-docs ## build the site into build/site; open build/site
 	@echo build/site/index.html
 
 reference: $(VENV)/.installed ## renew pages made from the code: keys of the scenario, commands
-	@$(BIN)/python docs/keys_page.py
-	@$(BIN)/python docs/commands_page.py
+	@$(BIN)/python docs/reference_page.py
 
 lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees them
 	@$(BIN)/ruff check .

@@ -1,73 +1,57 @@
 """Processor time of plant and codec."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from benchmarks.effort import Effort
-from benchmarks.page import BenchmarkError, section
-from benchmarks.runs import messages, setup
-from benchmarks.timing import WARM_UP, Times, in_turns, joined
-from model.arrays import Array
+from benchmarks.runs import CLIMB, BenchmarkError, messages, setup
+from benchmarks.timing import WARM_UP, spread, times_ms
+from docs.tables import table
 from plant.node import PlantNode
 from protocol.admission.gate import Gate
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import decode, encode
 from protocol.wire.keys import Keys
-from protocol.wire.messages import Message, Plan, PlantState
+from protocol.wire.messages import Plan
 
 TEXT = (
-    "Processor time, ms. The plant integrates one sampling period in steps of `plant.step_s`. A plan has one UAV "
-    "and {horizon} steps, {size} bytes. All checks: size, form, values, key, sender, incarnation, order."
+    "Processor time, ms, median (99th percentile). The plant integrates one sampling period of 50 ms in steps of "
+    "`plant.step_s`. A plan has one UAV and {horizon} steps, {size} bytes. All checks: size, form, values, key, "
+    "sender, incarnation, order."
 )
 
 
-def measure(effort: Effort, log: Callable[[str], None]) -> list[str]:
-    """Integrate the states and encode and decode the plans of short runs."""
-    rows = []
-    for uavs in effort.teams:
-        log(f"plant of {uavs} UAVs")
-        run = setup("resilient", effort.climb, uavs=uavs)
-        rows.append((f"plant, one period, {uavs} UAVs", *integration(run, messages(run), effort.repetitions).cells))
-    log("codec")
-    run = setup("resilient", effort.climb)
+def measure() -> str:
+    """Integrate, and encode and decode the plans of short runs, and return the table."""
+    rows = [[f"plant, one period, {uavs} UAVs", spread(integration("rods", uavs))] for uavs in (2, 4, 8, 16)]
+    rows.append(["the same in MuJoCo, 4 UAVs", spread(integration("mujoco", 4))])
+    run = setup("resilient", CLIMB)
     plans = [message for message in messages(run) if isinstance(message, Plan) and message.agent == 1]
-    rows += [(name, *times.cells) for name, times in coding(run, plans, effort.repetitions).items()]
-    text = TEXT.format(horizon=run.settings.horizon, size=len(encode(plans[-1])))
-    return [section(text, ("", "median", "p99"), rows)]
+    data = [encode(plan) for plan in plans]
+    rows.append(["plan to bytes", spread(times_ms([partial(encode, plan) for plan in plans]))])
+    rows.append(["bytes to plan", spread(times_ms([partial(decode, part) for part in data]))])
+    rows.append(["bytes to plan, all checks", spread(checking(run, plans, data))])
+    text = TEXT.format(horizon=run.settings.horizon, size=len(data[-1]))
+    return f"{text}\n\n{table(['', 'time'], rows)}"
 
 
-def integration(run: Setup, sent: list[Message], repetitions: int) -> Times:
-    """Time one sampling period of the plant from every state of a run."""
-    engine, period_s = PlantNode(run).engine, run.settings.sampling_period_s
-
-    def integrate(x: Array, u: Array) -> None:
-        engine.reset(x)
-        engine.advance(u, None, period_s)
-
-    tasks = {str(m.tick): partial(integrate, m.x, m.u) for m in sent if isinstance(m, PlantState)}
-    return joined(in_turns(tasks, repetitions).values())
+def integration(engine_name: str, uavs: int) -> list[float]:
+    """Return times of one sampling period of the plant in hover."""
+    run = setup("resilient", CLIMB, f"plant.engine={engine_name}", uavs=uavs)
+    engine = PlantNode(run).engine
+    engine.reset(run.initial_state())
+    return times_ms([partial(engine.advance, run.hover.u, None, run.settings.sampling_period_s)], 400)
 
 
-def coding(run: Setup, plans: list[Plan], repetitions: int) -> dict[str, Times]:
-    """Time plans to bytes, back, and back with all checks of a process of the run.
+def checking(run: Setup, plans: Sequence[Plan], data: Sequence[bytes]) -> list[float]:
+    """Return times of plans back from bytes with all checks of a process of the run.
 
     Raises: BenchmarkError: a plan is refused.
     """
     keys = Keys(run.scenario.name)
-    data, key = [encode(plan) for plan in plans], keys.of(plans[0])
-    shape = replace(run.shape, relayed=False)
-    turns = []
-    for _ in range(repetitions):
-        gate = Gate("plant", keys, shape)  # a new one, as it refuses repeated messages
-        calls: dict[str, Callable[[], object]] = {
-            "plan to bytes": partial(next, map(encode, plans)),
-            "bytes to plan": partial(next, map(decode, data)),
-            "bytes to plan, all checks": partial(
-                next, (message for part in data for message in gate.accept(key, part))
-            ),
-        }
-        turns.append(in_turns(calls, len(plans) - WARM_UP))
-        if gate.rejections.total:
-            raise BenchmarkError(f"codec: expected all plans to be accepted, got {gate.rejections.total} refusals")
-    return {name: joined(turn[name] for turn in turns) for name in turns[0]}
+    gate = Gate("plant", keys, replace(run.shape, relayed=False))
+    accepted = (message for part in data for message in gate.accept(keys.of(plans[0]), part))
+    found = times_ms([partial(next, accepted)], len(plans) - WARM_UP)  # none twice, as it refuses repeated messages
+    if gate.rejections.total:
+        raise BenchmarkError(f"codec: expected all plans to be accepted, got {gate.rejections.total} refusals")
+    return found

@@ -8,7 +8,6 @@ from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks.page import BenchmarkError
 from benchmarks.timing import WARM_UP, quiet
 from model.arrays import Array
 from model.compiled import compile_functions
@@ -19,6 +18,13 @@ from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
 from protocol.wire.messages import Message, StepReport
 from transport.flight import memory
+
+# A climb that begins at once, so that plans differ from hover from the first tick on.
+CLIMB = "maneuver.phase=[{name='climb',duration_s=1.5,displacement_m=[0.5,0,-1.0]}]"
+
+
+class BenchmarkError(RuntimeError):
+    """A measurement failed; one line for the user."""
 
 
 @lru_cache

@@ -1,51 +1,18 @@
-"""Timing in turns, so that a slow minute of the machine affects all that is compared alike."""
+"""Processor times of calls, and how tables show them."""
 
 import gc
+import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 import threadpoolctl
 
-from model.arrays import Array
+from transport.flight.header import machine
 
 # Calls that are not counted, while caches fill and modules load.
 WARM_UP = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Times:
-    """Durations of one kind, (count,), ms."""
-
-    ms: Array
-
-    @property
-    def median(self) -> float:
-        """Median, ms."""
-        return float(np.median(self.ms))
-
-    @property
-    def cells(self) -> tuple[str, str]:
-        """Median and 99th percentile, ms."""
-        return digits(self.median), digits(float(np.percentile(self.ms, 99)))
-
-    def __str__(self) -> str:
-        return "{} ({})".format(*self.cells)
-
-
-def joined(times: Iterable[Times]) -> Times:
-    """Return all durations in one."""
-    return Times(np.concatenate([one.ms for one in times]))
-
-
-def digits(value: float) -> str:
-    """Return a number with three significant digits, more than a machine repeats; a dash for an unknown one."""
-    if not np.isfinite(value):
-        return "-"
-    rounded = f"{value:#.3g}".removesuffix(".")
-    return rounded if "e" not in rounded else f"{value:.0f}" if value >= 1.0 else f"{value:.0e}"
 
 
 @contextmanager
@@ -60,16 +27,32 @@ def quiet() -> Iterator[None]:
         gc.enable()
 
 
-def in_turns(tasks: Mapping[str, Callable[[], object]], repetitions: int) -> dict[str, Times]:
-    """Call each task once, then each again, and so on; return the processor time of this thread by task.
-
-    The first `WARM_UP` calls of each come on top of the repetitions and are not counted.
-    """
-    taken: dict[str, list[int]] = {name: [] for name in tasks}
+def times_ms(calls: Sequence[Callable[[], object]], repetitions: int = 5) -> list[float]:
+    """Return the processor times of this thread for calls, each repeated after a warm-up, ms."""
+    found = []
     with quiet():
-        for _ in range(WARM_UP + repetitions):
-            for name, task in tasks.items():
+        for call in calls:
+            for i in range(WARM_UP + repetitions):
                 start_ns = time.thread_time_ns()
-                task()
-                taken[name].append(time.thread_time_ns() - start_ns)
-    return {name: Times(np.array(ns[WARM_UP:]) / 1e6) for name, ns in taken.items()}
+                call()
+                if i >= WARM_UP:
+                    found.append((time.thread_time_ns() - start_ns) / 1e6)
+    return found
+
+
+def digits(value: float) -> str:
+    """Return a number with three significant digits, more than a machine repeats; a dash for an unknown one."""
+    if not np.isfinite(value):
+        return "-"
+    rounded = f"{value:#.3g}".removesuffix(".")
+    return rounded if "e" not in rounded else f"{value:.0f}" if value >= 1.0 else f"{value:.0e}"
+
+
+def spread(ms: Sequence[float]) -> str:
+    """Return median and 99th percentile."""
+    return f"{digits(float(np.median(ms)))} ({digits(float(np.percentile(ms, 99)))})"
+
+
+def origin() -> str:
+    """Return the machine and the date."""
+    return f"{machine()}, Python {platform.python_version()}; {time.strftime('%Y-%m-%d')}"

@@ -1,7 +1,4 @@
-"""Makes docs/licences.md: every package that gets installed, by whom it is asked for, and under which licence.
-
-From the metadata of what is installed and pinned; run by `make licences`.
-"""
+"""Make docs/licences.md, every pinned package with its licence by its own metadata: `make licences`."""
 
 import re
 from importlib.metadata import PackageNotFoundError, metadata
@@ -24,7 +21,6 @@ TOLD = {
     "eclipse-zenoh": "EPL-2.0 OR Apache-2.0",
     "daqp": "MIT",
     "quadprog": "GPL-2.0-or-later",
-    "proxsuite": "BSD-2-Clause",
 }
 
 
@@ -46,13 +42,12 @@ def main() -> None:
     """Write the document."""
     text, seen = HEAD, set[str]()
     for purpose, lock in LOCKS.items():
-        pinned: dict[str, str] = {}  # several versions where those of Python differ
         content = (ROOT / lock).read_text(encoding="utf-8")
-        for package, version in re.findall(r"^([A-Za-z0-9_.-]+)==(\S+)", content, re.MULTILINE):
-            pinned[package] = f"{pinned[package]}, {version}" if package in pinned else version
-        rows = [[name, version, licence(name)] for name, version in sorted(pinned.items()) if name not in seen]
+        # A package is pinned twice where its versions differ with those of Python.
+        pinned = re.findall(r"^([A-Za-z0-9_.-]+)==(\S+)", content, re.MULTILINE)
+        rows = [[name, version, licence(name)] for name, version in sorted(pinned) if name not in seen]
         text += f"\n## Needed {purpose}\n\n{table(['package', 'version', 'licence'], rows)}\n"
-        seen |= pinned.keys()
+        seen |= {name for name, _ in pinned}
     (ROOT / "docs" / "licences.md").write_text(text, encoding="utf-8")
 
 

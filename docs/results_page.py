@@ -10,7 +10,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from operator import itemgetter
 
 from tables import ROOT, commit, place, put, table
 
@@ -21,8 +21,8 @@ PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
 NETWORK = ("links.delay_s=0.2", "links.loss=0.3")
 
 Row = Mapping[str, str]
-# Columns of a table: heading, and field of a row or function of it.
-Columns = Mapping[str, str | Callable[[Row], str]]
+# Columns of a table: heading, and function of a row.
+Columns = Mapping[str, Callable[[Row], str]]
 
 
 def number(name: str, factor: float = 1.0, digits: int = 2, *, interval: bool = True) -> Callable[[Row], str]:
@@ -35,25 +35,10 @@ def number(name: str, factor: float = 1.0, digits: int = 2, *, interval: bool = 
     return cell
 
 
-def mean(name: str, factor: float = 1.0, digits: int = 2) -> Callable[[Row], str]:
-    """Return a cell with a number of a row alone."""
-    return number(name, factor, digits, interval=False)
-
-
-def plain(name: str, factor: float = 1.0, unit: str = "") -> Callable[[Row], str]:
-    """Return a cell with a value of a row in another unit."""
-    return lambda row: f"{factor * float(row[name]):g}{unit}"
-
-
 def done(row: Row) -> str:
     """Return the number of completed runs and the first time of divergence."""
     lost = f", diverged at {float(row['first_lost_s']):.1f} s" if row["first_lost_s"] else ""
     return f"{row['completed']} of {row['flights']}{lost}"
-
-
-def spread(name: str, digits: int = 2) -> Callable[[Row], str]:
-    """Return a cell with median, smallest and largest of repetitions."""
-    return lambda row: "{} ({} to {})".format(*(f"{float(row[name + end]):.{digits}f}" for end in ("", "_min", "_max")))
 
 
 def periods(row: Row) -> str:
@@ -78,111 +63,68 @@ def compared_at(row: Row) -> str:
     return f"the same computation of {whose}, as many {row['kept']} of horizon"
 
 
-SCENARIO: Columns = {"scenario": "scenario"}
-WITHOUT_RATIO: Columns = {
-    "completed": done,
-    "cost, 1e-3": number("cost_mean", 1e3),
-    "attitude, deg": number("attitude_max_deg"),
-    "swing, m": number("swing_m"),
-}
-OUTCOME: Columns = {"completed": done, "cost over unimpaired": number("cost_ratio"), **WITHOUT_RATIO}
-
-COMPARED: Columns = {
-    "weather": "weather",
-    "controller": "controller",
-    "horizon kept": "kept",
-    "T_s, ms": plain("period_s", 1e3),
-    "N_p": "horizon",
-    "completed": done,
-    "cost, 1e-3": mean("cost_mean", 1e3, 3),
-    "over centralized": number("cost_mean_ratio", digits=3),
-    "peak over centralized": number("cost_max_ratio", digits=3),
-    "attitude, deg": mean("attitude_max_deg"),
-    "swing, m": mean("swing_m"),
-    "CPU of a step, ms": spread("cpu_step_ms"),
-    "of an agent, s/s": spread("cpu_agent_s_per_s", 3),
-    "of the team, s/s": spread("cpu_team_s_per_s", 3),
-}
 VERDICT: Columns = {
-    "weather": "weather",
-    "controller": "controller",
     "compared at": compared_at,
     "T_s, ms": periods,
     "cost over centralized": cost_range,
-    "verdict": "verdict",
+    "verdict": itemgetter("verdict"),
 }
-GROWTH: Columns = {
-    "UAVs": "uavs",
-    "agents": "ownership",
-    "CPU of a step, ms": number("cpu_step_p50_ms"),
-    "99th percentile": mean("cpu_step_p99_ms"),
-    "team per tick, ms": number("cpu_team_tick_ms", digits=1),
-    "plans, kB/s": mean("plan_bytes_per_s", 1e-3, 0),
-    "cost, 1e-3": mean("cost_mean", 1e3),
-    "over centralized": number("cost_ratio"),
-    "swing, m": mean("swing_m"),
+# What follows the labels of a point, by experiment; "" for those that are not named.
+POINTS: Mapping[str, Columns] = {
+    "": {
+        "completed": done,
+        "cost over unimpaired": number("cost_ratio"),
+        "cost, 1e-3": number("cost_mean", 1e3),
+        "attitude, deg": number("attitude_max_deg"),
+        "swing, m": number("swing_m"),
+    },
+    "sharing": {
+        "plans sent, %": number("plans_shared_share", 100.0, 1),
+        "completed": done,
+        "cost over all sent": number("cost_ratio", digits=3),
+        "attitude, deg": number("attitude_max_deg"),
+        "swing, m": number("swing_m"),
+    },
+    "agile": {
+        "completed": done,
+        "error rms, cm": number("payload_rms_m", 100.0),
+        "largest, cm": number("payload_max_m", 100.0, 1, interval=False),
+        "attitude, deg": number("attitude_max_deg", digits=1, interval=False),
+        "cost over perfect network": number("cost_ratio"),
+    },
+    "scaling": {
+        "CPU of a step, ms": number("cpu_step_p50_ms"),
+        "99th percentile": number("cpu_step_p99_ms", interval=False),
+        "team per tick, ms": number("cpu_team_tick_ms", digits=1),
+        "plans, kB/s": number("plan_bytes_per_s", 1e-3, 0, interval=False),
+        "cost over centralized": number("cost_ratio"),
+    },
 }
-SHARED: Columns = {
-    **SCENARIO,
-    "network": "network",
-    "threshold": "share_threshold",
-    "plans sent, %": number("plans_shared_share", 100.0, 1),
-    "completed": done,
-    "cost over all sent": number("cost_ratio", digits=3),
-    **WITHOUT_RATIO,
+# Further arguments of the commands.
+EXPERIMENTS: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(("paper", "latency", "loss", "jitter", "matrix", "kill", "deaths", "sharing"), ()),
+    **dict.fromkeys(("ablation", "horizon", "hover"), ()),
+    "agile": ("--speed", "5", "--speed", "6", "--seeds", "1"),
+    "scaling": ("--max", "12", "--seeds", "3"),
 }
-TRACKED: Columns = {
-    "case": "case",
-    "speed, m/s": plain("speed_mps"),
-    "completed": done,
-    "error rms, cm": number("payload_rms_m", 100.0),
-    "largest, cm": mean("payload_max_m", 100.0, 1),
-    "attitude, deg": mean("attitude_max_deg", digits=1),
-    "cost over perfect network": number("cost_ratio"),
-}
-DELAY, LOST = {"delay, ms": plain("delay_s", 1e3)}, {"lost": plain("loss", 100.0, " %")}
-NETWORK_OF: Columns = {**SCENARIO, "network": "network"}
 
 
-class Section(NamedTuple):
-    """An experiment: tables by the file that the command writes, its further arguments, and further figures."""
-
-    tables: Mapping[str, Columns]
-    arguments: tuple[str, ...] = ()
-    figures: tuple[str, ...] = ()
-
-
-def points(columns: Columns, outcome: Columns = OUTCOME) -> Section:
-    """Return a section with the table of points: the columns that tell them apart, and their outcome."""
-    return Section({"points.csv": {**columns, **outcome}})
+def table_of(name: str) -> str:
+    """Return the table of an experiment: the labels of each point, with the names of points.csv, and its numbers."""
+    rows = read(name, "verdict.csv" if name == "paper" else "points.csv")
+    labels = ["weather", "controller"] if name == "paper" else list(rows[0])[: list(rows[0]).index("flights")]
+    columns = VERDICT if name == "paper" else POINTS.get(name, POINTS[""])
+    columns = {heading: cell for heading, cell in columns.items() if any(map(cell, rows))}
+    lines = [[*(short(row[label]) for label in labels), *(cell(row) for cell in columns.values())] for row in rows]
+    return table([*labels, *columns], lines)
 
 
-SECTIONS: Mapping[str, Section] = {
-    "paper": Section({"verdict.csv": VERDICT, "curves.csv": COMPARED}, figures=("maneuver.png",)),
-    "latency": points({**SCENARIO, **DELAY}),
-    "loss": points({**SCENARIO, "losses": "model", **LOST}),
-    "jitter": points(
-        {
-            **SCENARIO,
-            "distribution": "distribution",
-            "mean, ms": plain("mean_s", 1e3),
-            "std, ms": plain("std_s", 1e3),
-        }
-    ),
-    "matrix": points({**SCENARIO, **DELAY, **LOST}),
-    "kill": points({**SCENARIO, "killed": "agent", "back at, s": "restart_s"}),
-    "deaths": points({**SCENARIO, "killed": "agent", "at, s": "killed_s"}),
-    "sharing": Section({"points.csv": SHARED}),
-    "ablation": points(
-        {**NETWORK_OF, "changed": "part", "to": lambda row: f"`{row['value']}`" if row["value"] else ""}
-    ),
-    "horizon": points(
-        {**NETWORK_OF, "N_p": "horizon", "terminal weight": lambda row: row["terminal"].removesuffix(".0")}
-    ),
-    "hover": points({**SCENARIO, "last hover, s": plain("hover_s")}, WITHOUT_RATIO),
-    "agile": Section({"points.csv": TRACKED}, ("--speed", "5", "--speed", "6", "--seeds", "1")),
-    "scaling": Section({"points.csv": GROWTH}, ("--max", "12", "--seeds", "3")),
-}
+def short(text: str) -> str:
+    """Return a value of a table, numbers with as few digits as they need."""
+    try:
+        return f"{float(text):g}"
+    except ValueError:
+        return text
 
 
 def transport(*arguments: str) -> str:
@@ -200,24 +142,20 @@ def read(name: str, file: str = "points.csv") -> list[dict[str, str]]:
 def part_of(name: str) -> str:
     """Run an experiment as far as this commit has not run it; return sentences, tables and origin, copy the figures."""
     sys.stderr.write(f"experiment {name}\n")
-    section, folder, now = SECTIONS[name], RUNS / name, commit()
+    folder, now = RUNS / name, commit()
     begun_with = RUNS / f"{name}.commit"
     if not folder.exists() or not begun_with.exists() or begun_with.read_text(encoding="utf-8") != now:
         shutil.rmtree(folder, ignore_errors=True)
         begun_with.write_text(now, encoding="utf-8")
-    output = transport("experiment", name, *section.arguments, "--out", str(folder))
+    output = transport("experiment", name, *EXPERIMENTS[name], "--out", str(folder))
     shutil.copy(folder / "figure.png", IMAGES / f"{name}.png")
-    for figure in section.figures:
-        shutil.copy(folder / figure, IMAGES / figure)
+    if name == "paper":
+        shutil.copy(folder / "maneuver.png", IMAGES)
     # The last paragraph in front of the machine and the files.
     sentences = output.rpartition("\nmachine: ")[0].rstrip().rpartition("\n\n")[2].splitlines()
-    parts = ["\n".join(f"- {sentence}" for sentence in sentences)]
-    for file, columns in section.tables.items():
-        cells = columns.values()
-        rows = [[row[cell] if isinstance(cell, str) else cell(row) for cell in cells] for row in read(name, file)]
-        parts.append(table(columns, rows))
+    text = "\n".join(f"- {sentence}" for sentence in sentences)
     machine = json.loads((folder / "experiment.json").read_text(encoding="utf-8"))["machine"]
-    return "\n\n".join([*parts, f"*Commit {now}. {machine}*"])
+    return f"{text}\n\n{table_of(name)}\n\n*Commit {now}. {machine}*"
 
 
 def between(values: Sequence[float]) -> str:
@@ -279,22 +217,6 @@ def claim() -> str:
     return table(["the paper's algorithm with our weights", *weathers], lines)
 
 
-def hover() -> str:
-    """Return the README's sentence about the stability of the paper's algorithm in a long hover."""
-    rows = read("hover")
-    longest = max(float(row["hover_s"]) for row in rows)
-    own, *others = (row for row in rows if float(row["hover_s"]) == longest)
-    if own["first_lost_s"]:
-        found = f"is unstable: it diverges at {float(own['first_lost_s']):.1f} s"
-    else:
-        found = f"completes, with a payload attitude of up to {number('attitude_max_deg')(own)} deg"
-    ends = "; ".join(f"`{row['scenario']}` {'diverges' if row['first_lost_s'] else 'completes'}" for row in others)
-    return (
-        f"In a hover of {longest:g} s at the end of the maneuver the paper's algorithm with our weights {found}; "
-        f"{ends} ([table](docs/results.md#is-a-long-hover-stable))."
-    )
-
-
 def figures_of_runs() -> None:
     """Copy the figures of the paper's maneuver, and animate fast flight on a late network for the README."""
     run, animated = RUNS / "run", RUNS / "animation"
@@ -310,8 +232,8 @@ def figures_of_runs() -> None:
 
 def main() -> None:
     """Run the named experiments, all without a name, and write their parts of the page and the README's tables."""
-    names = sys.argv[1:] or list(SECTIONS)
-    strange = set(names) - SECTIONS.keys()
+    names = sys.argv[1:] or list(EXPERIMENTS)
+    strange = set(names) - EXPERIMENTS.keys()
     if strange:
         raise SystemExit(f"expected names of experiments, got {', '.join(sorted(strange))}")
     for folder in (IMAGES, RUNS):
@@ -324,7 +246,6 @@ def main() -> None:
     for mark, content, needed in (
         ("network", at_a_glance, {"latency", "loss", "kill", "deaths"}),
         ("claim", claim, {"paper"}),
-        ("hover", hover, {"hover"}),
     ):
         if needed <= set(names):
             put(README, mark, content())

@@ -1,148 +1,172 @@
 """Simulations behind the measured tables of documents: in memory, on all cores, kept for each commit."""
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from types import SimpleNamespace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from tables import ROOT, commit, place, put, table
 
+from protocol.scenario.file import find_scenario, read_scenario, with_settings
+from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control
+from protocol.scenario.team import given, resized
 from transport.analysis.series import series_of
-from transport.experiments.cases import Case, Point, Team, cases_of
+from transport.experiments.cases import Case, cases_of_point
 from transport.experiments.simulation import Result
 from transport.experiments.sweep import simulated
 from transport.flight.header import machine, versions
 from transport.log.run_log import RunLog
 
 RESULTS = ROOT / "runs" / "figures" / "simulations"
-DIVERGED = "diverged"
 
 
 class Run(NamedTuple):
-    """A scenario with changes, or a team in place of its own, simulated with the seeds 0, 1, ..."""
+    """A scenario with changes, perhaps with a team of another size, simulated with the seeds 0, 1, ..."""
 
     scenario: str
     settings: tuple[str, ...] = ()
-    team: Team | None = None
+    uavs: int | None = None
     seeds: int = 1
 
 
-# Numbers of a result by name (`transport.experiments.simulation.NUMBERS` and `more`), with `completed` and `phase`, the
-# phase in which it ended; or a list of these for several seeds.
-Flown = Any
+# Results of a run, by seed. Their numbers: `transport.experiments.simulation.NUMBERS` and `more`.
+Flown = Sequence[Result]
+Cell = Callable[[Flown], str]
 
 
-class Measured(NamedTuple):
-    """A table of a document."""
+class Table(NamedTuple):
+    """A table of a document; the name is that of its markers."""
 
-    name: str  # of its markers
-    headings: Sequence[str]
-    rows: Mapping[Any, Sequence[Run | None]]  # runs of each row, None for those left out, by its first cell or cells
-    cells: Callable[..., Sequence[str]]  # returns the other cells, given the first one and the results
-
-    def text(self, found: Mapping[Run, Flown]) -> str:
-        """Return the table in Markdown."""
-        lines = []
-        for key, runs in self.rows.items():
-            first = [key] if isinstance(key, str) else list(key)
-            lines.append([*first, *self.cells(first[0], *(run and found[run] for run in runs))])
-        return table(self.headings, lines)
+    name: str
+    first: Sequence[str]  # headings of a row's first cells
+    rows: Mapping[str | tuple[str, ...], Sequence[Run | None]]  # runs of each row by its first cells
+    columns: Mapping[str, Callable[..., str]]  # the other cells, given the results of all runs of a row
 
 
-def each(cell: Callable[[Flown], str], without: str = "") -> Callable[..., list[str]]:
-    """Return the function for rows with a cell for each simulation, and a text for those left out."""
-    return lambda _, *results: [without if result is None else cell(result) for result in results]
+def listed(name: str, first: str, rows: Mapping[str, Run], columns: Mapping[str, Cell]) -> Table:
+    """Return a table with a run in each row."""
+    return Table(name, [first], {text: [run] for text, run in rows.items()}, columns)
 
 
-def number(value: float, digits: int = 2) -> str:
-    """Return a number with so many digits behind the point."""
-    return f"{value:.{digits}f}"
+def grid(
+    name: str, first: Sequence[str], others: Sequence[str], rows: Mapping[Any, Sequence[Run | None]], cell: Cell
+) -> Table:
+    """Return a table with a run in each cell."""
+    return Table(name, first, rows, {text: partial(_nth, i, cell) for i, text in enumerate(others)})
 
 
-def significant(value: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits, without an exponent."""
-    return np.format_float_positional(value, precision=digits, fractional=False, unique=False, trim="k").rstrip(".")
+def _nth(index: int, cell: Cell, *results: Flown | None) -> str:
+    found = results[index]
+    return "" if found is None else cell(found)
 
 
-def attitude(result: Flown) -> str:
-    """Return the largest payload attitude."""
-    return f"{result.attitude_max_deg:.2f} deg"
+def values(name: str, *results: Flown) -> list[float]:
+    """Return a number of all completed runs."""
+    numbers = [result.numbers[name] for flown in results for result in flown if result.outcome == "completed"]
+    return [number for number in numbers if number is not None]
 
 
-def cost(result: Flown) -> str:
-    """Return the mean cost."""
-    return significant(result.cost_mean)
+def cell(name: str, form: str = "", factor: float = 1.0, of: Callable[..., Any] = np.mean) -> Callable[..., str]:
+    """Return a cell with a number of completed runs, "" without any; by default with three significant digits."""
+
+    def text(*results: Flown) -> str:
+        found = values(name, *results)
+        number = factor * float(of(found)) if found else 0.0
+        digits = form or np.format_float_positional(number, precision=3, fractional=False, unique=False, trim="k")
+        return digits.rstrip(".").format(number) if found else ""
+
+    return text
 
 
-def or_diverged(result: Flown, cell: Callable[[Flown], str]) -> str:
-    """Return a cell, or when the run diverged."""
-    return cell(result) if result.completed else f"{DIVERGED} at {result.lost_s:.0f} s ({result.phase})"
+def completed(*results: Flown) -> str:
+    """Return how many of several runs are completed."""
+    return f"{len(values('cost_mean', *results))} of {sum(map(len, results))}"
 
 
-def renew(
-    document: Path,
-    tables: Sequence[Measured],
-    texts: Mapping[str, Callable[[], str]] | None = None,
-    version: str = "",
-) -> None:
-    """Simulate, and renew tables and further texts of a document and the line that says where they come from.
+def outcome(flown: Flown) -> str:
+    """Return whether a run completes or when it diverges."""
+    return "completes" if flown[0].outcome == "completed" else f"**diverges** at {flown[0].numbers['lost_s']:.1f} s"
 
-    The version is that of another package.
 
-    Raises: SystemExit: the document lacks markers.
+def unless_diverged(*cells: Cell) -> Cell:
+    """Return a cell with several numbers of a run, or when it diverges."""
+
+    def text(flown: Flown) -> str:
+        return ", ".join(one(flown) for one in cells) if flown[0].outcome == "completed" else outcome(flown)
+
+    return text
+
+
+COST = cell("cost_mean")
+ATTITUDE = cell("attitude_max_deg", "{:.1f} deg", of=np.max)
+
+
+def events(*given: tuple[float, str, str]) -> tuple[str, ...]:
+    """Return the settings of faults, each with its time, action and target, after which the run goes on."""
+    text = ",".join(f'{{at_s={at_s},do="{do}",target="{target}"}}' for at_s, do, target in given)
+    return ("clock.on_agent_loss=continue", f"faults.event=[{text}]")
+
+
+def renew(pages: Mapping[str, Sequence[Table]], version: str = "") -> None:
+    """Simulate, and renew the tables of documents, or only those named as arguments.
+
+    A line of each document says where all its numbers come from. The version is that of another package.
+
+    Raises: SystemExit: a document lacks markers.
     """
-    for name in ("origin", *(part.name for part in tables), *(texts or {})):
-        place(document, name)  # refused before minutes are spent
+    chosen = [(ROOT / "docs" / page, one) for page, tables in pages.items() for one in tables]
+    chosen = [(document, one) for document, one in chosen if not sys.argv[1:] or one.name in sys.argv[1:]]
+    for document, one in chosen:
+        for name in ("origin", one.name):
+            place(document, name)  # refused before minutes are spent
+    runs = dict.fromkeys(run for _, one in chosen for row in one.rows.values() for run in row if run)
     now = commit()
     kept = None if "changes" in now or now == "unknown" else RESULTS / now
-    found = _results([run for part in tables for runs in part.rows.values() for run in runs if run], kept)
-    for part in tables:
-        put(document, part.name, part.text(found))
-    for name, text in (texts or {}).items():
-        put(document, name, text())
-    put(document, "origin", f"*Commit {now}; {versions()}{version}; {machine()}.*")
+    found = dict(zip(runs, simulated("pages", [_cases(run) for run in runs], kept), strict=True))
+    for document, one in chosen:
+        put(document, one.name, _text(one, found))
+        if not sys.argv[1:]:
+            put(document, "origin", f"*Commit {now}; {versions()}{version}; {machine()}.*")
 
 
-def _results(runs: Sequence[Run], kept: Path | None) -> Mapping[Run, Flown]:
-    """Run the missing simulations; return all results."""
-    groups = {}
-    for run in dict.fromkeys(runs):
-        point = Point({}, " ".join(run.settings), run.settings, team=run.team, scenario=run.scenario)
-        groups[run] = cases_of([point], (), run.seeds, more=more)
-    results = simulated("pages", list(groups.values()), kept)
-    found: dict[Run, Flown] = {}
-    for (run, cases), own in zip(groups.items(), results, strict=True):
-        several = [_flown(case, result) for case, result in zip(cases, own, strict=True)]
-        found[run] = several if run.seeds > 1 else several[0]
-    return found
+def scenario_of(run: Run) -> Scenario:
+    """Return the scenario of a run, with its settings made after its team.
+
+    Raises: ScenarioError: a setting is refused.
+    """
+    path = find_scenario(run.scenario)
+    if run.uavs is None:
+        return read_scenario(path, run.settings, allow_large=True)
+    team = resized(read_scenario(path), path.parent, run.uavs, group=1, name=None, source=str(path))
+    return with_settings(given(team), run.settings, str(path), allow_large=True)
+
+
+def _cases(run: Run) -> list[Case]:
+    return cases_of_point(0, scenario_of(run), find_scenario(run.scenario), run.seeds, more=more)
+
+
+def _text(shown: Table, found: Mapping[Run, Flown]) -> str:
+    lines = []
+    for key, runs in shown.rows.items():
+        results = [run and found[run] for run in runs]
+        lines.append([*([key] if isinstance(key, str) else key), *(cell(*results) for cell in shown.columns.values())])
+    return table([*shown.first, *shown.columns], lines)
 
 
 def more(setup: Setup, summary: Any, log: RunLog) -> dict[str, float | None]:
-    """Return the largest cost after the first phase; the index of the last phase; and errors at the end, m.
+    """Return further numbers of a run.
 
-    That is the largest distance of a UAV and the distance of the payload from their references at the last tick, and
-    the largest x of a UAV.
+    The distances from their references of UAVs (the largest) and payload at the last tick, the largest x of a UAV; and
+    those of cables, estimates and distances from walls.
     """
     series = series_of(setup, log)
-    end_s = next(log.of(Control)).tick * setup.settings.sampling_period_s
-    ends_s = np.cumsum([phase.duration_s for phase in setup.maneuver.phases])
     return {
-        "cost_max_settled": summary["cost"]["max_after_hover"],
-        "phase": float(min(int(np.searchsorted(ends_s, end_s - 1e-9)), len(ends_s) - 1)),
         "uav_last_m": float(np.linalg.norm(series.uav_errors_I[-1], axis=1).max()),
         "payload_last_m": float(np.linalg.norm(series.payload_error_I[-1])),
         "front_m": float(series.uavs_I[:, :, 0].max()),
+        **(summary["cables"] or {}),
+        **(summary["estimate"] or {}),
+        **(summary["clearance_min_m"] or {}),
     }
-
-
-def _flown(case: Case, result: Result) -> Flown:
-    """Return the numbers; of two phases with the same name, the phase says which one."""
-    names = [phase.name for phase in case.scenario.maneuver.phase]
-    index = int(result.numbers["phase"] or 0)
-    same = [i for i, name in enumerate(names) if name == names[index]]
-    which = "" if len(same) == 1 else "first " if index == same[0] else "last " if index == same[-1] else ""
-    found = {"completed": result.outcome == "completed", "phase": f"{which}{names[index]}"}
-    return SimpleNamespace(**{**result.numbers, **found})

@@ -15,32 +15,22 @@ FLOWN = (
 )
 
 
-def table(headings: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table in Markdown."""
-    columns = list(headings)
-    lines = [columns, *map(list, rows)]
-    for line in lines:
-        if len(line) != len(columns):
-            raise ValueError(f"row {line}: expected {len(columns)} cells, got {len(line)}")
-    return "\n".join([bar(columns), "|" + "---|" * len(columns), *map(bar, lines[1:])])
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown; an empty cell takes one blank."""
+    lines = ["|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|" for cells in (headings, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * len(headings), *lines[1:]])
 
 
-def bar(cells: Sequence[str]) -> str:
-    """Return a row in Markdown; an empty cell takes one blank."""
-    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+def place(document: Path, name: str) -> re.Match[str]:
+    """Return what stands between two markers of a document.
 
-
-def place(document: Path, name: str) -> re.Pattern[str]:
-    """Return the pattern of what stands between two markers of a document.
-
-    Raises: SystemExit: the document has no such markers, or there is none.
+    Raises: SystemExit: the document has no such markers.
     """
-    if not document.exists():
-        raise SystemExit(f"{document}: no such file")
-    pattern = re.compile(rf"(<!-- {re.escape(name)} -->\n).*?(\n<!-- end of {re.escape(name)} -->)", re.DOTALL)
-    if not pattern.search(document.read_text(encoding="utf-8")):
+    pattern = rf"(?<=<!-- {re.escape(name)} -->\n).*?(?=\n<!-- end of {re.escape(name)} -->)"
+    found = re.search(pattern, document.read_text(encoding="utf-8"), re.DOTALL)
+    if found is None:
         raise SystemExit(f"{document}: expected the markers of {name!r}, got none")
-    return pattern
+    return found
 
 
 def put(document: Path, name: str, content: str) -> None:
@@ -48,8 +38,8 @@ def put(document: Path, name: str, content: str) -> None:
 
     Raises: SystemExit: the document has no such markers.
     """
-    text = place(document, name).sub(lambda found: found[1] + content + found[2], document.read_text(encoding="utf-8"))
-    document.write_text(text, encoding="utf-8")
+    found = place(document, name)
+    document.write_text(found.string[: found.start()] + content + found.string[found.end() :], encoding="utf-8")
 
 
 def commit() -> str:

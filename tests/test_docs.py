@@ -31,25 +31,19 @@ NUMBERS = r"\(\d+[a-z]?\)(?:-\(\d+[a-z]?\))?"
 CITATION = re.compile(rf"equations\.md\)?\s+({NUMBERS}(?:,\s+{NUMBERS})*)|({NUMBERS}) (?:of|in) docs/equations\.md")
 RANGE = re.compile(r"\((\d+)([a-z]?)\)(?:-\((\d+)[a-z]?\))?")
 
-# Programs that renew the measured tables of a document.
-PAGES = {
-    "scenario.md": "scenario_page",
-    "values.md": "values_page",
-    "guarantees.md": "guarantees_page",
-    "time.md": "time_page",
-    "engines.md": "engines_page",
-}
-
-# Names of the parts that such programs renew, once each of their runs has been read.
+# Prints the names of the parts of each document that a program renews, once each of their runs has been read.
 TABLES = """
-import json, sys
-from importlib import import_module
-from protocol.scenario.file import find_scenario, read_scenario
-pages = {name: import_module(name) for name in sys.argv[1:]}
-tables = [table for page in pages.values() for table in page.TABLES]
-for run in {run for table in tables for runs in table.rows.values() for run in runs if run}:
-    read_scenario(find_scenario(run.scenario), run.settings)
-print(json.dumps({name: [*(t.name for t in page.TABLES), *getattr(page, "TEXTS", ())] for name, page in pages.items()}))
+import json
+from results_page import EXPERIMENTS
+import engines_page, flights_page, guarantees_page, values_page
+from simulations import scenario_of
+pages = engines_page.PAGES | flights_page.PAGES | guarantees_page.PAGES | values_page.PAGES
+rows = [runs for tables in pages.values() for table in tables for runs in table.rows.values()]
+for run in {run for runs in rows for run in runs if run}:
+    scenario_of(run)
+names = {name: ["origin", *(table.name for table in tables)] for name, tables in pages.items()}
+names["results.md"] += EXPERIMENTS
+print(json.dumps(names))
 """
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -136,13 +130,12 @@ def test_relative_links_resolve(document: Path) -> None:
 
 def test_measured_tables_have_a_place() -> None:
     """A document has markers for each part that its program renews, and no others; all runs are scenarios."""
-    command = [sys.executable, "-c", TABLES, *PAGES.values()]
+    command = [sys.executable, "-c", TABLES]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT / "docs")
-    names = json.loads(done.stdout)
-    for document, program in PAGES.items():
+    for document, names in json.loads(done.stdout).items():
         text = (ROOT / "docs" / document).read_text(encoding="utf-8")
         begun = re.findall(r"^<!-- (\w+) -->$", text, re.MULTILINE)
-        assert sorted(begun) == sorted(["origin", *names[program]]), document
+        assert sorted(begun) == sorted(names), document
         assert re.findall(r"^<!-- end of (\w+) -->$", text, re.MULTILINE) == begun, document
 
 

@@ -13,7 +13,7 @@ from protocol.scenario.link_sections import LinkSection
 ROOT = Path(__file__).resolve().parent.parent
 
 # Prints what the programs of the pages would write.
-MADE = "import json, keys_page, commands_page; print(json.dumps([keys_page.page(), commands_page.page()]))"
+MADE = "import json, reference_page; print(json.dumps([reference_page.keys_page(), reference_page.commands_page()]))"
 
 
 def test_made_files_are_up_to_date() -> None:

@@ -14,10 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.page import BenchmarkError, origin, section
-from benchmarks.runs import messages, setup
-from benchmarks.timing import WARM_UP, digits, quiet
-from docs.tables import place, put
+from benchmarks.runs import BenchmarkError, messages, setup
+from benchmarks.timing import WARM_UP, digits, origin, quiet
+from docs.tables import place, put, table
 from model.arrays import Array
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
@@ -101,7 +100,7 @@ def main() -> int:
         sys.stderr.write(f"benchmarks.peers: {error} (packages: pip install 'payload-transport[bench]')\n")
         return 1
     columns = ("controller", "cost", "step, ms", "step, times the first", "lines")
-    content = f"{section(TEXT.format(horizon=options.horizon), columns, rows)}\n\n*{origin()}.*"
+    content = f"{TEXT.format(horizon=options.horizon)}\n\n{table(columns, rows)}\n\n*{origin()}.*"
     if options.document:
         put(options.document, "bench: peers", content)
     else:

@@ -1,23 +1,22 @@
 """Steps of the site's build beside those of MkDocs.
 
 README.md, CHANGELOG.md and SECURITY.md become pages, files outside docs/ that a page links to are copied into the site,
-formulas become MathML. A page that cannot be converted ends the build.
+equations become MathML, which browsers draw themselves. A page that cannot be converted ends the build.
 """
 
+import html
 import re
-import sys
 from pathlib import Path
+from typing import Any
 
+from griffe import Extension, Object
+from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 FOLDER = Path(__file__).resolve().parent
-sys.path.insert(0, str(FOLDER))  # a hook is loaded by its path, without its package
-
-from mathml import FormulaError, with_mathml  # noqa: E402
-
 ROOT = FOLDER.parent.parent
 # Pages made of other files, by their name in the site; links in these files start at the root of the project.
 OUTSIDE = {
@@ -26,12 +25,11 @@ OUTSIDE = {
     "security.md": "SECURITY.md",
     "python-reference.md": "docs/site/python-reference.md",
 }
-TO_FOLDER = re.compile(r"\[([^\]\n]*)\]\(([^)\s#]+)\)")
 LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
-# A link whose text is the name of a page.
-NAMED = re.compile(r"\[(?:docs/)?[\w-]+\.md\](\((?:docs/)?([\w-]+\.md)(?:#[^)\s]*)?\))")
-TITLE = re.compile(r"^# (.+)$", re.MULTILINE)
 FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+# Formulas as the Markdown extension arithmatex leaves them.
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+TAG = re.compile(r"\\tag\{(\w+)\}")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -42,50 +40,20 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, f"assets/{asset.name}", abs_src_path=str(asset)))
     linked = set()
     for file in files.documentation_pages():
-        base = _base(file)
-        linked |= {_target(base, found[2]) for found in LINK.finditer(FENCE.sub("", file.content_string))}
+        linked |= {_target(file, found[2]) for found in LINK.finditer(FENCE.sub("", file.content_string))}
     for target in sorted(target for target in linked if target.startswith("files/")):
         files.append(File.generated(config, target, abs_src_path=str(ROOT / target.removeprefix("files/"))))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
-    """Point links at the files of the site, and name pages by their titles."""
-    base = _base(page.file)
-    if page.file.src_uri == "keys.md":
-        page.meta["search"] = {"boost": 4}  # the definition of a key comes before pages that mention it
-
-    def titled(found: re.Match[str]) -> str:
-        page_file = ROOT / "docs" / found[2]
-        title = TITLE.search(page_file.read_text(encoding="utf-8")) if page_file.exists() else None
-        return f"[{title[1]}]{found[1]}" if title else found[0]
-
-    def without_folder(found: re.Match[str]) -> str:
-        is_folder = "://" not in found[2] and (ROOT / base / found[2]).is_dir()
-        return found[1] if is_folder else found[0]  # a site has no lists of files
-
-    def pointed(found: re.Match[str]) -> str:
-        return f"{found[1]}{_target(base, found[2])}{found[3]}"
-
-    return LINK.sub(pointed, NAMED.sub(titled, TO_FOLDER.sub(without_folder, markdown)))
+    """Point links at the files of the site."""
+    return LINK.sub(lambda found: f"{found[1]}{_target(page.file, found[2])}{found[3]}", markdown)
 
 
-def on_page_content(html: str, page: Page, **_: object) -> str:
-    """Convert formulas."""
-    try:
-        return with_mathml(html, page.file.src_uri)
-    except FormulaError as error:
-        raise PluginError(str(error)) from error
-
-
-def _base(file: File) -> str:
-    """Return the folder at which the links of a page start."""
-    return "." if file.src_uri in OUTSIDE else "docs"
-
-
-def _target(base: str, target: str) -> str:
+def _target(file: File, target: str) -> str:
     """Return a link as the site needs it: all its pages are in one folder, copies of other files in files/."""
-    path = (ROOT / base / target).resolve()
+    path = (ROOT / ("." if file.src_uri in OUTSIDE else "docs") / target).resolve()
     if "://" in target or target.startswith("mailto:") or not path.is_file() or not path.is_relative_to(ROOT):
         return target
     own = path.relative_to(ROOT).as_posix()
@@ -94,3 +62,34 @@ def _target(base: str, target: str) -> str:
             return name
     is_inside = own.startswith("docs/images/") or (own.startswith("docs/") and path.suffix == ".md")
     return own.removeprefix("docs/") if is_inside else f"files/{own}"
+
+
+def on_page_content(page_html: str, page: Page, **_: object) -> str:
+    """Convert formulas, numbered ones with their number and an anchor."""
+
+    def converted(found: re.Match[str]) -> str:
+        formula = html.unescape(found[2]).strip()
+        tag = TAG.search(formula)
+        text = re.sub(r"\\arg(?![A-Za-z])", r"\\mathrm{arg}", TAG.sub("", formula))  # unknown to the converter
+        try:
+            mathml = convert(text, display="inline" if found[1] == "span" else "block")
+        except Exception as error:
+            raise PluginError(f"{page.file.src_uri}: expected a formula, got {text!r}: {error}") from error
+        if re.search(r"\\[A-Za-z]", html.unescape(mathml)):
+            raise PluginError(f"{page.file.src_uri}: expected known commands, got {text!r}")
+        if found[1] == "span":
+            return mathml
+        place, number = (f' id="eq-{tag[1]}"', f'<span class="number">({tag[1]})</span>') if tag else ("", "")
+        return f'<div class="equation"{place}>{mathml}{number}</div>'
+
+    return FORMULA.sub(converted, page_html)
+
+
+class ProjectDocstrings(Extension):
+    """Rewrites docstrings for their parser: examples as code, short sections such as `Raises: X` as paragraphs."""
+
+    def on_object(self, *, obj: Object, **_: Any) -> None:
+        """Rewrite the docstring of a module, class, function or attribute."""
+        if obj.docstring is not None:
+            text = re.sub(r"^>>> .*?(?=\n\s*\n|\Z)", r"\n```pycon\n\g<0>\n```", obj.docstring.value, flags=re.M | re.S)
+            obj.docstring.value = re.sub(r"^(Raises|Returns|Source): (?=.)", r"\n**\1:** ", text, flags=re.M)

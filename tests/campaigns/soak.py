@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.loop import processes_of
-from benchmarks.page import BenchmarkError
+from benchmarks.runs import BenchmarkError
 from protocol.network.bus import usage
+from tests.support.commands import processes_of
 from transport.flight import live
 
 # Share of the time left out, in which caches fill.
@@ -147,8 +147,8 @@ def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict
     run.send_signal(signal.SIGCONT)
     records: dict[str, Record] = {}
     while live.read(folder) is not None:
-        for name, process in processes_of(run.pid).items():
-            used, memory_bytes = usage(int(process)), _anonymous_bytes(process)
+        for name, process in {"recorder": run.pid, **processes_of(folder.name)}.items():
+            used, memory_bytes = usage(process), _anonymous_bytes(process)
             if memory_bytes is None or used["threads"] is None or used["open_files"] is None:
                 continue  # the process has just ended
             record = records.setdefault(name, Record())
@@ -159,7 +159,7 @@ def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict
     return records
 
 
-def _anonymous_bytes(process: str) -> float | None:
+def _anonymous_bytes(process: int) -> float | None:
     """Return the resident memory not mapped from files; None when the process has ended."""
     try:
         lines = Path(f"/proc/{process}/status").read_text(encoding="utf-8").splitlines()

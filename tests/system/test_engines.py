@@ -1,9 +1,7 @@
-"""Engines and plants of a person among real processes: they fly, and what is wrong with them ends in one line."""
+"""Engines of a person and a plant started by hand: they fly, and what is wrong with them ends in one line."""
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +13,6 @@ from protocol.wire.messages import PlantState
 from tests.support.commands import SHORT, free_base, processes_of, settings, start, transport, wait_for
 from tests.support.runs import plant_states, ready, recorded
 from transport.log.run_log import read_log
-
-EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "foreign_plant.py"
-
-# Runge-Kutta steps of order 4 of 10 ms against Dormand-Prince steps of the same length, over 25 s of closed loop.
-FOREIGN_M = 1e-5
 
 BROKEN = """
 import time
@@ -64,29 +57,23 @@ def states(folder: Path) -> Array:
 
 
 @pytest.mark.slow
-def test_a_foreign_plant_flies(tmp_path: Path) -> None:
-    """A plant without code of the project integrates the run like this one's."""
-    base = free_base()
-    options = settings(SHORT, f"network.base_port={base}")
+def test_a_plant_started_by_hand(tmp_path: Path) -> None:
+    """`--external` waits for a plant that the user starts with what is printed; the run has the same bits."""
+    options = settings(SHORT, f"network.base_port={free_base()}")
     run = start("run", "resilient", "--external", "plant", *options, "--out", "mine", "--no-figures", cwd=tmp_path)
     assert run.stderr is not None
     line = next(line for line in run.stderr if line.startswith("waiting"))  # the model may be compiled before
-    found = re.fullmatch(
-        rf"waiting for plant of run mine, digest (\w+); it listens on tcp/127.0.0.1:{base + 1}, "
-        rf"connects to tcp/127.0.0.1:{base}; it needs --set 'network.keys=\"{tmp_path}/mine/keys\"'\n",
-        line,
-    )
-    assert found is not None, line
-    words = [sys.executable, str(EXAMPLE), "mine/scenario.toml", "mine", found[1], str(base)]
-    plant = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=150, check=False)
+    keys = re.search(r"digest \w+; it listens on .*--set '(network.keys=.*)'\n", line)
+    assert keys is not None, line
+    names = ("--scenario", "mine/scenario.toml", "--run", "mine", *settings(keys[1]))
+    plant = transport("plant", *names, cwd=tmp_path)
     _, errors = run.communicate(timeout=60)
     assert (plant.returncode, run.returncode) == (0, 0), (plant.stderr, errors)
     summary = json.loads((tmp_path / "mine" / "summary.json").read_text())
-    assert (summary["outcome"], summary["engine"], summary["rejections"]) == ("completed", "external", [])
-    assert summary["log_cut"] is None
+    assert (summary["outcome"], summary["rejections"], summary["log_cut"]) == ("completed", [], None)
     assert not (tmp_path / "mine" / "logs" / "plant.log").exists()
     own = np.array([entry.x for entry in plant_states(recorded(ready("resilient", SHORT)))])
-    assert np.abs(states(tmp_path / "mine") - own).max() < FOREIGN_M
+    assert states(tmp_path / "mine").tobytes() == own.tobytes()
 
 
 @pytest.mark.slow

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import transport
-from benchmarks.agile import FOUR
 from protocol.scenario.errors import ScenarioError
 from transport.analysis.series import series_of
 
@@ -23,6 +22,16 @@ QUICK = [
     {"name": "hover", "duration_s": 0.3, "displacement_m": [0.0, 0.0, 0.0]},
 ]
 
+
+# A fourth UAV above the payload, which the others can carry without it.
+PLACES = [(0.4, 0.0), (-0.2, 0.35), (-0.2, -0.35), (0.0, 0.0)]
+FOUR: dict[str, Any] = {
+    "system.uav": [
+        {"id": i, "mass_kg": 0.6, "inertia_kgm2": [3e-3, 3e-3, 5e-3], "rho_m": [*place, -0.05], "rod_length_m": 1.0}
+        for i, place in enumerate(PLACES, start=1)
+    ],
+    "agents.owned": [[1], [2], [3], [4]],
+}
 
 # States measured without noise, and motors without lag.
 _NOISE = ("position_m", "velocity_mps", "attitude_rad", "rate_rads", "specific_force_mps2")

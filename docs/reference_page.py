@@ -1,38 +1,49 @@
-"""Renew the tables of docs/keys.md from the sections of a scenario: part of `make reference`.
+"""Renew docs/keys.md and docs/commands.md from the sections of a scenario and the commands: `make reference`.
 
-The page has headings and text; each table stands below the name of its section, in a comment.
+The page of keys has headings and text; each table stands below the name of its section, in a comment.
 """
 
+import json
 import re
-import sys
 from typing import Any, Literal, get_args, get_origin
 
+import typer
 from pydantic.fields import FieldInfo
 from tables import ROOT, table
+from typer.cli import get_docs_for_click
 
 from protocol.scenario.keys import key_of, meanings, section_in, unit_of, walk
 from protocol.scenario.link_sections import LinkSection
+from transport.cli.lazy import LazyGroup
+from transport.cli.main import app
 
-DOCUMENT = ROOT / "docs" / "keys.md"
+KEYS, COMMANDS = ROOT / "docs" / "keys.md", ROOT / "docs" / "commands.md"
 _TABLE = re.compile(r"(<!-- keys of (\S+) -->\n).*?(\n<!-- end of keys -->)", re.DOTALL)
 _NOUNS = {int: "integer", float: "number", str: "text", bool: "true, false"}
 _SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 
 
-def page() -> str:
-    """Return the page with its tables renewed.
+def commands_page() -> str:
+    """Return the page of commands."""
+    root = typer.main.get_command(app)
+    _load(root)
+    text = get_docs_for_click(obj=root, ctx=typer.Context(root), name="transport", title="Commands and options") + "\n"
+    return re.sub(r"(?<! )<(?=[a-z])", "&lt;", text.replace("\b\n", ""))
+
+
+def _load(group: object) -> None:
+    """Put whole commands into a group and those below it, in the place of stand-ins."""
+    if isinstance(group, LazyGroup):
+        group.commands |= {name: group.load(name) for name in group.table}
+        for command in group.commands.values():
+            _load(command)
+
+
+def keys_page() -> str:
+    """Return the page of keys with its tables renewed; those of `[links]` are not repeated in sections like it.
 
     Raises: SystemExit: a key without a docstring, or a section without a table on the page.
     """
-    left = tables()
-    text = _TABLE.sub(lambda found: found[1] + left.pop(found[2]) + found[3], DOCUMENT.read_text(encoding="utf-8"))
-    if left:
-        raise SystemExit(f"{DOCUMENT}: expected a table of {', '.join(left)}, got none")
-    return text
-
-
-def tables() -> dict[str, str]:
-    """Return the table of each section by its path; those of `[links]` are not repeated in sections like it."""
     rows: dict[str, list[list[str]]] = {}
     for path, key, section, field in walk():
         of_link = path.endswith(".gilbert_elliott") or LinkSection.model_fields.get(key) is not None
@@ -45,16 +56,21 @@ def tables() -> dict[str, str]:
         kind = key_of(field).type or type_of(field.annotation, field.metadata)
         row = [f"`{key}`", kind, unit_of(key, field), _default(field), meaning]
         rows.setdefault(path or "scenario", []).append(row)
-    columns = ["key", "type", "unit", "default", "meaning"]
-    return {path: table(columns, cells) for path, cells in rows.items()}
+
+    def renewed(found: re.Match[str]) -> str:
+        return found[1] + table(["key", "type", "unit", "default", "meaning"], rows.pop(found[2])) + found[3]
+
+    text = _TABLE.sub(renewed, KEYS.read_text(encoding="utf-8"))
+    if rows:
+        raise SystemExit(f"{KEYS}: expected a table of {', '.join(rows)}, got none")
+    return text
 
 
-def type_of(annotation: Any, metadata: list[Any] | tuple[Any, ...] = ()) -> str:
+def type_of(annotation: Any, metadata: tuple[Any, ...] | list[Any] = ()) -> str:
     """Return a type and its range as text, such as "3 numbers > 0" or "daqp, clarabel"."""
     arguments = get_args(annotation)
     if type(None) in arguments:
-        (inner,) = (argument for argument in arguments if argument is not type(None))
-        return type_of(inner, metadata)
+        return type_of(next(argument for argument in arguments if argument is not type(None)), metadata)
     if hasattr(annotation, "__metadata__"):
         return type_of(annotation.__origin__, (*annotation.__metadata__, *metadata))
     if get_origin(annotation) is Literal:
@@ -65,7 +81,7 @@ def type_of(annotation: Any, metadata: list[Any] | tuple[Any, ...] = ()) -> str:
     return f"{_NOUNS[annotation]}{_range(metadata)}".strip()
 
 
-def _count(metadata: list[Any] | tuple[Any, ...]) -> str:
+def _count(metadata: tuple[Any, ...] | list[Any]) -> str:
     """Return how many entries a list has: a number where it is fixed, else "list of"."""
     if any(getattr(getattr(entry, "func", None), "__name__", "") == "_three_numbers" for entry in metadata):
         return "3"
@@ -73,7 +89,7 @@ def _count(metadata: list[Any] | tuple[Any, ...]) -> str:
     return str(sizes.pop()) if len(sizes) == 1 else "list of"
 
 
-def _range(metadata: list[Any] | tuple[Any, ...]) -> str:
+def _range(metadata: tuple[Any, ...] | list[Any]) -> str:
     """Return the limits of a number as text, such as " > 0, < 90" or ", 0 to 1"; "" for none."""
     found = {name: value for name in _SIGNS for e in metadata if (value := getattr(e, name, None)) is not None}
     limits = {name: f"{end:,}".replace(",", " ") if end >= 10_000 else f"{end:g}" for name, end in found.items()}
@@ -83,20 +99,12 @@ def _range(metadata: list[Any] | tuple[Any, ...]) -> str:
 
 
 def _default(field: FieldInfo) -> str:
+    """Return a default as TOML, whose numbers, texts and lists are those of JSON."""
     if field.is_required():
         return "required"
-    return "left out" if field.default is None else f"`{toml(field.default)}`"
-
-
-def toml(value: Any) -> str:
-    """Return a value as TOML."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(toml, value))}]"
-    return f'"{value}"' if isinstance(value, str) else repr(value)
+    return "left out" if field.default is None else f"`{json.dumps(field.default)}`"
 
 
 if __name__ == "__main__":
-    DOCUMENT.write_text(page(), encoding="utf-8")
-    sys.stdout.write(f"{DOCUMENT}\n")
+    KEYS.write_text(keys_page(), encoding="utf-8")
+    COMMANDS.write_text(commands_page(), encoding="utf-8")
