@@ -19,7 +19,7 @@ from matplotlib.transforms import Affine2D, ScaledTranslation
 from transport.experiments.curve_figure import draw_curves
 from transport.experiments.declaration import Axis, Experiment, axis
 from transport.experiments.statistics import PointStatistics
-from transport.report.column import column_panels, draw_legend, head, legend_height_in, text_width_in
+from transport.report.column import column_panels, head, text_width_in
 from transport.report.style import (
     COLUMN_IN,
     CURVES,
@@ -114,19 +114,18 @@ def _draw_variants(figure: Figure, measured: Sequence[PointStatistics]) -> None:
         {"color": colour, "marker": marker, "markersize": MARKER, "linestyle": "none"}
         for colour, marker, _ in (CURVES[i % len(CURVES)] for i in range(len(networks)))
     ]
-    legend = {"": [Line2D([], [], label=name, **style) for name, style in zip(networks, styles, strict=True)]}
     rows = [list(dict.fromkeys(_name(m) for m in measured if m.point.scenario == name)) for name in scenarios]
     panels = column_panels(
         figure,
         [_ROW_IN * len(names) for names in rows],
+        legend=[Line2D([], [], label=name, **style) for name, style in zip(networks, styles, strict=True)],
         x_label="",
         left_in=max(text_width_in(name) for names in rows for name in names) + 0.08,
         right_in=_STRIP_IN,
-        top_in=legend_height_in(legend) + _ABOVE_IN,
+        top_in=_ABOVE_IN,
         gap_in=_GAP_IN,
         bottom_in=_BELOW_IN,
     )
-    draw_legend(figure, legend)
     figure.text(0.5, 0.02 / figure.get_figheight(), _TITLE, ha="center", va="bottom", fontsize=TEXT, linespacing=1.1)
     ratios = [1.0, *(min(m.cost_ratio, _HIGHEST) for m in measured if m.cost_ratio is not None)]
     low, high = min(ratios), max(ratios)

@@ -15,7 +15,7 @@ from protocol.scenario.setup import Setup
 from transport.analysis.metrics import summarise
 from transport.analysis.series import SWING_S, Series, counted, series_of
 from transport.log.run_folder import RecordedRun
-from transport.report.column import column_panels, draw_legend, head, legend_height_in
+from transport.report.column import column_panels, head
 from transport.report.report import HELD
 from transport.report.style import CURVES, RC, line_width, save, scale_cost, shade_phases
 
@@ -173,11 +173,10 @@ def fill_overlaid(figure: Figure, runs: Sequence[Overlaid], *, shaded: bool) -> 
         colour, _, dashes = CURVES[i % len(CURVES)]
         width = line_width(i, len(runs), 1.8)
         styles.append({"color": colour, "linestyle": dashes, "linewidth": width, "label": run.label})
-    rows = {"": [Line2D([], [], **style) for style in styles]}
+    legend = [Line2D([], [], **style) for style in styles]
     has_cost = any((run.series.cost > 0.0).any() for run in runs)
     titles = _PANELS if has_cost else _PANELS[:-1]
-    panels = column_panels(figure, [_HEIGHT_IN] * len(titles), top_in=legend_height_in(rows) + _ABOVE_IN)
-    draw_legend(figure, rows)
+    panels = column_panels(figure, [_HEIGHT_IN] * len(titles), legend=legend, top_in=_ABOVE_IN)
     for (_, _, series), style in zip(runs, styles, strict=True):
         # UAVs that have been released and costs of zero are left out.
         curves = (
