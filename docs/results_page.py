@@ -103,14 +103,6 @@ COMPARED: Columns = {
     "of an agent, s/s": spread("cpu_agent_s_per_s", 3),
     "of the team, s/s": spread("cpu_team_s_per_s", 3),
 }
-VERDICT: Columns = {
-    "weather": "weather",
-    "controller": "controller",
-    "compared at": compared_at,
-    "T_s, ms": periods,
-    "cost over centralized": cost_range,
-    "verdict": "verdict",
-}
 GROWTH: Columns = {
     "UAVs": "uavs",
     "agents": "ownership",
@@ -158,7 +150,7 @@ def points(columns: Columns, outcome: Columns = OUTCOME) -> Section:
 
 
 SECTIONS: Mapping[str, Section] = {
-    "paper": Section({"verdict.csv": VERDICT, "curves.csv": COMPARED}, figures=("maneuver.png",)),
+    "paper": Section({"curves.csv": COMPARED}, figures=("maneuver.png",)),
     "latency": points({**SCENARIO, **DELAY}),
     "loss": points({**SCENARIO, "losses": "model", **LOST}),
     "jitter": points(

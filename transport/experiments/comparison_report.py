@@ -118,7 +118,7 @@ def draw_costs(curves: Sequence[Curve], reference: Cell, folder: Path) -> list[P
     """
     kept_at = {STEPS: f"{reference.horizon} steps", SECONDS: f"{reference.horizon * reference.period_s:g} s"}
     legend = [
-        Line2D([], [], label=f"{controller}, horizon {kept_at[kept]}", markersize=MARKER, **_style(controller, kept))
+        Line2D([], [], label=f"{controller}, {kept_at[kept]}", markersize=MARKER, **_style(controller, kept))
         for controller, kept in comparison.CURVES
     ]
     shown = [(whose, weather) for whose in _TIMES for weather in dict.fromkeys(curve.weather for curve in curves)]

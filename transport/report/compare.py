@@ -68,7 +68,6 @@ def _exceeded(summary: Summary) -> float | None:
     return None if share is None else share * (share >= HELD)
 
 
-_YES = {None: None, True: "yes", False: "no"}
 # Compared quantities: name, unit, dotted key or function of a summary (docs/summary.md); percentages of shares.
 _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     ("scenario", "", "scenario"),
@@ -83,7 +82,6 @@ _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     ("payload error, rms", "m", "payload_tracking.rms_m"),
     ("payload error, max", "m", "payload_tracking.max_m"),
     (f"payload error, max of last {SWING_S:g} s", "m", "payload_tracking.swing_m"),
-    ("payload swing decays", "", lambda summary: _YES[summary["payload_tracking"]["decays"]]),
     ("separation, min", "m", "separation_min_m"),
     ("limits exceeded, max", "%", _exceeded),
     ("agent step, median", "ms", "agent_step_ms.p50"),

@@ -114,7 +114,7 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
 
 def _draw_performance(setup: Setup, _: RunLog, series: Series, panels_of: Panels) -> list[Axes]:
     """Draw position errors of UAVs and payload, payload attitude and cost over time."""
-    t, has_cost, swing_m = series.times_s, bool((series.cost > 0.0).any()), swing_of(setup, series).largest_m
+    t, has_cost, swing_m = series.times_s, bool((series.cost > 0.0).any()), swing_of(setup, series)
     panels = panels_of([_HEIGHT_IN] * (3 + has_cost))
     errors_m = np.where(series.on_rods, np.linalg.norm(series.uav_errors_I, axis=2), np.nan)  # released ones have left
     _plot_uavs(panels[0], t, errors_m, widest=2.6)
