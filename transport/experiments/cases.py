@@ -100,7 +100,17 @@ def cases_of(
     cases = []
     for index, point in enumerate(points):
         path = find_scenario(point.scenario)
-        scenario = _scenario(path, point, settings)
+        changes = [*settings, *point.settings]
+        scenario = read_scenario(path, changes, allow_large=True)
+        if point.team is not None:
+            for setting in changes:
+                key = setting.partition("=")[0].strip()
+                if key.partition(".")[0] in _TEAM_SECTIONS and key != "system.gravity_mps2":
+                    expected = "expected a key that every team has, got one of a single team"
+                    raise ScenarioError(f"--set {setting}", "", expected)
+            uavs, group = point.team
+            source = f"{path}, {point.text}"
+            scenario = resized(scenario, path.parent, uavs, group=group, name=None, source=source)
         if not allow_large:
             check_budget(scenario, str(path))
         cases += cases_of_point(index, scenario, path, seeds, timed=timed, more=more)
@@ -125,20 +135,6 @@ def cases_of_point(
         key = key_of(seeded, setup.samples_s)
         cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, timed=timed, more=more))
     return cases
-
-
-def _scenario(path: Path, point: Point, settings: Sequence[str]) -> Scenario:
-    """Return the scenario of a point, before its seed."""
-    changes = [*settings, *point.settings]
-    scenario = read_scenario(path, changes, allow_large=True)
-    if point.team is None:
-        return scenario
-    for setting in changes:
-        key = setting.partition("=")[0].strip()
-        if key.partition(".")[0] in _TEAM_SECTIONS and key != "system.gravity_mps2":
-            raise ScenarioError(f"--set {setting}", "", "expected a key that every team has, got one of a single team")
-    uavs, group = point.team
-    return resized(scenario, path.parent, uavs, group=group, name=None, source=f"{path}, {point.text}")
 
 
 def key_of(scenario: Scenario, samples_s: Mapping[str, tuple[float, ...]]) -> str:

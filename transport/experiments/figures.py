@@ -37,7 +37,7 @@ from transport.report.style import (
 _CELL_IN, _ABOVE_IN, _RIGHT_IN = 0.27, 0.2, 0.42
 
 # Height of a row of variants, room around their panels, and width of the strip of diverged runs beside them.
-_ROW_IN, _GAP_IN, _BELOW_IN, _STRIP_IN = 0.185, 0.28, 0.38, 0.58
+_ROW_IN, _GAP_IN, _BELOW_IN, _STRIP_IN = 0.185, 0.28, 0.38, 0.4
 _TITLE = "mean cost over that of the unchanged scenario\non a perfect network"
 # Larger ratios are drawn at this value.
 _HIGHEST = 100.0
@@ -106,7 +106,7 @@ def _draw_maps(figure: Figure, x: Axis, y: Axis, measured: Sequence[PointStatist
 def _draw_variants(figure: Figure, measured: Sequence[PointStatistics]) -> None:
     """Draw the cost over the baseline's: a panel for each scenario, a row for each variant.
 
-    Diverged runs are beside the panel, with the time of divergence, or their number if there are several.
+    Points with diverged runs have a mark beside the panel.
     """
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     networks = list(dict.fromkeys(str(m.point.labels["network"]) for m in measured))
@@ -138,11 +138,8 @@ def _draw_variants(figure: Figure, measured: Sequence[PointStatistics]) -> None:
                 panel.plot([min(m.cost_ratio, _HIGHEST)], [y], **style)
             if m.completed < m.runs:
                 diverged = True
-                text = f"{m.runs - m.completed} of {m.runs}" if m.runs > 1 else f"{m.diverged_s[0]:.1f} s"
                 beside = panel.get_yaxis_transform() + ScaledTranslation(0.12, 0.0, figure.dpi_scale_trans)
                 panel.plot([1.0], [y], transform=beside, clip_on=False, **style | DIVERGED)
-                how: Any = {"xycoords": beside, "textcoords": "offset points", "color": style["color"]}
-                panel.annotate(text, (1.0, y), (5.0, 0.0), va="center_baseline", fontsize=SMALL, **how)
         if diverged:
             panel.annotate("diverged", (1.0, 1.0), (8.0, 2.0), "axes fraction", "offset points", fontsize=SMALL)
         head(panel, scenario, legend=False)
