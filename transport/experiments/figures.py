@@ -37,7 +37,7 @@ from transport.report.style import (
 _CELL_IN, _ABOVE_IN, _RIGHT_IN = 0.27, 0.2, 0.42
 
 # Height of a row of variants, room around their panels, and width of the strip of diverged runs beside them.
-_ROW_IN, _GAP_IN, _BELOW_IN, _STRIP_IN = 0.185, 0.28, 0.38, 0.4
+_ROW_IN, _GAP_IN, _BELOW_IN, _STRIP_IN = 0.185, 0.28, 0.38, 0.5
 _TITLE = "mean cost over that of the unchanged scenario\non a perfect network"
 # Larger ratios are drawn at this value.
 _HIGHEST = 100.0
