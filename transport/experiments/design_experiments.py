@@ -206,7 +206,7 @@ def _event(at_s: float, action: str, agent: int) -> str:
         "{name='climb',duration_s=4.0,displacement_m=[0,0,-2]},"
         "{name='translate',duration_s=4.0,displacement_m=[2,0,0]}]",
     },
-    max=Values(12, "COUNT", "UAVs of the largest team, 2 to 16.", 6, least=2, most=16),
+    max=Values(12, "COUNT", "UAVs of the largest team.", 6, least=2, most=16),
     sizes=Values([2, 3, 4, 6, 8, 10, 12, 16], quick=[2, 4, 6]),  # those below the largest
 )
 def scaling(max: int, sizes: Sequence[int]) -> Iterator[Point]:  # noqa: A002  # the name of the option
