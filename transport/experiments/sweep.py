@@ -70,9 +70,11 @@ class Results:
 
     def _read(self, path: Path, file: BinaryIO) -> None:
         content = path.read_bytes()
-        if content and not content.endswith(b"\n"):
-            file.write(b"\n")  # otherwise the next result would be appended to a line that was cut
-        for number, line in enumerate(content.splitlines(), start=1):
+        whole = content.rfind(b"\n") + 1
+        if whole < len(content):
+            file.truncate(whole)  # otherwise the next line would be appended to it
+            self.notices.append(f"{path}: the last line is incomplete; its case is simulated again")
+        for number, line in enumerate(content[:whole].splitlines(), start=1):
             try:
                 result = Result(**orjson.loads(line))
                 if result.outcome != ERROR:

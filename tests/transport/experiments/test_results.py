@@ -32,8 +32,8 @@ def test_results_are_read_back_as_the_same_bits(tmp_path: Path) -> None:
         assert results.notices == []
 
 
-@pytest.mark.parametrize("left", [1, 20, -2])
-def test_an_incomplete_line_is_reported(tmp_path: Path, left: int) -> None:
+@pytest.mark.parametrize("left", [1, 20, -1])
+def test_an_incomplete_line_is_reported_and_removed(tmp_path: Path, left: int) -> None:
     """A last line cut anywhere loses its own result only, and does not affect the next line."""
     with opened(tmp_path) as results:
         results.add(result("a"))
@@ -42,15 +42,16 @@ def test_an_incomplete_line_is_reported(tmp_path: Path, left: int) -> None:
     first, second = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(first + second[:left])
     with opened(tmp_path) as results:
-        assert results.notices == [f"{path}: line 2 is no result of this version; its case is simulated again"]
+        assert results.notices == [f"{path}: the last line is incomplete; its case is simulated again"]
         assert (results.done("a"), results.done("b")) == (True, False)
         results.add(result("c"))
     with opened(tmp_path) as results:
         assert (results.done("a"), results.done("b"), results.done("c")) == (True, False, True)
+        assert results.notices == []
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
-    """Another experiment's folder, one with other files, and a file are refused."""
+    """Another experiment's folder, one with other files, and a file are refused with expected and got."""
     expected = "--out: expected a new folder, or one of experiment loss, got"
     with opened(tmp_path / "late"), pytest.raises(ExperimentError, match=expected) as refusal:
         opened(tmp_path / "late", "loss")
