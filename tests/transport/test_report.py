@@ -120,7 +120,7 @@ REJECTIONS = [
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"payload_tracking": {"swing_m": 0.5538, "decays": False}}, "max 0.554 m in the last 4 s, does not decay"),
+        ({"payload_tracking": {"swing_m": 0.5538}}, "max 0.554 m in the last 4 s"),
         ({"messages": {"shared": 9}}, "9 of 120 sent to the other agents (7.5%)"),
         ({"messages": {"rejected": 9}, "rejections": REJECTIONS}, "9 messages, 5 from plan/2 (malformed)"),
         ({"outcome": "aborted", "reason": "agent2 [/bold] is gone"}, "agent2 [/bold] is gone"),  # no markup

@@ -176,7 +176,7 @@ def _durations(setup: Setup, log: RunLog, series: Series) -> dict[str, Any]:
 def _flight(setup: Setup, series: Series) -> dict[str, Any]:
     # The first phase lets the formation settle about its hover, as in the paper's section V.
     settled = series.times_s >= setup.maneuver.stages()[0][2]
-    swing = swing_of(setup, series)
+    swing_m = swing_of(setup, series)
     clear_m = map(_number, series.clearance_m.min(axis=0, initial=np.inf))
     return {
         "cost": {
@@ -188,8 +188,7 @@ def _flight(setup: Setup, series: Series) -> dict[str, Any]:
         "uav_tracking": _tracking(series.uav_errors_I[series.on_rods]),
         "payload_tracking": {
             **_tracking(series.payload_error_I),
-            "swing_m": None if swing.largest_m is None else _number(swing.largest_m),
-            "decays": swing.decays,
+            "swing_m": None if swing_m is None else _number(swing_m),
         },
         "separation_min_m": _number(series.separation_m.min(initial=np.inf)),
         "clearance_min_m": dict(zip(("uav", "rod", "payload"), clear_m, strict=True)) if setup.obstacles else None,

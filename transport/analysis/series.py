@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from model import state
 from model.arrays import Array
-from model.maneuver import Maneuver
 from model.obstacles import clearances
 from model.rotations import rotation
 from protocol.scenario.faults import uav_faults
@@ -148,73 +147,14 @@ def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_
 # than the last hover of the paper's maneuver, 5 s.
 SWING_S = 4.0
 
-# A smaller swing counts as at rest, m.
-AT_REST_M = 0.01
 
-# A swing dies out if its amplitude falls at least to this share from one window to the next: by half in about 60 s on
-# rods of 3.2 m. Any damping ratio above 0.0065 is enough: exp(-0.0065 pi) = 0.98. Sampling at 50 ms changes a
-# sustained swing by 0.1 % at most.
-DECAYING = 0.98
-
-# Rounding of times, in sampling periods.
-_ROUNDING = 1e-6
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Swing:
-    """Payload swing at the end of a run."""
-
-    largest_m: float | None  # largest payload position error in the last `SWING_S`, m; None without a recorded tick
-    decays: bool | None  # whether the swing dies out or is at rest; None where the run does not tell
-
-
-def swing_of(setup: Setup, series: Series) -> Swing:
-    """Measure the payload swing at the end of a run."""
+def swing_of(setup: Setup, series: Series) -> float | None:
+    """Return the largest payload position error in the last `SWING_S` of a run, m; None without a recorded tick."""
     if not len(series.ticks):
-        return Swing(largest_m=None, decays=None)
-    begin = int(series.ticks[-1]) + 1 - _periods(setup, SWING_S)
-    errors_m = np.linalg.norm(series.payload_error_I[series.ticks >= begin], axis=1)
-    return Swing(largest_m=float(errors_m.max()), decays=_decays(setup, series))
-
-
-def _decays(setup: Setup, series: Series) -> bool | None:
-    """Compare the amplitude of the swing in two consecutive windows at the end of the run.
-
-    The amplitude is the largest horizontal speed of the payload, divided by the angular frequency sqrt(g / l) of a
-    pendulum as long as the longest rod. Unlike the position error, the speed does not contain a constant offset such
-    as the lean of the rods in wind. It repeats every half period pi sqrt(l / g), and no window is shorter. So the
-    windows of a sustained swing have equal amplitudes at any phase, and a damping sigma gives a ratio of at most
-    exp(-sigma pi sqrt(l / g)).
-
-    Returns: None unless both windows are recorded without a gap, inside the hold at the end of the maneuver.
-    """
-    per_omega_s = math.sqrt(max(uav.rod_length for uav in setup.system.uavs) / setup.system.gravity)
-    window = _periods(setup, max(SWING_S / 2.0, math.pi * per_omega_s))
-    begin = int(series.ticks[-1]) + 1 - 2 * window
-    held_from = _hold_begin_s(setup.maneuver) / setup.settings.sampling_period_s
-    last = series.ticks >= begin
-    if begin < held_from - _ROUNDING or np.count_nonzero(last) != 2 * window:
         return None
-    speeds_mps = np.linalg.norm(series.payload_velocity_I[last, :2], axis=1)
-    before_m, after_m = (per_omega_s * float(part.max()) for part in np.split(speeds_mps, 2))
-    return after_m <= max(AT_REST_M, DECAYING * before_m)
-
-
-def _periods(setup: Setup, duration_s: float) -> int:
-    """Return the number of sampling periods that cover a duration."""
-    return math.ceil(duration_s / setup.settings.sampling_period_s - _ROUNDING)
-
-
-def _hold_begin_s(maneuver: Maneuver) -> float:
-    """Return the time from which on the reference is at rest until the end of the maneuver, s."""
-    if maneuver.targets:
-        return maneuver.targets[-1].ends_s
-    begin_s = maneuver.duration_s
-    for phase in reversed(maneuver.phases):
-        if phase.displacement_I.any() or (phase.way is not None and phase.way[:, 1:].any()):
-            break
-        begin_s -= phase.duration_s
-    return begin_s
+    periods = math.ceil(SWING_S / setup.settings.sampling_period_s - 1e-6)
+    last = series.ticks > series.ticks[-1] - periods
+    return float(np.linalg.norm(series.payload_error_I[last], axis=1).max())
 
 
 def counted(setup: Setup, log: RunLog) -> RunLog:

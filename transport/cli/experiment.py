@@ -23,7 +23,7 @@ from transport.cli.options import RUNS, FormatOption, LargeOption
 from transport.cli.output import Format, show
 from transport.experiments import comparison, comparison_report, design_experiments, network_experiments
 from transport.experiments.cases import Case, cases_of, refused
-from transport.experiments.conclusions import conclusions, scaling_conclusions
+from transport.experiments.conclusions import conclusions
 from transport.experiments.declaration import EXPERIMENTS, Declaration, Values
 from transport.experiments.simulation import Result, simulate
 from transport.experiments.statistics import WIDTH, WIDTH_OF_VARIANTS, PointStatistics, means_in_words, table_of
@@ -150,7 +150,7 @@ def _parameter(name: str, values: Values) -> inspect.Parameter:
     if depends:
         shown = (value if isinstance(value, str) else f"{value:g}" for value in np.atleast_1d(values.default).tolist())
         help_text = f"{help_text.rstrip('.')}; by default {', '.join(shown)}.{' Repeatable.' * several}"
-    option = Option(f"--{name}", metavar=values.metavar, help=help_text)
+    option = Option(f"--{name}", metavar=values.metavar, help=help_text, min=values.least, max=values.most)
     kind: Any = list[values.kind] if several else values.kind  # type: ignore[name-defined]
     return inspect.Parameter(
         name,
@@ -183,7 +183,7 @@ def _conduct(name: str, declared: Declaration, options: ExperimentOptions, given
     if timed:
         phases = cases[0].scenario.maneuver.phase  # the same in all cases
         title += f"\n{sum(phase.duration_s for phase in phases):g} s of {', '.join(phase.name for phase in phases)}"
-    sentences = scaling_conclusions(measured) if timed else conclusions(measured)
+    sentences = conclusions(measured, growth=timed)
     content = {
         "experiment": name,
         "points": [_content(m) for m in measured],

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -34,8 +35,8 @@ def refused(option: str, expected: str, got: object, exit_code: int = EXIT_USAGE
     return ExperimentError(f"{option}: expected {expected}, got {got}", exit_code)
 
 
-# Keys and sections of a scenario that make a run random unless they are zero.
-_RANDOM = {"jitter_s", "loss", "duplicate", "reorder", "gust_mps", "noise"}
+# Keys, sections and values of a scenario that make a run random, unless they are the defaults.
+_RANDOM = {"jitter_s", "loss", "duplicate", "reorder", "gust_mps", "noise", "empirical", "gilbert_elliott"}
 
 # Sections that a team of another size replaces: settings of these would be ignored.
 _TEAM_SECTIONS = ("system", "agents")
@@ -99,7 +100,17 @@ def cases_of(
     cases = []
     for index, point in enumerate(points):
         path = find_scenario(point.scenario)
-        scenario = _scenario(path, point, settings)
+        changes = [*settings, *point.settings]
+        scenario = read_scenario(path, changes, allow_large=True)
+        if point.team is not None:
+            for setting in changes:
+                key = setting.partition("=")[0].strip()
+                if key.partition(".")[0] in _TEAM_SECTIONS and key != "system.gravity_mps2":
+                    expected = "expected a key that every team has, got one of a single team"
+                    raise ScenarioError(f"--set {setting}", "", expected)
+            uavs, group = point.team
+            source = f"{path}, {point.text}"
+            scenario = resized(scenario, path.parent, uavs, group=group, name=None, source=source)
         if not allow_large:
             check_budget(scenario, str(path))
         cases += cases_of_point(index, scenario, path, seeds, timed=timed, more=more)
@@ -126,20 +137,6 @@ def cases_of_point(
     return cases
 
 
-def _scenario(path: Path, point: Point, settings: Sequence[str]) -> Scenario:
-    """Return the scenario of a point, before its seed."""
-    changes = [*settings, *point.settings]
-    scenario = read_scenario(path, changes, allow_large=True)
-    if point.team is None:
-        return scenario
-    for setting in changes:
-        key = setting.partition("=")[0].strip()
-        if key.partition(".")[0] in _TEAM_SECTIONS and key != "system.gravity_mps2":
-            raise ScenarioError(f"--set {setting}", "", "expected a key that every team has, got one of a single team")
-    uavs, group = point.team
-    return resized(scenario, path.parent, uavs, group=group, name=None, source=f"{path}, {point.text}")
-
-
 def key_of(scenario: Scenario, samples_s: Mapping[str, tuple[float, ...]]) -> str:
     """Return the fingerprint of what determines a result.
 
@@ -154,21 +151,4 @@ def key_of(scenario: Scenario, samples_s: Mapping[str, tuple[float, ...]]) -> st
 
 def is_random(scenario: Scenario) -> bool:
     """Return whether runs of the scenario differ with the seed."""
-    return _draws(scenario.tree())
-
-
-def _draws(tree: Any) -> bool:
-    if isinstance(tree, list):
-        return any(map(_draws, tree))
-    if not isinstance(tree, dict):
-        return False
-    if tree.get("distribution") == "empirical" or "gilbert_elliott" in tree:
-        return True
-    return any((name in _RANDOM and _is_positive(part)) or _draws(part) for name, part in tree.items())
-
-
-def _is_positive(part: Any) -> bool:
-    """Return whether any number of a value, list or section is more than zero."""
-    if isinstance(part, dict):
-        return any(map(_is_positive, part.values()))
-    return any(part) if isinstance(part, list) else part > 0
+    return not _RANDOM.isdisjoint(re.findall(r'"(\w+)"', scenario.model_dump_json(exclude_defaults=True)))

@@ -1,27 +1,31 @@
 """Report of the comparison: measure processor time, simulate, compare, and write tables, figures and verdicts."""
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from rich.console import Console
 from rich.table import Table
 
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from transport.analysis.series import series_of
 from transport.experiments import comparison
 from transport.experiments.cases import cases_of
-from transport.experiments.comparison import CENTRALIZED, CLOSED_LOOP, PAPER, SECONDS, STEPS, Cell, Curve, Row
+from transport.experiments.comparison import CENTRALIZED, CLOSED_LOOP, PAPER, SECONDS, STEPS, Cell, Curve
+from transport.experiments.declaration import Experiment
 from transport.experiments.simulation import run_in_memory
+from transport.experiments.simulation import simulate as simulate_here
 from transport.experiments.statistics import Column, console_table
 from transport.experiments.sweep import Results, Simulate, Swept, sweep
 from transport.flight.header import machine
-from transport.report.column import column_panels, draw_legend, head, legend_height_in
+from transport.report.column import column_panels, head
 from transport.report.compare import Overlaid, fill_overlaid
 from transport.report.report import write_csv, write_whole
 from transport.report.style import CURVES, DIVERGED, MARKER, RC, REFERENCE, SMALL, label_decades, save
@@ -60,55 +64,38 @@ def compare(
     Returns: Lines for the console, and the table above them.
     Raises: ScenarioError: wrong settings. ExperimentError: unusable folder, or a run that raised an error.
     """
-
-    def notify(line: str) -> None:
-        console.print(line, highlight=False, soft_wrap=True)
-
-    controller = comparison.setup_of(CENTRALIZED, settings).settings
-    reference = Cell(CENTRALIZED, controller.sampling_period_s, controller.horizon)
+    path = find_scenario(comparison.SCENARIOS[CENTRALIZED])
+    scenario = read_scenario(path, settings)
+    if (agents := len(scenario.owned)) > 1:
+        raise ScenarioError(str(path), "agents.owned", f"expected one agent that owns all, got {agents}")
+    reference = Cell(CENTRALIZED, scenario.controller.sampling_period_s, scenario.controller.horizon)
     cells = comparison.cells_of(reference, quick=quick)
     every = list(dict.fromkeys(cell for own in cells.values() for cell in own))  # curves meet at the reference
     experiment = comparison.experiment(every, reference, gust_mps)
-    cases = cases_of(experiment.points, settings, seeds)  # refuses wrong cases before the measurement
+    # One run at a time, all controllers in turns: a slow period of the machine affects all alike.
+    points = experiment.points[: len(every)]
+    measurement = Experiment(name="processor time", points=points, x=experiment.x, timed=True)
+    maneuver = comparison.QUICK_MEASUREMENT if quick else comparison.MANEUVER
+    repeats = comparison.QUICK_REPEATS if quick else comparison.REPEATS
+    cases = cases_of(experiment.points, settings, seeds)
+    timed_cases = cases_of(measurement.points, [*settings, maneuver], repeats, timed=True)
     with Results(comparison.NAME, folder) as results:
-        loads = comparison.processor_times(folder, settings, every, quick=quick, notify=notify)
+        timed = sweep(measurement, timed_cases, partial(map, simulate_here), results, console)
+        timed.check()
         swept = sweep(experiment, cases, simulate, results, console)
-    files = [swept.write_cases(folder)]
-    curves = comparison.cost_curves(cells, swept, loads)
+    loads = comparison.loads_of(timed)
+    curves = comparison.cost_curves(cells, swept, loads, reference)
     rows = [row for curve in curves for row in curve.rows]
-    judged = comparison.verdicts(curves, loads, reference)
+    judged = list(comparison.verdicts(curves, loads, reference))
+    files = [timed.write_cases(folder / "computation.csv"), swept.write_cases(folder / "cases.csv")]
     for name, content in (("curves.csv", rows), ("verdict.csv", judged)):
         files.append(folder / name)
         write_csv(files[-1], content, list(content[0]))
-    text = [*comparison.sentences(judged), "", *comparison.statements(judged), "", f"machine: {machine()}"]
+    text = [*comparison.sentences(judged), "", f"machine: {machine()}"]
     files.append(folder / "verdict.txt")
     write_whole(files[-1], "\n".join([*text, ""]).encode())
-    shown = _maneuver_runs(curves, judged, reference, swept)
-    files += [*draw_costs(curves, reference, folder), *draw_maneuver(shown, folder)]
+    files += [*draw_costs(curves, reference, folder), *draw_maneuver(curves, reference, swept, folder)]
     return ["", *text, *(f" {path}" for path in files)], console_table(TITLE, _LABELS, _COLUMNS, rows)
-
-
-def _maneuver_runs(
-    curves: Sequence[Curve], judged: Sequence[Row], reference: Cell, swept: Swept
-) -> Iterator[tuple[str, Setup]]:
-    """Yield name and setup of the runs of the paper's Fig. 3, 5 and 6, in still air with as many steps of horizon.
-
-    These are the centralized controller, the paper's algorithm at the same rate, and at the period of the grid
-    nearest to the same computation of one agent.
-    """
-    wanted = {"weather": comparison.STILL, "controller": PAPER, "kept": STEPS}
-    (curve,) = (curve for curve in curves if all(getattr(curve, name) == value for name, value in wanted.items()))
-    shown = {f"{CENTRALIZED}, ": reference, f"{PAPER}, same rate, ": reference._replace(controller=PAPER)}
-    (row,) = (row for row in judged if row.items() >= {**wanted, "budget": comparison.AGENT}.items())
-    if row["period_low_s"] and row["period_high_s"]:
-        middle_s = math.sqrt(row["period_low_s"] * row["period_high_s"])
-        nearest = min(curve.cells, key=lambda cell: abs(math.log(cell.period_s / middle_s)))
-        if nearest not in shown.values():
-            shown[f"{PAPER}, same computation, "] = nearest
-    for title, cell in shown.items():
-        labels = {"weather": comparison.STILL, **cell._asdict()}
-        case = next(case for case in swept.cases if swept.experiment.points[case.point].labels == labels)
-        yield f"{title}{1e3 * cell.period_s:g} ms", Setup.of(case.scenario, case.source)
 
 
 # Colour of each controller; marker and line of a horizon with as many steps and of one with as many seconds.
@@ -130,38 +117,33 @@ def draw_costs(curves: Sequence[Curve], reference: Cell, folder: Path) -> list[P
     Returns: figure.png and figure.svg.
     """
     kept_at = {STEPS: f"{reference.horizon} steps", SECONDS: f"{reference.horizon * reference.period_s:g} s"}
-    legend: dict[str, list[Line2D]] = {}
-    for controller, kept in dict.fromkeys((curve.controller, curve.kept) for curve in curves):
-        line = Line2D([], [], label=f"horizon {kept_at[kept]}", markersize=MARKER, **_style(controller, kept))
-        legend.setdefault(controller, []).append(line)
+    legend = [
+        Line2D([], [], label=f"{controller}, {kept_at[kept]}", markersize=MARKER, **_style(controller, kept))
+        for controller, kept in comparison.CURVES
+    ]
     shown = [(whose, weather) for whose in _TIMES for weather in dict.fromkeys(curve.weather for curve in curves)]
     with mpl.rc_context({**RC, "svg.hashsalt": "costs"}):
         figure = Figure()
-        panels = column_panels(
-            figure,
-            [_PANEL_IN] * len(shown),
-            x_label="processor time per second of the run (s/s)",
-            top_in=legend_height_in(legend) + _ABOVE_IN,
-        )
-        draw_legend(figure, legend)
-        rows = [row for curve in curves for row in curve.rows]
-        ends = [row[f"{name}{end}"] for row in rows for name in _TIMES.values() for end in ("_min", "_max")]
+        x_label = "processor time per second of the run (s/s)"
+        panels = column_panels(figure, [_PANEL_IN] * len(shown), legend=legend, x_label=x_label, top_in=_ABOVE_IN)
         for panel, (whose, weather) in zip(panels, shown, strict=True):
-            for curve in (curve for curve in curves if curve.weather == weather):
+            own = [curve for curve in curves if curve.weather == weather]
+            for curve in own:
                 _draw(panel, curve, _TIMES[whose])
-                if curve.controller == CENTRALIZED and curve.kept == STEPS:
-                    x = curve.rows[curve.cells.index(reference)][_TIMES[whose]]
+            x = own[0].rows[own[0].cells.index(reference)][_TIMES[whose]]
             panel.axvline(x, color=REFERENCE, linewidth=0.8, zorder=0)
             name = f"centralized\nat {1e3 * reference.period_s:g} ms"
             how: Any = {"ha": "right", "va": "center", "fontsize": SMALL, "color": "#555555", "linespacing": 1.0}
             panel.annotate(name, (x, _NAME), (-3.0, 0.0), textcoords="offset points", **how)
             panel.set_xscale("log")
             label_decades(panel.xaxis)
-            panel.set_xlim(min(ends) / 1.15, max(ends) * 1.15)
             head(panel, f"mean cost over centralized; {weather}, time of {whose}", legend=False)
             ticks = (1.0, 1.5, 2.0, 2.5, _HIGHEST)
             panel.set_yticks([*ticks, _STRIP], [*(f"{tick:g}" for tick in ticks), "diverged"])
             panel.set_ylim(_LOWEST, _STRIP + 0.2)
+        for panel in panels[1:]:
+            panel.sharex(panels[0])
+        panels[0].autoscale(axis="x")
         return save(figure, folder / "figure.png")
 
 
@@ -172,33 +154,45 @@ def _style(controller: str, kept: str) -> dict[str, Any]:
 
 def _draw(axes: Axes, curve: Curve, time: str) -> None:
     """Draw a curve, with the spread of the processor time and the confidence interval of the cost."""
-    style = _style(curve.controller, curve.kept)
-    dot: dict[str, Any] = {**style, "markersize": MARKER, "linestyle": "none"}
-    x, y = [], []
-    for row in curve.rows:
-        at, ratio = row[time], row["cost_mean_ratio"]
-        if row["first_lost_s"] is not None:
-            axes.plot([at], [_STRIP], **dot | DIVERGED)
-        elif ratio > _HIGHEST:
-            axes.plot([at], [_HIGHEST], **dot | {"marker": "$\\uparrow$"})
-        else:
-            spread = [[at - row[f"{time}_min"]], [row[f"{time}_max"] - at]]
-            half = row["cost_mean_ratio_ci95"] or 0.0
-            axes.errorbar([at], [ratio], half, spread, color=style["color"], linestyle="none", elinewidth=0.8)
-        x.append(at)
-        y.append(ratio if row["first_lost_s"] is None and ratio <= _HIGHEST else math.nan)
-    axes.plot(x, y, linewidth=1.0, markersize=MARKER, **style)
+    style = _style(curve.controller, curve.kept) | {"markersize": MARKER}
+    x = np.array([[row[f"{time}{end}"] for row in curve.rows] for end in ("", "_min", "_max")])
+    cost, half = (
+        np.array([row[f"cost_mean_ratio{end}"] or 0.0 for row in curve.rows], dtype=float) for end in ("", "_ci95")
+    )
+    diverged = np.isinf(curve.costs).any(axis=1)
+    high = ~diverged & (cost > _HIGHEST)
+    cost[diverged | high] = np.nan
+    axes.plot(x[0], cost, linewidth=1.0, **style)
+    axes.errorbar(x[0], cost, half, abs(x[1:] - x[0]), color=style["color"], linestyle="none", elinewidth=0.8)
+    axes.plot(x[0, diverged], np.full(diverged.sum(), _STRIP), **style | DIVERGED)
+    upwards = {"marker": "$\\uparrow$", "linestyle": "none"}
+    axes.plot(x[0, high], np.full(high.sum(), _HIGHEST), **style | upwards)
 
 
-def draw_maneuver(runs: Iterator[tuple[str, Setup]], folder: Path) -> list[Path]:
-    """Simulate each run again and draw all over one another, each with its name.
+def draw_maneuver(curves: Sequence[Curve], reference: Cell, swept: Swept, folder: Path) -> list[Path]:
+    """Draw the runs of the paper's Fig. 3, 5 and 6 over one another, in still air with as many steps of horizon.
 
-    The runs are deterministic, so they equal the measured ones.
+    These are the centralized controller, the paper's algorithm at the same rate, and at the period of the grid nearest
+    to the same computation of one agent. They are simulated again: the runs are deterministic.
 
     Returns: maneuver.png and maneuver.svg.
     """
+    of = {(curve.controller, curve.kept): curve for curve in curves if curve.weather == comparison.STILL}
+    whole, own = of[CENTRALIZED, STEPS], of[PAPER, STEPS]
+    reference_s = whole.rows[whole.cells.index(reference)]["cpu_agent_s_per_s"]
+    times_s = [row["cpu_agent_s_per_s"] for row in own.rows]
+    shown = {
+        reference: CENTRALIZED,
+        reference._replace(controller=PAPER): f"{PAPER}, same rate",
+        own.cells[int(np.argmin(np.abs(np.log(np.array(times_s) / reference_s))))]: f"{PAPER}, same computation",
+    }
+    overlaid = []
+    for cell, name in shown.items():
+        labels = {"weather": comparison.STILL, **cell._asdict()}
+        case = next(case for case in swept.cases if swept.experiment.points[case.point].labels == labels)
+        setup = Setup.of(case.scenario, case.source)
+        overlaid.append(Overlaid(f"{name}, {1e3 * cell.period_s:g} ms", setup, series_of(setup, run_in_memory(setup))))
     with mpl.rc_context({**RC, "svg.hashsalt": "maneuver"}):
         figure = Figure()
-        overlaid = [Overlaid(label, setup, series_of(setup, run_in_memory(setup))) for label, setup in runs]
         fill_overlaid(figure, overlaid, shaded=True)
         return save(figure, folder / "maneuver.png")

@@ -6,7 +6,7 @@ One column of a paper wide. A scenario has a colour, a curve of it (a distributi
 import itertools
 import math
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
@@ -16,8 +16,8 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 
 from transport.experiments.declaration import NONE, Experiment, axis
 from transport.experiments.statistics import COST_RATIO, PointStatistics
-from transport.report.column import column_panels, draw_legend, head, legend_height_in
-from transport.report.style import CURVES, DIVERGED, MARKER, REFERENCE, label_decades
+from transport.report.column import column_panels, head
+from transport.report.style import CURVES, DIVERGED, MARKER, label_decades
 
 
 class Panel(NamedTuple):
@@ -29,10 +29,8 @@ class Panel(NamedTuple):
 
 
 class _Curve(NamedTuple):
-    """A curve: its scenario, its name in the legend, its points and its style."""
+    """A curve: its points in the order of the horizontal axis, and its style with its name."""
 
-    scenario: str
-    name: str
     points: list[PointStatistics]
     style: dict[str, Any]
 
@@ -63,9 +61,9 @@ _DIVERGED = "time at which runs diverge (s, hollow), or never"
 # Height of a panel, and of the title of the first, in.
 _PANEL_IN, _ABOVE_IN = 0.95, 0.17
 
-# Distance between neighbouring curves, as a share of the axis, so that markers and error bars do not overlap; less
-# where many values are near each other. All curves together take this share of the smallest distance of two values.
-_APART, _APART_MANY, _TOGETHER = 0.035, 0.004, 0.7
+# Distance between neighbouring curves, as a share of the axis, so that markers and error bars do not overlap; all
+# curves together take at most this share of the smallest distance of two values.
+_APART, _TOGETHER = 0.035, 0.7
 
 # Height of a run that never diverges, over the time of the last divergence.
 _NEVER = 1.25
@@ -73,9 +71,8 @@ _NEVER = 1.25
 # Limits of the upper end of the vertical axis over the highest mean; wide intervals, as of two runs, are cut off.
 _HIGHEST, _LOWEST = 2.0, 1.12
 
-# A mean this many times the median makes the axis logarithmic, unless the lowest is below this share of it. Ranges of
-# more than this factor are labelled in powers of ten.
-_OUTLIER, _SHOWN, _WIDE = 5.0, 1e-4, 200.0
+# A mean this many times the median makes the axis logarithmic, unless the lowest is below this share of it.
+_OUTLIER, _SHOWN = 5.0, 1e-3
 
 # More values than this get round ticks instead of one each.
 _MOST_TICKS = 10
@@ -89,113 +86,66 @@ def draw_curves(figure: Figure, experiment: Experiment, measured: Sequence[Point
     column, is_growth = experiment.x.label, experiment.drawn_as == "scaling"
     values = list(dict.fromkeys(m.point.labels[column] for m in measured))
     joined = not isinstance(values[0], str) and len(values) <= _MOST_TICKS  # no line between names or random times
-    beside = [m for m in measured if not joined and _is_beside(m, column)]
-    values = list(dict.fromkeys(m.point.labels[column] for m in measured if m not in beside)) or values
     is_number = is_growth or (isinstance(values[0], float) and experiment.drawn_as != "sharing")
     places = {value: float(value) if is_number else float(i) for i, value in enumerate(values)}
-    curves = _styled_curves(experiment, measured, joined=joined)
-    legend = _legend(curves, beside)
+    curves = list(_curves(experiment, measured, joined=joined))
     diverged_s = [time_s for m in measured for time_s in m.diverged_s]
-    never_s = _NEVER * max(diverged_s, default=0.0)
     shown = _PANELS[experiment.drawn_as]
     panels = column_panels(
         figure,
         [_PANEL_IN] * (len(shown) + bool(diverged_s)),
+        legend=[Line2D([], [], **curve.style) for curve in curves],
         x_label=experiment.x.title,
-        top_in=legend_height_in(legend) + _ABOVE_IN,
+        top_in=_ABOVE_IN,
     )
-    draw_legend(figure, legend)
-    above = panels.pop(0) if diverged_s else None
-    apart = 0.0 if is_growth else _apart(list(places.values()), len(curves))
-    for index, curve in enumerate(curves):
-        points = [m for m in curve.points if m not in beside]
-        shift = apart * (index - (len(curves) - 1) / 2.0)
-        x = [places[m.point.labels[column]] + shift for m in points]
-        if above is not None:
-            _draw_divergence(above, x, points, curve.style, never_s)
-        for panel, (_, number, factor) in zip(panels, shown, strict=True):
-            _draw_means(panel, x, points, number, factor, curve.style)
-            for m in beside:
-                if m in curve.points and (value := m.mean(number)) is not None:
-                    panel.axhline(factor * value, color=curve.style["color"], linewidth=0.8, linestyle="--")
+    span = max(places.values()) - min(places.values()) or 1.0
+    gap = min((high - low for low, high in itertools.pairwise(sorted(places.values()))), default=span)
+    apart = 0.0 if is_growth else min(_APART * span, _TOGETHER * gap / len(curves))
+    xs = [
+        [places[m.point.labels[column]] + apart * (index - (len(curves) - 1) / 2.0) for m in curve.points]
+        for index, curve in enumerate(curves)
+    ]
+    for panel in panels:
+        margin = 0.04 * span + apart * (len(curves) + 1) / 2.0
+        panel.set_xlim(min(places.values()) - margin, max(places.values()) + margin)
+        if is_growth:
+            panel.set_xscale("log")
+            panel.xaxis.set_minor_locator(NullLocator())
+        _name_values(panel, places, experiment.x.factor)
+    if diverged_s:
+        _draw_divergence(panels.pop(0), curves, xs, _NEVER * max(diverged_s))
     for panel, (title, number, factor) in zip(panels, shown, strict=True):
         head(panel, title, legend=False)
-        means = [factor * value for curve in curves for m in curve.points if (value := m.mean(number)) is not None]
-        if is_growth:
-            _scale_growth(panel, means)
-        elif number == COST_RATIO:
-            panel.margins(y=0.12)
-        else:
-            _scale(panel, means)
-    if above is not None:
-        head(above, _DIVERGED, legend=False)
-        _name_never(above, never_s)
-    for panel in [*panels, *([above] if above is not None else [])]:
-        panel.set_xlim(_ends(list(places.values()), apart * (len(curves) + 1)))
-        _name_values(panel, places, experiment.x.factor)
+        means = [
+            factor * mean
+            for x, curve in zip(xs, curves, strict=True)
+            for mean in _draw_means(panel, x, curve, number, factor)
+        ]
+        _scale(panel, means, is_ratio=number == COST_RATIO, is_growth=is_growth)
 
 
-def _apart(places: Sequence[float], curves: int) -> float:
-    """Return the distance between neighbouring curves, in units of the horizontal axis."""
-    span = max(places) - min(places) or 1.0
-    if len(places) > _MOST_TICKS:
-        return _APART_MANY * span
-    gap = min((high - low for low, high in itertools.pairwise(sorted(places))), default=span)
-    return min(_APART * span, _TOGETHER * gap / curves)
-
-
-def _is_beside(m: PointStatistics, column: str) -> bool:
-    """Return whether the axis does not apply to a point, such as a run without a kill to the time of the kill."""
-    return not isinstance(m.point.labels[column], str) and NONE in m.point.labels.values()
-
-
-def _styled_curves(experiment: Experiment, measured: Sequence[PointStatistics], *, joined: bool) -> list[_Curve]:
-    """Return each curve of each scenario."""
+def _curves(experiment: Experiment, measured: Sequence[PointStatistics], *, joined: bool) -> Iterator[_Curve]:
+    """Yield each curve of each scenario; points labelled `NONE` belong to all curves of their scenario."""
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
-    found = []
+    column = experiment.curves
     for place, scenario in enumerate(scenarios):
-        own = _curves(experiment, [m for m in measured if m.point.scenario == scenario])
-        for index, (name, points) in enumerate(own.items()):
-            shape = index if experiment.curves is not None else place
+        found = [m for m in measured if m.point.scenario == scenario]
+        values = dict.fromkeys(m.point.labels[column] if column else "" for m in found)
+        for index, value in enumerate(value for value in values if value != NONE):
+            # The last of several points at one x belongs to the curve: the constant delay, not the perfect network.
+            own = {
+                m.point.labels[experiment.x.label]: m
+                for m in found
+                if column is None or m.point.labels[column] in (NONE, value)
+            }
+            text = value if isinstance(value, str) or column is None else axis(column).text(value)
+            name = experiment.legend.get(value, text)
+            label = scenario if column is None else name if len(scenarios) == 1 else f"{scenario}, {name}"
+            shape = index if column else place
             colour = shape if len(scenarios) == 1 else place  # with one scenario, curves have colours of their own
             _, marker, line = CURVES[(shape + shape // len(CURVES)) % len(CURVES)]
-            shown = CURVES[colour % len(CURVES)][0]
-            style = {"color": shown, "marker": marker, "linestyle": line if joined else "none"}
-            found.append(_Curve(scenario, name, points, style))
-    return found
-
-
-def _curves(experiment: Experiment, measured: Sequence[PointStatistics]) -> dict[str, list[PointStatistics]]:
-    """Return the points of each curve by its name in the legend, in the order of the horizontal axis."""
-    column = experiment.curves
-    if column is None:
-        return {measured[0].point.scenario: list(measured)}
-    curves = {}
-    for value in dict.fromkeys(m.point.labels[column] for m in measured):
-        if value != NONE:
-            # The last of several points at one x belongs to the curve: the constant delay, not the perfect network.
-            own = {m.point.labels[experiment.x.label]: m for m in measured if m.point.labels[column] in (NONE, value)}
-            text = value if isinstance(value, str) else axis(column).text(value)
-            curves[experiment.legend.get(value, text)] = list(own.values())
-    return curves
-
-
-def _legend(curves: Sequence[_Curve], beside: Sequence[PointStatistics]) -> dict[str, list[Line2D]]:
-    """Return the handles of the curves: a row for each scenario with several, else one for all."""
-    rows: dict[str, list[Line2D]] = {}
-    for curve in curves:
-        title = "" if curve.name == curve.scenario else curve.scenario
-        rows.setdefault(title, []).append(Line2D([], [], label=curve.name, markersize=MARKER, **curve.style))
-    if beside:
-        colour = curves[0].style["color"] if len(curves) == 1 else REFERENCE
-        line = Line2D([], [], label=beside[0].point.text, color=colour, linewidth=0.8, linestyle="--")
-        next(iter(rows.values())).append(line)
-    return rows
-
-
-def _ends(places: Sequence[float], margin: float) -> tuple[float, float]:
-    width = 0.04 * (max(places) - min(places) or 1.0) + margin / 2.0
-    return min(places) - width, max(places) + width
+            style = {"color": CURVES[colour % len(CURVES)][0], "marker": marker, "linestyle": line if joined else ""}
+            yield _Curve(list(own.values()), {**style, "markersize": MARKER, "label": label})
 
 
 def _name_values(panel: Axes, places: Mapping[str | float, float], factor: float) -> None:
@@ -211,58 +161,42 @@ def _name_values(panel: Axes, places: Mapping[str | float, float], factor: float
         panel.xaxis.set_major_formatter(lambda value, _: text(value))
 
 
-def _name_never(panel: Axes, never_s: float) -> None:
-    """Name the height of runs that never diverge."""
-    panel.set_ylim(0.0, 1.12 * never_s)
-    ticks = [tick for tick in MaxNLocator(4).tick_values(0.0, never_s) if tick < 0.85 * never_s]
-    panel.set_yticks([*ticks, never_s], [*(f"{tick:g}" for tick in ticks), "never"])
-
-
-def _scale(axes: Axes, means: Sequence[float]) -> None:
-    """Fit the vertical axis to the means; logarithmic if a few nearly diverged runs are far above the rest."""
+def _scale(axes: Axes, means: Sequence[float], *, is_ratio: bool, is_growth: bool) -> None:
+    """Fit the vertical axis to the means; logarithmic for growth, or if nearly diverged runs are far above the rest."""
     lowest, highest = min(means, default=0.0), max(means, default=0.0)
     top = min(max(axes.get_ylim()[1], _LOWEST * highest), _HIGHEST * highest)
-    if highest > _OUTLIER * statistics.median(means or [0.0]) and lowest > _SHOWN * highest:
+    outlier = highest > _OUTLIER * statistics.median(means or [0.0]) and lowest > _SHOWN * highest
+    if is_ratio:
+        axes.margins(y=0.12)
+    elif lowest > 0.0 and (is_growth or outlier):
         axes.set_yscale("log")
-        axes.set_ylim(lowest / 1.5, max(top, 1.5 * highest))
-        if highest < _WIDE * lowest:
-            label_decades(axes.yaxis)
+        axes.set_ylim(lowest / 1.4, 1.4 * highest)
+        label_decades(axes.yaxis)
     else:
         axes.set_ylim(0.0, top or 1.0)
 
 
-def _scale_growth(axes: Axes, means: Sequence[float]) -> None:
-    """Make both axes logarithmic and fit the vertical one to the means: a power of N is a straight line."""
-    positive = [mean for mean in means if mean > 0.0]
-    axes.set_xscale("log")
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_yscale("log")
-    if positive:
-        axes.set_ylim(min(positive) / 1.4, max(positive) * 1.4)
-    label_decades(axes.yaxis)
-
-
-def _draw_divergence(
-    axes: Axes, x: Sequence[float], points: Sequence[PointStatistics], style: dict[str, Any], never_s: float
-) -> None:
+def _draw_divergence(axes: Axes, curves: Sequence[_Curve], xs: Sequence[Sequence[float]], never_s: float) -> None:
     """Draw the mean time at which runs diverged and its range; a run that completes at the height of "never"."""
-    dots = {"color": style["color"], "marker": style["marker"], "markersize": MARKER, "linestyle": "none"}
-    for at, m in zip(x, points, strict=True):
-        if m.completed:
-            axes.plot([at], [never_s], **dots)
-        if m.diverged_s:
-            axes.plot([at, at], [min(m.diverged_s), max(m.diverged_s)], color=style["color"], linewidth=0.8)
-            axes.plot([at], [statistics.fmean(m.diverged_s)], **dots | DIVERGED)
+    for x, (points, style) in zip(xs, curves, strict=True):
+        dots = style | {"linestyle": "none"}
+        for at, m in zip(x, points, strict=True):
+            if m.completed:
+                axes.plot([at], [never_s], **dots)
+            if m.diverged_s:
+                axes.plot([at, at], [m.diverged_s[0], m.diverged_s[-1]], color=style["color"], linewidth=0.8)
+                axes.plot([at], [statistics.fmean(m.diverged_s)], **dots | DIVERGED)
+    head(axes, _DIVERGED, legend=False)
+    axes.set_ylim(0.0, 1.12 * never_s)
+    ticks = [tick for tick in MaxNLocator(4).tick_values(0.0, never_s) if tick < 0.85 * never_s]
+    axes.set_yticks([*ticks, never_s], [*(f"{tick:g}" for tick in ticks), "never"])
 
 
-def _draw_means(
-    axes: Axes, x: Sequence[float], points: Sequence[PointStatistics], number: str, factor: float, style: dict[str, Any]
-) -> None:
-    """Draw means over the completed runs, with confidence intervals; a gap where no run was completed."""
-    means, halves = [], []
-    for m in points:
-        mean, value = m.mean(number), m.numbers.get(number)
-        means.append(math.nan if mean is None else factor * mean)
-        halves.append(0.0 if value is None or value.half_width is None else factor * value.half_width)
-    axes.plot(x, means, **{"markersize": MARKER, **style})
-    axes.errorbar(x, means, halves, color=style["color"], linestyle="none", capsize=1.5, elinewidth=0.8)
+def _draw_means(axes: Axes, x: Sequence[float], curve: _Curve, number: str, factor: float) -> list[float]:
+    """Draw the means over completed runs, with confidence intervals; return them."""
+    found = [(m.mean(number), m.numbers.get(number)) for m in curve.points]
+    means = [math.nan if mean is None else factor * mean for mean, _ in found]
+    halves = [factor * ((value.half_width if value else None) or 0.0) for _, value in found]
+    axes.plot(x, means, **curve.style)
+    axes.errorbar(x, means, halves, color=curve.style["color"], linestyle="none", capsize=1.5, elinewidth=0.8)
+    return [mean for mean, _ in found if mean is not None]

@@ -4,14 +4,13 @@ The function of an experiment yields the points of one scenario; it is declared 
 line and its help are made.
 """
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from protocol.scenario.keys import UNITS, ending_of, fields, key_of, unit_of
+from protocol.scenario.keys import UNITS, ending_of, fields, key_of, short_names, unit_of
 from protocol.scenario.schema import Scenario
-from transport.experiments.cases import Point, refused
+from transport.experiments.cases import Point
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,20 +48,13 @@ _COLUMNS: Mapping[str, tuple[Any, ...]] = {
     "terminal": ("terminal weight",),
     "share_threshold": ("threshold", "% of the input's range; 0: all plans sent", 100.0),
 }
-# Keys of columns with a short name.
-_KEYS = {
-    "delay_s": "links.delay_s",
-    "loss": "links.loss",
-    "horizon": "controller.horizon",
-    "period_s": "controller.sampling_period_s",
-}
 
 
-def axis(column: str, key: str | None = None) -> Axis:
-    """Return the axis of a column: of a key of the scenario, in its words if it has no label, or of `_COLUMNS`."""
-    key = key or _KEYS.get(column, column)
-    if key in _COLUMNS:
-        return Axis(column, *_COLUMNS[key])
+def axis(column: str) -> Axis:
+    """Return the axis of a column: of a key or short name, in its words if it has no label, or of `_COLUMNS`."""
+    if column in _COLUMNS:
+        return Axis(column, *_COLUMNS[column])
+    key = short_names().get(column, column)
     found = fields().get(key)
     label = key_of(found).label if found is not None else ""
     if found is None or not label:
@@ -106,53 +98,23 @@ class Experiment:
 
 
 @dataclass(frozen=True, slots=True)
-class Range:
-    """Range of a number, low <= number < below, and its description."""
-
-    expected: str
-    low: float = math.ulp(0.0)
-    below: float = math.inf
-
-    def check(self, option: str, *values: float) -> None:
-        """Refuse a number outside the range.
-
-        Raises: ExperimentError: with option, expected and got.
-        """
-        for value in values:
-            if not self.low <= value < self.below:
-                raise refused(option, self.expected, f"{value:g}")
-
-
-@dataclass(frozen=True, slots=True)
 class Values:
-    """An option of an experiment: one value, or several if its default is a list."""
+    """An option of an experiment: one value, or several if its default is a list.
+
+    What the scenario refuses needs no limits here.
+    """
 
     default: Any
     metavar: str = ""  # empty: not an option of the command
     help: str = ""  # without the default
     quick: Any = None  # default with --quick, where it differs
-    within: Range | None = None
+    least: float | None = None  # smallest and largest value
+    most: float | None = None
 
     @property
     def kind(self) -> type:
         """Type of a value."""
         return type(self.default[0] if isinstance(self.default, list) else self.default)
-
-    def checked(self, name: str, given: Any, *, quick: bool) -> Any:
-        """Return the values given, or the default.
-
-        Raises: ExperimentError: a value is outside the range, or given twice.
-        """
-        several = isinstance(self.default, list)
-        default = self.quick if quick and self.quick is not None else self.default
-        found = default if given is None or (several and not given) else given
-        values = found if several else [found]
-        if self.within is not None:
-            self.within.check(f"--{name}", *values)
-        for value in values:
-            if values.count(value) > 1:
-                raise refused(f"--{name}", "each value once", f"{value} {values.count(value)} times")
-        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,7 +140,12 @@ class Declaration:
 
         Raises: ExperimentError: an option is refused.
         """
-        options = {name: values.checked(name, given.get(name), quick=quick) for name, values in self.options.items()}
+        options = {}
+        for name, values in self.options.items():
+            default = values.default if not quick or values.quick is None else values.quick
+            found = given.get(name)
+            found = default if found is None or found == [] else found
+            options[name] = sorted(set(found)) if isinstance(found, list) else found
         if self.scenarios:
             points = [
                 replace(point, scenario=name)
@@ -199,7 +166,7 @@ Build = Callable[..., Iterable[Point]]
 def declared(
     x: str, *, drawn: Mapping[str, Any] | None = None, defaults: Mapping[str, Any] | None = None, **options: Values
 ) -> Callable[[Build], Build]:
-    """Return a decorator that declares an experiment by its function, whose docstring is the help of the command.
+    """Declare an experiment by its function, whose docstring is the help of the command.
 
     Args:
         x: Column along the horizontal axis.
@@ -209,9 +176,8 @@ def declared(
     """
 
     def declare(build: Build) -> Build:
-        EXPERIMENTS[build.__name__] = Declaration(
-            build=build, options=options, drawn={"x": axis(x), **(drawn or {})}, **(defaults or {})
-        )
+        fields = {"drawn": {"x": axis(x), **(drawn or {})}, **(defaults or {})}
+        EXPERIMENTS[build.__name__] = Declaration(build=build, options=options, **fields)
         return build
 
     return declare

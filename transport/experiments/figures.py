@@ -19,7 +19,7 @@ from matplotlib.transforms import Affine2D, ScaledTranslation
 from transport.experiments.curve_figure import draw_curves
 from transport.experiments.declaration import Axis, Experiment, axis
 from transport.experiments.statistics import PointStatistics
-from transport.report.column import column_panels, draw_legend, head, legend_height_in, text_width_in
+from transport.report.column import column_panels, head, text_width_in
 from transport.report.style import (
     COLUMN_IN,
     CURVES,
@@ -37,7 +37,7 @@ from transport.report.style import (
 _CELL_IN, _ABOVE_IN, _RIGHT_IN = 0.27, 0.2, 0.42
 
 # Height of a row of variants, room around their panels, and width of the strip of diverged runs beside them.
-_ROW_IN, _GAP_IN, _BELOW_IN, _STRIP_IN = 0.185, 0.28, 0.38, 0.58
+_ROW_IN, _GAP_IN, _BELOW_IN, _STRIP_IN = 0.185, 0.28, 0.38, 0.5
 _TITLE = "mean cost over that of the unchanged scenario\non a perfect network"
 # Larger ratios are drawn at this value.
 _HIGHEST = 100.0
@@ -106,7 +106,7 @@ def _draw_maps(figure: Figure, x: Axis, y: Axis, measured: Sequence[PointStatist
 def _draw_variants(figure: Figure, measured: Sequence[PointStatistics]) -> None:
     """Draw the cost over the baseline's: a panel for each scenario, a row for each variant.
 
-    Diverged runs are beside the panel, with the time of divergence, or their number if there are several.
+    Points with diverged runs have a mark beside the panel.
     """
     scenarios = list(dict.fromkeys(m.point.scenario for m in measured))
     networks = list(dict.fromkeys(str(m.point.labels["network"]) for m in measured))
@@ -114,19 +114,18 @@ def _draw_variants(figure: Figure, measured: Sequence[PointStatistics]) -> None:
         {"color": colour, "marker": marker, "markersize": MARKER, "linestyle": "none"}
         for colour, marker, _ in (CURVES[i % len(CURVES)] for i in range(len(networks)))
     ]
-    legend = {"": [Line2D([], [], label=name, **style) for name, style in zip(networks, styles, strict=True)]}
     rows = [list(dict.fromkeys(_name(m) for m in measured if m.point.scenario == name)) for name in scenarios]
     panels = column_panels(
         figure,
         [_ROW_IN * len(names) for names in rows],
+        legend=[Line2D([], [], label=name, **style) for name, style in zip(networks, styles, strict=True)],
         x_label="",
         left_in=max(text_width_in(name) for names in rows for name in names) + 0.08,
         right_in=_STRIP_IN,
-        top_in=legend_height_in(legend) + _ABOVE_IN,
+        top_in=_ABOVE_IN,
         gap_in=_GAP_IN,
         bottom_in=_BELOW_IN,
     )
-    draw_legend(figure, legend)
     figure.text(0.5, 0.02 / figure.get_figheight(), _TITLE, ha="center", va="bottom", fontsize=TEXT, linespacing=1.1)
     ratios = [1.0, *(min(m.cost_ratio, _HIGHEST) for m in measured if m.cost_ratio is not None)]
     low, high = min(ratios), max(ratios)
@@ -139,11 +138,8 @@ def _draw_variants(figure: Figure, measured: Sequence[PointStatistics]) -> None:
                 panel.plot([min(m.cost_ratio, _HIGHEST)], [y], **style)
             if m.completed < m.runs:
                 diverged = True
-                text = f"{m.runs - m.completed} of {m.runs}" if m.runs > 1 else f"{m.diverged_s[0]:.1f} s"
                 beside = panel.get_yaxis_transform() + ScaledTranslation(0.12, 0.0, figure.dpi_scale_trans)
                 panel.plot([1.0], [y], transform=beside, clip_on=False, **style | DIVERGED)
-                how: Any = {"xycoords": beside, "textcoords": "offset points", "color": style["color"]}
-                panel.annotate(text, (1.0, y), (5.0, 0.0), va="center_baseline", fontsize=SMALL, **how)
         if diverged:
             panel.annotate("diverged", (1.0, 1.0), (8.0, 2.0), "axes fraction", "offset points", fontsize=SMALL)
         head(panel, scenario, legend=False)

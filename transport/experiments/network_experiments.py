@@ -5,20 +5,19 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point, refused
-from transport.experiments.declaration import NONE, Range, Values, axis, declared
+from transport.experiments.declaration import NONE, Values, axis, declared
 
-# Standard deviation of one unit of `links.jitter_s`, and the mean it adds, by distribution (docs/keys.md).
-# A lognormal number whose logarithm has unit variance has a mean of 1 / sqrt(e - 1) standard deviations.
+# Standard deviation of one unit of `links.jitter_s`, and the mean it adds, by distribution (docs/keys.md); and the
+# smallest mean delay at which the random part is never cut off at zero, in standard deviations. The normal distribution
+# has no such mean: 2 cut off 2 %. A lognormal number whose logarithm has unit variance has a mean of 1 / sqrt(e - 1)
+# standard deviations.
+_LOGNORMAL = 1.0 / math.sqrt(math.e - 1.0)
 JITTER = {
-    "uniform": (1.0 / math.sqrt(12.0), 0.0),
-    "normal": (1.0, 0.0),
-    "exponential": (1.0, 1.0),
-    "lognormal": (1.0, 1.0 / math.sqrt(math.e - 1.0)),
+    "uniform": (1.0 / math.sqrt(12.0), 0.0, math.sqrt(3.0)),
+    "normal": (1.0, 0.0, 2.0),
+    "exponential": (1.0, 1.0, 1.0),
+    "lognormal": (1.0, _LOGNORMAL, _LOGNORMAL),
 }
-
-# Smallest mean delay at which the random part is never cut off at zero, in standard deviations; the normal
-# distribution has no such mean: 2 cut off 2 %.
-SMALLEST_MEAN = {"uniform": math.sqrt(3.0), "normal": 2.0, "exponential": 1.0, "lognormal": JITTER["lognormal"][1]}
 
 # A good and a bad network, with their settings.
 NETWORKS: Mapping[str, tuple[str, ...]] = {
@@ -26,13 +25,8 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
     "200 ms delay, 30 % loss": ("links.delay_s=0.2", "links.loss=0.3"),
 }
 
-DELAY = Range("a delay >= 0 s", 0.0)
 
-
-@declared(
-    "delay_s",
-    delay=Values([0.0, 0.05, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", [0.0, 0.2], DELAY),
-)
+@declared("delay_s", delay=Values([0.0, 0.05, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", [0.0, 0.2]))
 def latency(_: Scenario, delay: Sequence[float]) -> Iterator[Point]:
     """Effect of a fixed delay on every link.
 
@@ -46,15 +40,15 @@ def latency(_: Scenario, delay: Sequence[float]) -> Iterator[Point]:
     "loss",
     drawn={"curves": "model", "legend": {"bernoulli": "independent", "bursts": "in bursts"}},
     defaults={"seeds": 5},
-    loss=Values([0.1, 0.3, 0.6], "SHARE", "Packet loss.", [0.3], Range("a share from 0 to below 1", 0.0, 1.0)),
-    burst=Values(5.0, "TICKS", "Mean length of a burst, ticks.", None, Range("a mean length >= 1 tick", 1.0)),
+    loss=Values([0.1, 0.3, 0.6], "SHARE", "Packet loss.", [0.3]),
+    burst=Values(5.0, "TICKS", "Mean length of a burst, ticks.", least=1.0),
 )
 def loss(_: Scenario, loss: Sequence[float], burst: float) -> Iterator[Point]:
     """Effect of packet loss, independent or in bursts.
 
     Example: transport experiment loss --loss 0.3 --burst 10
     """
-    lossy = sorted(share for share in loss if share > 0.0)
+    lossy = [share for share in loss if share]
     yield Point({"model": NONE, "loss": 0.0}, "no loss", ("links.loss=0.0",), baseline=True)
     for share in lossy:
         text = f"{_percent(share)} at random"
@@ -65,11 +59,11 @@ def loss(_: Scenario, loss: Sequence[float], burst: float) -> Iterator[Point]:
 
 def _bursts(share: float, burst_ticks: float) -> str:
     """Return the setting of a link that loses every plan in its bad state and spends a share of the ticks there."""
+    most = burst_ticks / (1.0 + burst_ticks)
+    if share > most:
+        raise refused("--loss", f"at most {most:.3g} with bursts of {burst_ticks:g} ticks on average", f"{share:g}")
     leave = 1.0 / burst_ticks
-    enter = leave * share / (1.0 - share)  # from share = enter / (enter + leave)
-    if enter > 1.0:
-        expected = f"at most {burst_ticks / (1.0 + burst_ticks):.3g} with bursts of {burst_ticks:g} ticks on average"
-        raise refused("--loss", expected, f"{share:g}")
+    enter = min(1.0, leave * share / (1.0 - share))  # from share = enter / (enter + leave)
     return f"links.gilbert_elliott={{enter={enter!r},leave={leave!r},loss=1.0}}"
 
 
@@ -79,7 +73,7 @@ def _bursts(share: float, burst_ticks: float) -> str:
     defaults={"seeds": 3},
     distribution=Values(list(JITTER), "NAME", "Distribution.", ["uniform", "exponential"]),
     std=Values([0.02, 0.05, 0.08], "SECONDS", "Standard deviation of the delay, s.", [0.05]),
-    mean=Values(0.16, "SECONDS", "Mean delay, s.", None, DELAY),
+    mean=Values(0.16, "SECONDS", "Mean delay, s."),
 )
 def jitter(_: Scenario, distribution: Sequence[str], std: Sequence[float], mean: float) -> Iterator[Point]:
     """Effect of the distribution of random delays.
@@ -98,11 +92,12 @@ def jitter(_: Scenario, distribution: Sequence[str], std: Sequence[float], mean:
     for name in distribution:
         if name not in JITTER:
             raise refused("--distribution", f"one of {', '.join(JITTER)}", name)
-        largest_s = mean / SMALLEST_MEAN[name]
-        expected = f"a standard deviation from 0 to {largest_s:.3g} s ({name}, mean {mean:g} s)"
-        Range(expected, 0.0, math.nextafter(largest_s, math.inf)).check("--std", *std)
-        unit, mean_of_unit = JITTER[name]
-        for deviation_s in sorted(deviation_s for deviation_s in std if deviation_s > 0.0):
+        unit, mean_of_unit, smallest = JITTER[name]
+        largest_s = mean / smallest
+        for deviation_s in (deviation_s for deviation_s in std if deviation_s):
+            if not 0.0 < deviation_s <= largest_s:
+                expected = f"a standard deviation from 0 to {largest_s:.3g} s ({name}, mean {mean:g} s)"
+                raise refused("--std", expected, f"{deviation_s:g}")
             scale_s = deviation_s / unit
             yield Point(
                 {"distribution": name, "std_s": deviation_s, "mean_s": mean},
@@ -119,14 +114,8 @@ def jitter(_: Scenario, distribution: Sequence[str], std: Sequence[float], mean:
     "delay_s",
     drawn={"y": axis("loss")},
     defaults={"seeds": 3},
-    delay=Values([0.0, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", [0.0, 0.2], DELAY),
-    loss=Values(
-        [0.0, 0.1, 0.3, 0.6],
-        "SHARE",
-        "Packet loss.",
-        [0.0, 0.3],
-        Range("a share from 0 to 1", 0.0, math.nextafter(1.0, 2.0)),
-    ),
+    delay=Values([0.0, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", [0.0, 0.2]),
+    loss=Values([0.0, 0.1, 0.3, 0.6], "SHARE", "Packet loss.", [0.0, 0.3]),
 )
 def matrix(_: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterator[Point]:
     """Maps of cost and completion over delay and loss.
@@ -154,9 +143,9 @@ def matrix(_: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterat
         "SHARE",
         "Smallest change that is sent, share of the input's range.",
         [0.01],
-        Range("a share > 0"),
+        least=1e-6,
     ),
-    heartbeat=Values(1.0, "SECONDS", "Longest time between two plans, s.", None, Range("a time > 0 s")),
+    heartbeat=Values(1.0, "SECONDS", "Longest time between two plans, s."),
 )
 def sharing(_: Scenario, threshold: Sequence[float], heartbeat: float) -> Iterator[Point]:
     """Cost against the number of plans sent.
@@ -171,7 +160,7 @@ def sharing(_: Scenario, threshold: Sequence[float], heartbeat: float) -> Iterat
         labels: dict[str, str | float] = {"network": network, "share_threshold": 0.0}
         always = (*links, "controller.share=always")
         yield Point(labels, f"all plans sent, {network}", always, baseline=True, group=network)
-        for least in sorted(threshold):
+        for least in threshold:
             on_change = (
                 "controller.share=on_change",
                 f"controller.share_heartbeat_s={heartbeat!r}",

@@ -2,14 +2,14 @@
 
 import math
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from rich.table import Table
 from scipy.special import stdtrit
 
-from transport.experiments.cases import Case, Point
+from transport.experiments.cases import Point
 from transport.experiments.simulation import ERROR, Result
 
 CONFIDENCE = 0.95
@@ -175,21 +175,6 @@ _TIMED_COLUMNS = [
     Column("attitude\n(deg)", "attitude_max_deg"),
     _SWING,
 ]
-
-
-def cases_rows(points: Sequence[Point], cases: Iterable[Case], results: Iterable[Result]) -> list[dict[str, Any]]:
-    """Return one row for each run, values by column, in the order of the sweep."""
-    return [
-        {
-            "scenario": points[case.point].scenario,
-            **points[case.point].labels,
-            "seed": case.scenario.seed,
-            "outcome": result.outcome,
-            "reason": result.reason,
-            **result.numbers,
-        }
-        for case, result in zip(cases, results, strict=True)
-    ]
 
 
 def means_in_words(measured: Sequence[PointStatistics]) -> str:

@@ -1,6 +1,5 @@
 """A sweep from its cases to its tables and figure: simulate the missing cases, keep each result, report all."""
 
-import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -17,7 +16,7 @@ from transport.experiments.cases import Case, ExperimentError, Point, refused
 from transport.experiments.declaration import Experiment, axis
 from transport.experiments.figures import draw
 from transport.experiments.simulation import ERROR, NUMBERS, RESOURCES, Result
-from transport.experiments.statistics import PointStatistics, cases_rows, statistics_of
+from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.experiments.workers import on_cores
 from transport.flight.header import machine
 from transport.flight.progress import ConsoleProgress
@@ -29,8 +28,7 @@ _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
 class Results:
     """Results by case; with a folder each is written to disk at once, and earlier ones are read from it.
 
-    The folder is created unless it exists; the machine is noted for the reader. Lines of the file that were ignored
-    are in `notices`.
+    The machine is noted for the reader; ignored lines of the file are in `notices`.
 
     Raises: ExperimentError: the folder contains something else, or cannot be written.
     """
@@ -47,7 +45,7 @@ class Results:
             self._file = (folder / _RESULTS).open("ab", buffering=0)
         except OSError as error:
             raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
-        self._read(folder / _RESULTS)
+        self._read(folder / _RESULTS, self._file)
 
     def __enter__(self) -> Self:
         return self
@@ -70,11 +68,11 @@ class Results:
             self._file.write(orjson.dumps(asdict(result)) + b"\n")
         self._by_key[result.key] = result
 
-    def _read(self, path: Path) -> None:
+    def _read(self, path: Path, file: BinaryIO) -> None:
         content = path.read_bytes()
         whole = content.rfind(b"\n") + 1
         if whole < len(content):
-            os.truncate(path, whole)  # otherwise the next line would be appended to it
+            file.truncate(whole)  # otherwise the next line would be appended to it
             self.notices.append(f"{path}: the last line is incomplete; its case is simulated again")
         for number, line in enumerate(content[:whole].splitlines(), start=1):
             try:
@@ -83,25 +81,21 @@ class Results:
                     itemgetter(*NUMBERS)(result.numbers)
                 self._by_key[result.key] = result
             except (ValueError, TypeError, KeyError):
-                notice = f"{path}: line {number} is no result of this version; its case is simulated again"
-                self.notices.append(notice)
+                self.notices.append(f"{path}: line {number} is no result of this version; its case is simulated again")
 
 
 def _identify(folder: Path, experiment: str) -> None:
     """Note the experiment in its folder, or check that the folder belongs to it."""
     identity = folder / _IDENTITY
-    expected = f"a new folder, or one of experiment {experiment}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError as error:
-        raise refused("--out", expected, f"{folder}, which is a file") from error
+    folder.mkdir(parents=True, exist_ok=True)
     if identity.exists():
         found = orjson.loads(identity.read_bytes())["experiment"]
-        if found != experiment:
-            raise refused("--out", expected, f"{folder}, which belongs to {found}")
-    elif any(folder.iterdir()):
-        raise refused("--out", expected, f"{folder}, which contains other files")
+        got = "" if found == experiment else f"which belongs to {found}"
     else:
+        got = "which contains other files" if any(folder.iterdir()) else ""
+    if got:
+        raise refused("--out", f"a new folder, or one of experiment {experiment}", f"{folder}, {got}")
+    if not identity.exists():
         content = {"experiment": experiment, "machine": machine()}
         write_whole(identity, orjson.dumps(content, option=orjson.OPT_INDENT_2) + b"\n")
 
@@ -133,19 +127,23 @@ class Swept:
         """Return a row for each point or, if the table is not "points", for each run; values by column."""
         if table == "points":
             return [m.row() for m in self.measured]
-        return cases_rows(self.experiment.points, self.cases, self.results)
+        rows = []
+        for case, result in zip(self.cases, self.results, strict=True):
+            point = self.experiment.points[case.point]
+            own = {"seed": case.scenario.seed, "outcome": result.outcome, "reason": result.reason}
+            rows.append({"scenario": point.scenario, **point.labels, **own, **result.numbers})
+        return rows
 
     def write(self, folder: Path, *, shown: tuple[Experiment, Sequence[PointStatistics]] | None = None) -> list[Path]:
         """Write tables and figure to a folder and return the files; the figure may show another view of the sweep."""
-        files = [self.write_cases(folder), *draw(*(shown or (self.experiment, self.measured)), folder)]
+        files = [self.write_cases(folder / "cases.csv"), *draw(*(shown or (self.experiment, self.measured)), folder)]
         points = folder / "points.csv"
         rows = self.rows("points")
         write_csv(points, rows, list(rows[0]))
         return [points, *files]
 
-    def write_cases(self, folder: Path) -> Path:
-        """Write a row for each run to cases.csv and return the file; floats are written without loss."""
-        file = folder / "cases.csv"
+    def write_cases(self, file: Path) -> Path:
+        """Write a row for each run and return the file; floats are written without loss."""
         columns = ["scenario", *self.experiment.points[0].labels, "seed", "outcome", "reason", *self._numbers]
         write_csv(file, self.rows("runs"), columns)
         return file
@@ -191,23 +189,13 @@ def sweep(
 def simulated(name: str, groups: Sequence[Sequence[Case]], folder: Path | None = None) -> list[list[Result]]:
     """Simulate the cases of several points on all cores, and return the results of each point.
 
-    Large teams and long runs come first, so that no core is idle while the last of them ends.
-
     Raises: ExperimentError: a run raised an error, a worker was lost, or the folder cannot be used.
     """
-
-    def effort(case: Case) -> float:
-        duration_s = sum(phase.duration_s or 0.0 for phase in case.scenario.maneuver.phase)
-        return float(len(case.scenario.system.uav) ** 2 * duration_s)
-
-    def simulate(missing: Sequence[Case]) -> Iterable[Result]:
-        return on_cores(sorted(missing, key=effort, reverse=True))
-
     cases = [replace(case, point=i) for i, group in enumerate(groups) for case in group]
     points = tuple(Point({}, group[0].scenario.name, scenario="run") for group in groups)
     with Results(name, folder) as results:
         experiment = Experiment(name=name, points=points, x=axis("point"))
-        swept = sweep(experiment, cases, simulate, results, Console(stderr=True))
+        swept = sweep(experiment, cases, on_cores, results, Console(stderr=True))
     swept.check()
     found = iter(swept.results)
     return [[next(found) for _ in group] for group in groups]

@@ -87,7 +87,7 @@ def sweep(
             points.append(Point(scenario=label, labels=labels, text=text, baseline=number == 0))
             sizes.add(changed.setup.system.N)
     first = next(iter(values))
-    experiment = Experiment(name=_NAME, points=tuple(points), x=axis(first, key_of(first)))
+    experiment = Experiment(name=_NAME, points=tuple(points), x=axis(first))
     shown = console(shown=progress)
     target = None if folder is None else Path(file_name(folder, "folder"))
     with Results(_NAME, target) as results:
@@ -170,17 +170,17 @@ class Sweep:
             raise ArgumentError(f"x: expected one of {', '.join(names)}, got {along!r}")
         if kind not in ("curves", "map"):
             raise ArgumentError(f"kind: expected 'curves' or 'map', got {kind!r}")
-        others, across = [name for name in names if name != along], axis(along, key_of(along))
+        others, across = [name for name in names if name != along], axis(along)
         if kind == "map":
             if len(others) != 1 or any(isinstance(value, str) for point in points for value in point.labels.values()):
                 raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
-            up = axis(others[0], key_of(others[0]))
+            up = axis(others[0])
             return Experiment(name=_NAME, points=points, x=across, y=up), self.points
         measured = []
         for m in self.points:
             own: dict[str, str | float] = {along: m.point.labels[along]}
             if others:  # the settings that tell the curve
-                own[_CURVE] = ", ".join(axis(name, key_of(name)).text(m.point.labels[name]) for name in others)
+                own[_CURVE] = ", ".join(axis(name).text(m.point.labels[name]) for name in others)
             measured.append(replace(m, point=replace(m.point, labels=own)))
         curves, drawn_points = _CURVE if others else None, tuple(m.point for m in measured)
         return Experiment(name=_NAME, points=drawn_points, x=across, curves=curves), measured

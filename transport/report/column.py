@@ -1,7 +1,7 @@
 """Stacked panels in the width of a paper's column, with titles, legends, limits and marks of events: every figure."""
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
@@ -18,22 +18,18 @@ from protocol.wire.messages import FaultNote, LinkChange, Roster, Target
 from transport.log.run_log import RunLog
 from transport.report.style import COLUMN_IN, SMALL, TEXT, shade_phases
 
-# Height of a row of a legend, and its margin, inches; parts of an entry and of the title of a row, in font sizes.
-_ROW_IN, _MARGIN_IN = 0.115, 0.08
-_HANDLE, _PAD, _BETWEEN = 1.6, 0.4, 0.8
-# Most entries of a legend beside a title, and its distances, in font sizes.
-_MOST = 5
+# Height of a row of a legend, and room for the line of an entry and the gap behind it, inches.
+_ROW_IN, _HANDLE_IN = 0.115, 0.26
 _CLOSE: Any = {
-    "handlelength": 1.0, "handletextpad": 0.3, "columnspacing": 0.7, "borderaxespad": 0.0, "borderpad": 0.1
+    "handletextpad": 0.4, "columnspacing": 0.8, "labelspacing": 0.35, "borderaxespad": 0.0, "borderpad": 0.2
 }  # fmt: skip
+# Most entries of a legend beside a title.
+_MOST = 5
 
 _LIMIT, _FAULT, _LINK = "#B2182B", "#B2182B", "#E69F00"
 _LINE_IN, _APART_IN = 0.105, 0.06
 # Characters in a line of the caption; most marks in it; marks nearer than this share of the axis have one label.
 _WRAP, _MOST_MARKS, _NEAR = 72, 12, 0.035
-
-# Labelled handles by the title of their row; an empty title takes no room.
-Rows = Mapping[str, Sequence[Line2D]]
 
 
 class Mark(NamedTuple):
@@ -49,6 +45,7 @@ def column_panels(
     heights_in: Sequence[float],
     marks: Sequence[Mark] = (),
     *,
+    legend: Sequence[Line2D] = (),
     x_label: str = "time (s)",
     left_in: float = 0.46,
     right_in: float = 0.08,
@@ -56,15 +53,17 @@ def column_panels(
     gap_in: float = 0.2,
     bottom_in: float = 0.28,
 ) -> list[Axes]:
-    """Return stacked panels of an empty figure, which gets its size, with room above and for the caption of marks.
+    """Return stacked panels of an empty figure, which gets its size: below a legend, above the caption of marks.
 
     Margins and gaps are fixed, as a layout engine takes as long as drawing. Only the lowest panel has numbers and a
     label below it.
     """
+    top_in += legend_height_in(legend)
     below_in = bottom_in + _LINE_IN * len(caption_of(marks)) + (_APART_IN if marks else 0.0)
     total_in = top_in + sum(heights_in) + (len(heights_in) - 1) * gap_in + below_in
     figure.set_layout_engine("none")
     figure.set_size_inches(COLUMN_IN, total_in)
+    draw_legend(figure, legend)
     width = 1.0 - (left_in + right_in) / COLUMN_IN
     panels: list[Axes] = []
     upper_in = total_in - top_in
@@ -84,51 +83,37 @@ def head(panel: Axes, title: str, *, legend: bool = True) -> None:
     panel.text(0.0, 1.0, title, transform=panel.transAxes + up, ha="left", va="bottom", fontsize=TEXT)
     handles, labels = panel.get_legend_handles_labels()
     if legend and 1 < len(handles) <= _MOST:
-        panel.legend(handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(handles), **_CLOSE)
+        panel.legend(
+            handles,
+            labels,
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+            ncols=len(handles),
+            handlelength=1.0,
+            **_CLOSE,
+        )
 
 
-def legend_height_in(rows: Rows) -> float:
+def legend_height_in(handles: Sequence[Line2D]) -> float:
     """Return the height of a legend, inches."""
-    return _ROW_IN * (max(line for line, _, _ in _placed(rows)) + 1) + 0.04
+    return _ROW_IN * -(-len(handles) // _columns(handles)) + 0.06 if handles else 0.0
 
 
-def draw_legend(figure: Figure, rows: Rows, *, top_in: float = 0.02) -> None:
-    """Draw the legend at the top of a figure: rows of labelled handles, each behind its title.
-
-    A row that is too wide is continued in the next.
-    """
-    width_in, height_in = figure.get_size_inches()
-    em_in = SMALL / 72.0
-    for line, x_in, entry in _placed(rows):
-        y, weight = 1.0 - (top_in + (line + 0.5) * _ROW_IN) / height_in, "bold"
-        if isinstance(entry, Line2D):  # with its marker in the middle
-            entry.set_data([(x_in + share * _HANDLE * em_in) / width_in for share in (0.0, 0.5, 1.0)], [y, y, y])
-            entry.set_markevery([1])
-            figure.add_artist(entry)
-            x_in, weight = x_in + (_HANDLE + _PAD) * em_in, "normal"
-        text = str(entry.get_label()) if isinstance(entry, Line2D) else entry
-        figure.text(x_in / width_in, y, text, fontsize=SMALL, va="center_baseline", weight=weight)
+def draw_legend(figure: Figure, handles: Sequence[Line2D], *, top_in: float = 0.02) -> None:
+    """Draw the legend of labelled handles at the top of a figure, in as many columns as fit."""
+    if handles:
+        place = (0.015, 1.0 - top_in / figure.get_figheight())
+        figure.legend(handles=handles, loc="upper left", bbox_to_anchor=place, ncols=_columns(handles), **_CLOSE)
 
 
-def _placed(rows: Rows) -> Iterator[tuple[int, float, Line2D | str]]:
-    """Yield the titles and handles of a legend with their line and place from the left, inches."""
-    em_in, line, left_in = SMALL / 72.0, -1, _MARGIN_IN
-    if any(rows):
-        left_in += max(text_width_in(title, weight="bold") for title in rows) + em_in
-    for title, handles in rows.items():
-        line, x_in = line + 1, left_in
-        yield line, _MARGIN_IN, title
-        for handle in handles:
-            entry_in = (_HANDLE + _PAD + _BETWEEN) * em_in + text_width_in(str(handle.get_label()))
-            if left_in < x_in > COLUMN_IN - entry_in:
-                line, x_in = line + 1, left_in
-            yield line, x_in, handle
-            x_in += entry_in
+def _columns(handles: Sequence[Line2D]) -> int:
+    widest_in = max(text_width_in(str(handle.get_label())) for handle in handles)
+    return max(1, int((COLUMN_IN - 0.05) / (widest_in + _HANDLE_IN)))
 
 
-def text_width_in(text: str, weight: str = "normal") -> float:
+def text_width_in(text: str) -> float:
     """Return the width of a small text in print, inches."""
-    font = FontProperties(size=SMALL, weight=weight)
+    font = FontProperties(size=SMALL)
     width, _, _ = text_to_path.get_text_width_height_descent(text, font, "$" in text)
     return float(width) / 72.0
 

@@ -15,7 +15,7 @@ from protocol.scenario.setup import Setup
 from transport.analysis.metrics import summarise
 from transport.analysis.series import SWING_S, Series, counted, series_of
 from transport.log.run_folder import RecordedRun
-from transport.report.column import column_panels, draw_legend, head, legend_height_in
+from transport.report.column import column_panels, head
 from transport.report.report import HELD
 from transport.report.style import CURVES, RC, line_width, save, scale_cost, shade_phases
 
@@ -68,7 +68,6 @@ def _exceeded(summary: Summary) -> float | None:
     return None if share is None else share * (share >= HELD)
 
 
-_YES = {None: None, True: "yes", False: "no"}
 # Compared quantities: name, unit, dotted key or function of a summary (docs/summary.md); percentages of shares.
 _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     ("scenario", "", "scenario"),
@@ -83,7 +82,6 @@ _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     ("payload error, rms", "m", "payload_tracking.rms_m"),
     ("payload error, max", "m", "payload_tracking.max_m"),
     (f"payload error, max of last {SWING_S:g} s", "m", "payload_tracking.swing_m"),
-    ("payload swing decays", "", lambda summary: _YES[summary["payload_tracking"]["decays"]]),
     ("separation, min", "m", "separation_min_m"),
     ("limits exceeded, max", "%", _exceeded),
     ("agent step, median", "ms", "agent_step_ms.p50"),
@@ -173,11 +171,10 @@ def fill_overlaid(figure: Figure, runs: Sequence[Overlaid], *, shaded: bool) -> 
         colour, _, dashes = CURVES[i % len(CURVES)]
         width = line_width(i, len(runs), 1.8)
         styles.append({"color": colour, "linestyle": dashes, "linewidth": width, "label": run.label})
-    rows = {"": [Line2D([], [], **style) for style in styles]}
+    legend = [Line2D([], [], **style) for style in styles]
     has_cost = any((run.series.cost > 0.0).any() for run in runs)
     titles = _PANELS if has_cost else _PANELS[:-1]
-    panels = column_panels(figure, [_HEIGHT_IN] * len(titles), top_in=legend_height_in(rows) + _ABOVE_IN)
-    draw_legend(figure, rows)
+    panels = column_panels(figure, [_HEIGHT_IN] * len(titles), legend=legend, top_in=_ABOVE_IN)
     for (_, _, series), style in zip(runs, styles, strict=True):
         # UAVs that have been released and costs of zero are left out.
         curves = (

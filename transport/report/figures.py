@@ -114,7 +114,7 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
 
 def _draw_performance(setup: Setup, _: RunLog, series: Series, panels_of: Panels) -> list[Axes]:
     """Draw position errors of UAVs and payload, payload attitude and cost over time."""
-    t, has_cost, swing_m = series.times_s, bool((series.cost > 0.0).any()), swing_of(setup, series).largest_m
+    t, has_cost, swing_m = series.times_s, bool((series.cost > 0.0).any()), swing_of(setup, series)
     panels = panels_of([_HEIGHT_IN] * (3 + has_cost))
     errors_m = np.where(series.on_rods, np.linalg.norm(series.uav_errors_I, axis=2), np.nan)  # released ones have left
     _plot_uavs(panels[0], t, errors_m, widest=2.6)
@@ -251,16 +251,16 @@ def _draw_timing(figure: Figure, setup: Setup, log: RunLog) -> bool:
         looks[f"agent {agent}"] = {"color": uav_style(uav)["color"], "marker": marker}
     samples = looks | ({"rest of tick": _REST} if rest_ms else {})
     handles = [Line2D([], [], label=name, **look, **_SAMPLE) for name, look in samples.items()]
-    rows = {"": [*handles, Line2D([], [], label="sampling period", **_PERIOD)]}
+    handles.append(Line2D([], [], label="sampling period", **_PERIOD))
     over_time, by_stage = column_panels(
         figure,
         [_OVER_TIME_IN, _BAR_IN * len(samples)],
+        legend=handles,
         left_in=_LEFT_IN,
-        top_in=legend_height_in(rows) + _ABOVE_IN,
+        top_in=_ABOVE_IN,
         gap_in=_GAP_IN,
         x_label="median time per tick (ms)",
     )
-    draw_legend(figure, rows)
     head(over_time, "time per tick (ms)", legend=False)
     if rest_ms:
         ticks = sorted(rest_ms)
@@ -285,9 +285,9 @@ def _draw_timing(figure: Figure, setup: Setup, log: RunLog) -> bool:
     by_stage.invert_yaxis()
     by_stage.grid(visible=False, axis="y")
     squares = zip(stages, colours, strict=True)
-    rows = {"": [Line2D([], [], label=stage, marker="s", color=colour, **_SAMPLE) for stage, colour in squares]}
+    handles = [Line2D([], [], label=stage, marker="s", color=colour, **_SAMPLE) for stage, colour in squares]
     top = by_stage.get_position().y1 * figure.get_figheight()
-    draw_legend(figure, rows, top_in=figure.get_figheight() - top - legend_height_in(rows) - 0.02)
+    draw_legend(figure, handles, top_in=figure.get_figheight() - top - legend_height_in(handles))
     return True
 
 

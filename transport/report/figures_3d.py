@@ -37,8 +37,7 @@ def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
     handles = [Line2D([], [], label=f"UAV{i + 1}", **uav_style(i)) for i in range(setup.system.N)]
     handles.append(Line2D([], [], color=PAYLOAD, label="payload"))
     handles.append(Line2D([], [], color=REFERENCE, linestyle="--", label="reference"))
-    rows = {"": handles}
-    above_in = legend_height_in(rows)
+    above_in = legend_height_in(handles)
     figure.set_layout_engine("none")
     figure.set_size_inches(COLUMN_IN, above_in + _TALLEST_IN + _BELOW_IN)
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, COLUMN_IN / figure.get_figheight()), projection="3d", facecolor="none")
@@ -61,7 +60,7 @@ def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.labelpad = -7.0
     _fit(figure, axes, above_in)
-    draw_legend(figure, rows)
+    draw_legend(figure, handles)
 
 
 def _fit(figure: Figure, axes: Any, above_in: float) -> None:

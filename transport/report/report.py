@@ -111,8 +111,7 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "payload attitude", _text(summary["attitude_max_deg"], "max {:.2f} deg")
     for name, error in (("UAV", summary["uav_tracking"]), ("payload", payload)):
         yield f"{name} error", f"rms {_text(error['rms_m'], '{:.3f} m')}, max {_text(error['max_m'], '{:.3f} m')}"
-    decays = {None: "", True: ", decays", False: ", does not decay"}[payload["decays"]]
-    yield "payload swing", _text(payload["swing_m"], f"max {{:.3f}} m in the last {SWING_S:g} s{decays}")
+    yield "payload swing", _text(payload["swing_m"], f"max {{:.3f}} m in the last {SWING_S:g} s")
     if targets := summary.get("targets"):
         errors_m = [target["error_m"] for target in targets if target["error_m"] is not None]
         largest = f", payload at most {max(errors_m):.3f} m away" if errors_m else ""

@@ -44,8 +44,8 @@ _THINNEST = 1.0
 _UNNAMED = {".png": ("Software",), ".svg": ("Date", "Creator"), ".pdf": ("CreationDate", "Creator", "Producer")}
 # Margin around a cropped drawing, inches.
 _MARGIN_IN = 0.03
-# Names of phases: distance from the panel, points; width of a letter, in font sizes; fewest letters.
-_ABOVE_PT, _LETTER, _SHORTEST = 11.0, 0.62, 4
+# Names of phases: distance from the panel, points; width of a letter, in font sizes.
+_ABOVE_PT, _LETTER = 11.0, 0.62
 
 
 def line_width(i: int, count: int, widest: float) -> float:
@@ -64,12 +64,10 @@ def shade_phases(setup: Setup, panels: list[Axes], until_s: float, *, named: boo
         if number % 2:
             for axes in panels:
                 axes.axvspan(begin, end, color=_BAND, linewidth=0, zorder=0)
-        # Neighbouring names must not touch: a long one is cut, one without room left out.
-        room = int(points_per_s * (end - begin) / (_LETTER * SMALL))
-        if named and room >= min(_SHORTEST, len(phase)):
-            name = phase if len(phase) <= room else f"{phase[: room - 1].rstrip()}…"
+        # Neighbouring names must not touch: one without room is left out.
+        if named and len(phase) * _LETTER * SMALL <= points_per_s * (end - begin):
             style: Any = {"ha": "center", "va": "bottom", "color": "#555555", "fontsize": SMALL}
-            panels[0].text((begin + end) / 2.0, 1.0, name, transform=panels[0].get_xaxis_transform() + up, **style)
+            panels[0].text((begin + end) / 2.0, 1.0, phase, transform=panels[0].get_xaxis_transform() + up, **style)
     for axes in panels:
         axes.set_xlim(0.0, until_s)
 

@@ -18,10 +18,11 @@ from transport.flight import memory
 DONE, USAGE, SCENARIO, LOST, CASES = 0, 2, 3, 4, 7
 
 REFUSED = [
-    (("latency", "--delay", "-0.1"), USAGE, "--delay: expected a delay >= 0 s, got -0.1"),
+    (("latency", "--delay", "-0.1"), SCENARIO, "links.delay_s=-0.1: expected a number >= 0.0, got -0.1"),
     (("latency", "--jobs", "0"), USAGE, "--jobs"),
     (("latency", "--seeds", "0"), USAGE, "--seeds"),
     (("kill", "--scenario", "paper", "--scenario", "paper"), USAGE, "--scenario: expected each value once"),
+    (("loss", "--burst", "0.5"), USAGE, "invalid value for '--burst': Input should be greater than or equal to 1"),
     (("paper", "--gust", "-1"), USAGE, "--gust: expected a speed >= 0 m/s, got -1"),
     (
         ("paper", "--set", "agents.owned=[[1],[2,3,4]]"),

@@ -62,5 +62,5 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ExperimentError, match="which contains other files"):
         opened(tmp_path / "mine", "loss")
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
-    with pytest.raises(ExperimentError, match="which is a file"):
+    with pytest.raises(ExperimentError, match="File exists"):
         opened(tmp_path / "mine" / "thesis.tex", "loss")

@@ -74,7 +74,7 @@ def test_figures(table: transport.Sweep) -> None:
     first = table.plot()
     assert first.axes[-1].get_xlabel() == "delay of plans (ms)"
     assert [label.get_text() for label in first.axes[-1].get_xticklabels()] == ["0", "100"]
-    assert [text.get_text() for text in first.texts] == ["mine", "loss of plans 0 %", "loss of plans 30 %"]
+    assert [text.get_text() for text in first.legends[0].get_texts()] == ["loss of plans 0 %", "loss of plans 30 %"]
     assert table.plot("loss").axes[-1].get_xlabel() == "loss of plans (%)"
     assert table.plot(kind="map").axes[0].get_ylabel() == "loss of plans (%)"
     for arguments, text in (
