@@ -2,7 +2,6 @@
 
 import shlex
 from collections import Counter
-from dataclasses import asdict
 from pathlib import Path
 
 import tomli_w
@@ -13,7 +12,7 @@ from protocol.scenario.budget import estimate
 from protocol.scenario.team import FEWEST, MOST, given
 from protocol.wire.exit_codes import EXIT_CHECK_FAILED
 from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption, read_setup
-from transport.cli.output import Format, blame, fail, rows, show
+from transport.cli.output import Format, blame, fail, show
 from transport.flight.header import checked
 from transport.interface.scenario import Scenario
 
@@ -99,27 +98,17 @@ def margins(
 
     Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure margins.png
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    from transport.report import margins as report
-    from transport.report.style import RC
+    from transport.interface.margins import Margins, hover_margins  # loads matplotlib
 
     setup = read_setup(scenario, settings, allow_large=large)
     absent = [agent.strip() for agent in without.split(",")] if without else []
     if not all(map(str.isdecimal, absent)):
         fail(f"--without: expected agents such as 1,2, got {without!r:.60}")
-    found = report.hover_margins(setup, [int(agent) for agent in absent])
-    names = ("property", *report.ACTUATIONS)
-    show(output, asdict(found), rows([dict(zip(names, row, strict=True)) for row in report.rows(found)], *names))
-    if output is Format.text:
-        for note in report.notes(found):
-            typer.echo(f"warning: {note}", err=True)
+    found = Margins(hover_margins(setup, [int(agent) for agent in absent]))
+    show(output, found.data, str(found))
     if figure is not None:
-        with blame("--figure", ValueError), mpl.rc_context(RC):
-            drawing = Figure()
-            report.draw(found, drawing)
-            drawing.savefig(figure)
+        with blame("--figure", ValueError):
+            found.plot().savefig(figure)
 
 
 def doctor(
