@@ -36,7 +36,7 @@ from transport.flight.harness import Child, Harness, check_ports, free_ports, ke
 from transport.flight.header import checked, run_header
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
-from transport.flight.run_files import RunError, create, own_keys, refuse_existing
+from transport.flight.run_files import RunError, create, own_keys
 from transport.flight.signals import collected_signals
 from transport.log.run_log import LogError
 from transport.log.writer import LogWriter
@@ -149,7 +149,6 @@ def simulate(
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
         ScenarioError: engine or controller cannot be used.
     """
-    refuse_existing(folder)
     scenario = setup.scenario
     names = process_names(scenario)
     with ExitStack() as stack:
