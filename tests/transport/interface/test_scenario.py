@@ -92,7 +92,7 @@ def test_sections_are_attributes() -> None:
     scenario.system.uav[1].mass_kg = 1.75
     assert scenario["system.uav.2.mass_kg"] == 1.75
     assert isinstance(scenario.system.uav[0].rho_m, tuple)
-    with pytest.raises(AttributeError, match="links.delay: unknown key; did you mean 'delay_s'"):
+    with pytest.raises(AttributeError, match=r"links.delay: unknown key; did you mean 'delay_s'"):
         _ = scenario.links.delay
     with pytest.raises(transport.ScenarioError, match="unknown key; did you mean 'delay_s'"):
         scenario.links.delay = 0.1
