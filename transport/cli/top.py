@@ -154,7 +154,7 @@ class Watch:
         agent, recent_ms = self.agents[report.agent], self._recent_ms[report.agent]
         recent_ms.append(float(report.times_ms[-1]))
         agent |= {"tick": report.tick, "step_ms": recent_ms[-1], "worst_ms": max(recent_ms)}
-        agent["plan_ages"] = dict(zip(map(agent_name, report.peers), report.plan_ages, strict=True))
+        agent["plan_ages"] = list(report.plan_ages)  # of the other agents, in their order; -1 for none
         agent["lost"] += report.lost
         agent["late"] += report.late
         agent["fallbacks"] += report.fallback
@@ -277,7 +277,8 @@ def table_of(watch: Watch, run: str) -> Group:
     end = f"  {outcome}{': ' if content['reason'] else ''}{content['reason']}" if outcome else ""
     refused = [f" {count} messages refused by {name}" for name, count in watch.rejections.items()]
     cells = [
-        {name.replace("_", " "): _cell(value) for name, value in agent.items() if name not in _RARE}
+        {name.replace("_", " "): value for name, value in agent.items() if name not in _RARE}
+        | {"state": Text(agent["state"], _COLOURS.get(agent["state"], ""))}
         | {"": Text(", ".join(f"{agent[name]} {name}" for name in _RARE if agent[name]), "yellow")}
         for agent in content["agents"]
     ]
@@ -286,13 +287,3 @@ def table_of(watch: Watch, run: str) -> Group:
     return Group(
         Text.assemble((run, "bold"), (end, colour)), Text(head), rows(cells, "uavs", "state", "plan ages", ""), *lines
     )
-
-
-def _cell(value: Any) -> Text:
-    """Return a value as text: milliseconds with a digit, entries of lists and ages of plans one after the other."""
-    if isinstance(value, dict):
-        return Text(" ".join("-" if age < 0 else str(age) for age in value.values()))
-    if isinstance(value, list):
-        return Text(" ".join(map(str, value)))
-    text = "-" if value is None else f"{value:.1f}" if isinstance(value, float) else str(value)
-    return Text(text, _COLOURS.get(text, ""))
