@@ -62,7 +62,7 @@ def compare(
     shown = [
         {"": f"{row.name} ({row.unit})" if row.unit else row.name}
         | {
-            label: value if i == 0 or percent is None else f"{value:.4g}  {percent:+7.1f}%"
+            label: value if i == 0 or percent is None else f"{value:.4g}  {f'{percent:+.1f}%' if percent else '=':>7}"
             for i, (label, value, percent) in enumerate(zip(labels, row.values, row.percent, strict=True))
         }
         for row in table

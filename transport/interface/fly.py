@@ -17,7 +17,6 @@ from protocol.wire.messages import Message, PlantState, Target
 from transport.flight import memory
 from transport.flight.header import checked, run_header
 from transport.flight.progress import RunProgress, compile_model
-from transport.flight.run_files import RunError
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario, path_phase
 from transport.interface.settings import ArgumentError, Settings, ShortSettings
@@ -142,10 +141,6 @@ def _with_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, sh
     target = new_folder(RUNS, setup.scenario.name) if folder is None else folder
     try:
         finished = processes_run.simulate(setup, target, console(shown=shown))
-    except RunError as error:
-        if error.exit_code == EXIT_INTERRUPTED:
-            raise KeyboardInterrupt(str(error)) from None
-        raise
     finally:
         close_fork_server()
     write_report(finished.folder, setup=setup)
