@@ -139,7 +139,8 @@ class Commands:
             except (RefusedError, UnansweredError) as error:
                 self._on_result(str(error), True)
                 continue
-            text = f"{kind}: at tick {answer['tick']}"
+            what = "links change" if kind == "link" else f"{content.get('do')} {content.get('target')}"
+            text = f"{what}: at tick {answer['tick']}"
             if kind == "target":
                 text = "target ({:g}, {:g}, {:g}) m".format(*content["points_m"][-1])
                 text += f": arrives at t = {answer['ends_s']:.1f} s, in {answer['ends_s'] - answer['t_s']:.1f} s"
