@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import typer
 from typer import Argument, Option
@@ -59,7 +60,7 @@ def compare(
         "notes": notes,
         "files": [str(file) for file in files],
     }
-    shown = [
+    shown: list[dict[str, Any]] = [
         {"": f"{row.name} ({row.unit})" if row.unit else row.name}
         | {
             label: value if i == 0 or percent is None else f"{value:.4g}  {f'{percent:+.1f}%' if percent else '=':>7}"

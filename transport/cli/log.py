@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.text import Text
@@ -46,7 +46,7 @@ def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:
     by_topic: dict[str, list[int]] = {}
     for entry in log.messages:
         by_topic.setdefault(topic_of(entry.message), []).append(entry.message.tick)
-    topics = [
+    topics: list[dict[str, Any]] = [
         {"topic": topic, "messages": len(ticks), "first_tick": min(ticks), "last_tick": max(ticks)}
         for topic, ticks in sorted(by_topic.items())
     ]

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import typer
 from typer import Option
@@ -85,7 +86,7 @@ def replay(
         fail(f"{run.folder}: nothing to compare: {why}")
     files = [] if out is None else _write(run, comparison, out)
     notes, first = list(_notes(run, again, comparison, is_changed=bool(settings or against))), comparison.first
-    fields = [
+    fields: list[dict[str, Any]] = [
         {
             "field": name,
             "ticks": len({difference.tick for difference in found}),

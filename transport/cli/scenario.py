@@ -98,7 +98,8 @@ def margins(
 
     Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure margins.png
     """
-    from transport.interface.margins import Margins, hover_margins  # loads matplotlib
+    from transport.interface.margins import Margins  # loads matplotlib
+    from transport.report.margins import hover_margins
 
     setup = read_setup(scenario, settings, allow_large=large)
     absent = [agent.strip() for agent in without.split(",")] if without else []

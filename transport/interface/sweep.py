@@ -68,10 +68,11 @@ def sweep(
     values = _checked_grid(grid)
     if seeds < 1:
         raise ArgumentError(f"seeds: expected a number >= 1, got {seeds}")
-    simulate: experiment_sweep.Simulate = partial(on_cores, jobs=workers)
     if isinstance(workers, str):
         check_cluster(workers)
-        simulate = partial(on_cluster, address=workers)
+        simulate: experiment_sweep.Simulate = partial(on_cluster, address=workers)
+    else:
+        simulate = partial(on_cores, jobs=workers)
     points, cases, sizes = list[Point](), list[Case](), set[int]()
     for label, scenario in _scenarios(base).items():
         for number, combination in enumerate(itertools.product(*values.values())):
