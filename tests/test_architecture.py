@@ -21,7 +21,8 @@ ROOMS = {
         {"flight", "analysis", "scene"},
         {"report", "viewer", "doctor"},
         {"experiments"},
-        {"cli", "interface"},
+        {"interface"},
+        {"cli"},
     ),
 }
 MOST_ROOMS = 14  # more cannot be taken in at a glance

@@ -2,6 +2,7 @@
 
 import atexit
 import io
+import itertools
 import os
 import signal
 import sys
@@ -72,17 +73,13 @@ def _replace(name: str, number: int) -> _Stream:
     return raw
 
 
-# As in transport.flight.fork_server, which other commands do not import.
-_FORK_SERVER = "fork-server"
-
-
 def main() -> NoReturn:
     """Run the command and end the process; SIGTERM and SIGHUP end it like Ctrl-C, from the first import to the end."""
     if sys.getfilesystemencoding() != "utf-8" and os.environ.get("PYTHONUTF8") != "1":
         # Paths are UTF-8 for Zenoh and in TOML, whatever the locale.
         os.execve(sys.executable, sys.orig_argv, {**os.environ, "PYTHONUTF8": "1"})  # noqa: S606
     code = 1
-    if sys.argv[1:2] == [_FORK_SERVER]:
+    if sys.argv[1:2] == ["fork-server"]:
         _serve()
     try:
         wake_with_its_end()
@@ -106,13 +103,21 @@ def main() -> NoReturn:
 
 
 def _serve() -> NoReturn:
-    """Be the fork server, whose processes begin with `main`."""
+    """Be the fork server (`transport.flight.fork_server`), whose processes begin with `main`."""
     import socket
 
     wake_with_its_end()
-    from transport.cli.fork_server import serve
+    from transport.cli.lazy import load
+    from transport.cli.options import read_setup
+    from transport.flight.fork_server import serve
 
-    serve(socket.socket(fileno=int(sys.argv[2])), main)
+    def prepare(arguments: list[str]) -> None:
+        settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
+        read_setup(arguments[arguments.index("--scenario") + 1], settings, allow_large=True).model  # noqa: B018
+
+    for name in ("transport.cli.main", "transport.cli.processes", "agent.node", "coordinator.node", "plant.node"):
+        load(name)
+    serve(socket.socket(fileno=int(sys.argv[2])), prepare, main)
     os._exit(0)
 
 

@@ -6,7 +6,6 @@ Source: design document of rmw_zenoh_cpp, https://github.com/ros2/rmw_zenoh.
 import hashlib
 import struct
 import time
-from collections import Counter
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -24,13 +23,12 @@ _PATIENCE_S, _REACH_S = 1.0, 5.0
 class RosNode:
     """Node in one ROS domain; topics to publish and to hear have a type, "geometry_msgs/msg/PoseStamped", and its hash.
 
-    `dropped` counts received messages that are not read, by reason. Raises: BusError: no router is reached.
+    Raises: BusError: no router is reached.
     """
 
     def __init__(
         self, router: str, domain: int, topics: Mapping[str, tuple[str, str]], heard: Mapping[str, tuple[str, str]]
     ) -> None:
-        self.dropped = Counter[str]()
         self._newest: dict[str, bytes] = {}  # by topic
         endpoints = Endpoints(listen=[], connect=[router], mode="client", security=None)
         self._session = open_session(endpoints, _PATIENCE_S, _NODE, Keys(_NODE), _REACH_S)
@@ -68,11 +66,8 @@ class RosNode:
 
     def _receive(self, topic: str, sample: Any) -> None:
         """Keep the newest sample of a topic; on a thread of the session."""
-        if sample.attachment is None:
-            self.dropped["not of ROS 2"] += 1
-            return
-        self.dropped["replaced by a newer one"] += topic in self._newest
-        self._newest[topic] = bytes(sample.payload)
+        if sample.attachment is not None:  # otherwise not of ROS 2
+            self._newest[topic] = bytes(sample.payload)
 
     def close(self) -> None:
         """Leave the network; the tokens go with the session."""

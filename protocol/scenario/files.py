@@ -20,20 +20,6 @@ class TableError(TransportError, ValueError):
     """An invalid file of a scenario: the text has file, expected and got."""
 
 
-def path_problem(path: str | Path) -> str:
-    """Return why no file can have a path: its length, a null character, not UTF-8; empty if one can."""
-    try:
-        str(path).encode()
-        Path(path).stat()
-    except (FileNotFoundError, NotADirectoryError, PermissionError):
-        return ""
-    except UnicodeEncodeError:
-        return "not UTF-8"
-    except (OSError, ValueError) as error:
-        return getattr(error, "strerror", "") or str(error)
-    return ""
-
-
 def anchored(value: Any, here: Path, folder: Path | None = None, key: str = "") -> Any:
     """Return a part of a scenario's tree, whose files are relative to the folder `here`, for a scenario in `folder`.
 

@@ -1,7 +1,6 @@
 """`transport doctor`: problems of a machine are found and named, with advice."""
 
 import json
-import os
 import socket
 from importlib import metadata
 from pathlib import Path
@@ -29,11 +28,6 @@ HERE = runs.setup()
             *("performance", "powersave", "cpupower"),
         ),
         ("quota", "sys/fs/cgroup/cpu.max", "max 100000", "150000 100000", "cpuset-cpus"),
-        (
-            "clock",
-            "sys/devices/system/clocksource/clocksource0/current_clocksource",
-            *("tsc", "acpi_pm", "tsc or kvm-clock"),
-        ),
     ],
 )
 def test_host(
@@ -51,14 +45,11 @@ def test_host(
     assert advice in check(HERE).advice
 
 
-def test_a_busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Load, stolen processor time and swap are warnings with advice."""
-    monkeypatch.setattr(os, "getloadavg", lambda: (9999.0, 1.0, 1.0))
-    monkeypatch.setattr(psutil, "cpu_times_percent", lambda _: SimpleNamespace(steal=10.0))
+def test_swap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Swap is a warning with advice."""
     monkeypatch.setattr(psutil, "swap_memory", lambda: SimpleNamespace(total=10**9))
-    for name, advice in {"load": "chrt", "steal": "other guests", "memory": "swapoff"}.items():
-        finding = doctor.CHECKS[name](HERE)
-        assert (finding.status, advice in finding.advice) == ("warn", True)
+    finding = doctor.CHECKS["memory"](HERE)
+    assert (finding.status, "swapoff" in finding.advice) == ("warn", True)
 
 
 def test_packages(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,7 +62,7 @@ def test_packages(monkeypatch: pytest.MonkeyPatch) -> None:
     assert f"numpy {metadata.version('numpy')} (needs >=999)" in wrong.found
     assert "no-such-package is missing (needs >=2)" in wrong.found
     assert "scipy" not in wrong.found
-    assert "test (another-one)" in doctor.extras(HERE).found
+    assert "another-one" not in wrong.found
 
 
 def test_ports() -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-import transport
 from tests.support.commands import PATIENCE_S, SHORT, command, settings
 from tests.support.results import here
 
@@ -49,14 +48,6 @@ def test_a_path_that_no_file_can_have(
     lines = [line for line in result.stderr.splitlines() if not line.startswith("compiling the model")]
     assert len(lines) == 1
     assert lines[0].startswith("transport: ")
-
-
-@pytest.mark.parametrize("name", [LONG, "a\0b"])
-def test_a_path_that_no_file_can_have_in_python(name: str) -> None:
-    """The Python interface refuses it with the argument's name."""
-    for call, argument in ((transport.load, "folder"), (transport.fly, "scenario")):
-        with pytest.raises(transport.ArgumentError, match=f"{argument}: expected the name of a file, got"):
-            call(name)
 
 
 def test_a_run_beside_a_reader_that_leaves_in_a_path_beyond_ascii(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """An active run, seen through ROS 2's conventions by an implementation that shares no code with this one."""
 
-import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -182,9 +181,6 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
             process.kill()
             process.communicate()
     assert "/target: expected a finite position" in errors or "expected the frame" in errors
-    found = re.search(r"targets: \d+ handed on, .*?(\d+) replaced by a newer one", errors)
-    assert found is not None, errors
-    assert int(found[1]) > 150
     whole = read_log(log)
     script = (f"{{at_s={t.tick * 0.05!r},points_m={t.points.tolist()}}}" for t in whole.of(Target))
     until = list(whole.of(PlantState))[-1].tick - 10

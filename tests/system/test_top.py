@@ -33,19 +33,18 @@ def watched(*settings_: str) -> Watch:
 def test_faults_are_shown() -> None:
     """Agents off the roster and in fail-safe mode are shown with the reason; rejections are counted by receiver."""
     watch = watched()
-    watch.take(runs.roster(), 0)
-    watch.take(replace(runs.roster({1: 1, 2: 1, 4: 1}, k=5, version=2), reason="agent3 is gone"), 0)
+    watch.take(runs.roster())
+    watch.take(replace(runs.roster({1: 1, 2: 1, 4: 1}, k=5, version=2), reason="agent3 is gone"))
     assert [watch.state_of(agent) for agent in runs.ALL] == ["-", "-", "off", "-"]
-    watch.take(replace(runs.plant_state(watch.setup, 9), plan_ticks=(9, 9, -2, 9)), 0)
+    watch.take(replace(runs.plant_state(watch.setup, 9), plan_ticks=(9, 9, -2, 9)))
     assert watch.state_of(3) == "fail-safe"
-    assert watch.content()["agents"][2]["off_the_roster"] == 1
+    assert watch.content()["agents"][2]["off"] == 1
     assert list(watch.notices)[-1] == "agent3 is gone"
     for who in ("agent1", "plant"):
         watch.take(
             Rejected(
                 sender=who, incarnation=0, sequence=0, tick=9, offender="agent3", reason="past", count=3, example=""
             ),
-            0,
         )
     assert watch.rejections == {"agent1": 3, "plant": 3}
     assert watch.content()["agents"][0]["rejected"] == 3

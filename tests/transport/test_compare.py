@@ -69,10 +69,10 @@ def test_unequal_runs_are_noted(folders: dict[str, Path], tmp_path: Path) -> Non
 
 def test_json(folders: dict[str, Path], tmp_path: Path) -> None:
     """The same as one JSON object on standard output, and nothing else there."""
-    result = ask(folders["usual"], folders["usual"], "--no-figures", "--format", "json", "--out", tmp_path)
+    result = ask(folders["usual"], f"again={folders['usual']}", "--no-figures", "--format", "json", "--out", tmp_path)
     content = json.loads(result.stdout)
-    assert [run["label"] for run in content["runs"]] == ["usual (1)", "usual (2)"]
-    equal = [q["percent_more_than_first"] for q in content["quantities"]]
+    assert [run["label"] for run in content["runs"]] == ["usual", "again"]
+    equal = [q["percent"] for q in content["quantities"]]
     assert all(value in (0.0, None) for values in equal for value in values)
     assert content["notes"] == []
     assert [Path(name).name for name in content["files"]] == ["compare.csv"]

@@ -17,7 +17,6 @@ from tests.support import runs
 from transport.cli.main import app
 from transport.flight import memory, signals
 from transport.flight.run import Finished
-from transport.flight.run_files import RunError
 from transport.flight.signals import raise_interrupts
 
 # Stands in for the module with the commands; ends as if the interrupt came while it is imported or while it works.
@@ -50,7 +49,7 @@ def test_the_exit_code_is_that_of_the_table(code: str, tmp_path: Path) -> None:
     assert (result.returncode, result.stdout, result.stderr) == (EXIT_INTERRUPTED, "", "")
 
 
-@pytest.mark.parametrize("moment", ["while the run ends", "while the report is made", "a second time"])
+@pytest.mark.parametrize("moment", ["while the run ends", "while the report is made"])
 def test_the_command_tells_what_is_kept(moment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An interrupted run names its log and the command that reports it, in one line."""
     folder = tmp_path / "run"
@@ -60,8 +59,6 @@ def test_the_command_tells_what_is_kept(moment: str, tmp_path: Path, monkeypatch
         (folder / "run.mcap").touch()
         if moment == "while the run ends":
             raise KeyboardInterrupt
-        if moment == "a second time":
-            raise RunError("interrupted (SIGINT)", EXIT_INTERRUPTED)
         return Finished(folder, 0, "")
 
     def report(*_: Any, **__: Any) -> None:

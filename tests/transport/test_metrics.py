@@ -104,7 +104,7 @@ def test_after_a_delivery_only_the_payload_counts() -> None:
     assert series_of(run, log_of([left])).cost == pytest.approx([0.1**2], rel=1e-9)
     watch = Watch(run)
     watch.plant_state = left
-    assert watch.cost == pytest.approx(0.1**2, rel=1e-9)
+    assert watch.content()["cost"] == pytest.approx(0.1**2, rel=1e-9)
     assert summarise(run, log_of([left]))["uav_tracking"] == {"rms_m": None, "max_m": None}
 
 

@@ -1,6 +1,6 @@
 """The command `transport compare`."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +37,13 @@ def compare(
     chosen = runs or [str(folder) for folder in reversed(newest_runs()[:2])]
     if len(chosen) < 2:
         fail(f"RUN: expected at least two runs, got {len(chosen)}")
-    compared = _read(chosen)
+    compared = list(_read(chosen))
     usable = sum(len(one.series.ticks) > 0 for one in compared)
     if usable < 2:
         fail(f"expected at least two logs with a simulated tick, got {usable} of {len(compared)}")
     labels = [one.label for one in compared]
     if len(set(labels)) < len(labels):
-        fail(f"RUN: expected each label once, got {', '.join(labels)}")
+        fail(f"RUN: expected each label once, got {', '.join(labels)}; LABEL=RUN names one")
     table, notes = quantities(compared), list(doubts(compared))
     folder = out or new_folder(Path("comparisons"), f"{len(compared)}-runs")
     columns = ["quantity", "unit", *labels, *(f"{label}, more than {labels[0]} (%)" for label in labels[1:])]
@@ -56,39 +56,25 @@ def compare(
         typer.echo(f"note: {note}", err=True)
     content = {
         "runs": [{"label": one.label, "folder": str(one.run.folder)} for one in compared],
-        "quantities": [
-            {"name": row.name, "unit": row.unit, "values": row.values, "percent_more_than_first": row.percent}
-            for row in table
-        ],
+        "quantities": [row._asdict() for row in table],
         "notes": notes,
         "files": [str(file) for file in files],
     }
-    shown = [
+    shown: list[dict[str, Any]] = [
         {"": f"{row.name} ({row.unit})" if row.unit else row.name}
-        | dict(zip(labels, map(_cell, row.values, (None, *row.percent[1:])), strict=True))
+        | {
+            label: value if i == 0 or percent is None else f"{value:.4g}  {f'{percent:+.1f}%' if percent else '=':>7}"
+            for i, (label, value, percent) in enumerate(zip(labels, row.values, row.percent, strict=True))
+        }
         for row in table
     ]
     show(output, content, rows(shown, ""), *(f" {file}" for file in files))
 
 
-def _read(arguments: Sequence[str]) -> list[Compared]:
-    named: list[tuple[str | None, Path]] = []
+def _read(arguments: Sequence[str]) -> Iterator[Compared]:
     for argument in arguments:
         name, equals, path = argument.partition("=")
         # The name of a folder may contain an equals sign.
-        label, given = (name, path) if equals and not Path(argument).exists() else (None, argument)
-        named.append((label, run_folder(Path(given))))
-    names = [folder.resolve().name for _, folder in named]
-    found = []
-    for i, (label, folder) in enumerate(named):
-        # Folders of the same name are told apart by their place in the command.
-        default = names[i] if names.count(names[i]) == 1 else f"{names[i]} ({i + 1})"
-        found.append(Compared.of(label or default, open_run(folder, horizons=False)))
-    return found
-
-
-def _cell(value: Any, percent: float | None) -> str:
-    text = "-" if value is None else value if isinstance(value, str) else f"{value:.4g}"
-    if percent is None:
-        return text
-    return f"{text}  {'=' if percent == 0.0 else f'{percent:+.1f}%':>7}"
+        label, given = (name, path) if equals and not Path(argument).exists() else ("", argument)
+        folder = run_folder(Path(given))
+        yield Compared.of(label or folder.resolve().name, open_run(folder, horizons=False))

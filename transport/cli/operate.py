@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, get_origin
+from typing import Annotated, Any, Literal, get_origin
 
 import typer
 from typer import Argument, Option
@@ -14,7 +14,7 @@ from typer import Argument, Option
 from protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
 from protocol.network.session import BusError, ask
 from protocol.scenario.files import points_of
-from protocol.scenario.keys import key_of, meanings, unit_of
+from protocol.scenario.keys import key_of, meanings
 from protocol.scenario.link_sections import LinkSection
 from protocol.scenario.links import PERFECT, link_change
 from protocol.scenario.schema import Scenario
@@ -22,7 +22,7 @@ from protocol.scenario.targets import asked
 from protocol.wire.keys import Keys
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from transport.cli.lazy import with_options
-from transport.cli.options import RUNS, FormatOption, ScenarioOption, SetOption, newest_runs, read_setup
+from transport.cli.options import RUNS, FormatOption, ScenarioOption, SetOption, read_setup
 from transport.cli.output import Format, blame, facts, fail, show
 from transport.flight import live
 from transport.flight.live import FAULTS, request
@@ -45,9 +45,7 @@ def find_active(run: str | None, advice: str) -> tuple[Path, live.LiveRun]:
     folders = [live.newest_folder(RUNS)] if run is None else [Path(run), RUNS / run]
     found = next(((at, there) for at in folders if at is not None and (there := live.read(at)) is not None), None)
     if found is None:
-        recorded = newest_runs() if run is None else []
-        ended = f" (the most recent one, {recorded[0]}, has ended)" if recorded else ""
-        fail(f"no active run in {f'{RUNS}/' if run is None else run}{ended}; {advice}")
+        fail(f"no active run in {f'{RUNS}/' if run is None else run}; {advice}")
     return found
 
 
@@ -71,29 +69,19 @@ class ActiveRun:
         return there.ask(name, what, arguments, self.keys)
 
 
+# Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus, description. Two only grow.
+METRICS = {
+    "tick": ("tick", "Newest tick of the process"),
+    "memory_bytes": ("memory_bytes", "Resident memory"),
+    "threads": ("threads", "Threads"),
+    "open_files": ("open_files", "Open files"),
+    "incarnation": ("incarnation", "Number of this start of the process"),
+    "cpu_s": ("cpu_seconds", "Processor time"),
+    "refused": ("refused_messages", "Rejected messages"),
+}
+_GROWING = ("cpu_s", "refused")
 # Timeout after which a process counts as down.
 _TIMEOUT_S = 1.0
-
-
-class Fact(NamedTuple):
-    """A number in the answer of a process to `health` (docs/protocol.md)."""
-
-    metric: str  # its name in Prometheus, without the prefix
-    text: str  # its description, there and in the table of `transport status`
-    scale: float = 1.0  # factor for the table
-    unit: str = ""  # unit of the scaled value
-    counts: bool = False  # whether it only grows
-
-
-FACTS = {
-    "tick": Fact("tick", "Newest tick of the process"),
-    "memory_bytes": Fact("memory_bytes", "Resident memory", 1e-6, "MB"),
-    "threads": Fact("threads", "Threads"),
-    "open_files": Fact("open_files", "Open files"),
-    "incarnation": Fact("incarnation", "Number of this start of the process"),
-    "cpu_s": Fact("cpu_seconds", "Processor time", 1.0, "s", counts=True),
-    "refused": Fact("refused_messages", "Rejected messages", counts=True),
-}
 
 
 @with_options(ActiveRun)
@@ -108,25 +96,8 @@ def status(
 
     Example: transport status --process agent2
     """
-    if process is not None:
-        answer = run.ask(process, "health", {})
-        show(output, answer, facts(_health(answer)))
-        return
-    answer = run.ask(COORDINATOR, "status", {})
-    begun = f"tick {answer['tick']} of {answer['ticks']}" if answer["tick"] >= 0 else "before the first tick"
-    agents = ", ".join(map(str, answer["members"])) or "none"
-    observers = f"; observed by {', '.join(answer['observers'])}" if answer["observers"] else ""
-    show(output, answer, f"{begun}; agents on the roster: {agents}{observers}")
-
-
-def _health(answer: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield name and value of each part of the health of a process."""
-    for name, value in answer.items():
-        if name in FACTS and value is not None:
-            fact = FACTS[name]
-            yield fact.text, f"{round(fact.scale * value, 3):.15g} {fact.unit}".rstrip()
-        elif value is not None:
-            yield name, value if isinstance(value, str) else json.dumps(value)
+    answer = run.ask(COORDINATOR, "status", {}) if process is None else run.ask(process, "health", {})
+    show(output, answer, facts(answer.items()))
 
 
 class Exporter:
@@ -139,21 +110,18 @@ class Exporter:
         """Yield the metrics, as `prometheus_client` expects of a collector."""
         from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
-        answers: dict[str, Any] = {}
+        answers: dict[str, dict[str, Any]] = {}
         for name, place in self._places.items():
             try:
-                answers[name] = ask(self._run, place.connect, name, "health", {}, _TIMEOUT_S, place.security)
+                answer = ask(self._run, place.connect, name, "health", {}, _TIMEOUT_S, place.security)
+                answers[name] = {**answer, "up": 1.0}
             except BusError:
-                answers[name] = None
-        up = GaugeMetricFamily("transport_up", "1 if the process answers", labels=["run", "process"])
-        for name, answer in answers.items():
-            up.add_metric([self._run, name], float(answer is not None))
-        yield up
-        for key, fact in FACTS.items():
-            family = CounterMetricFamily if fact.counts else GaugeMetricFamily
-            found = family(f"transport_{fact.metric}", fact.text, labels=["run", "process"])
+                answers[name] = {"up": 0.0}
+        for key, (metric, text) in {"up": ("up", "1 if the process answers"), **METRICS}.items():
+            family = CounterMetricFamily if key in _GROWING else GaugeMetricFamily
+            found = family(f"transport_{metric}", text, labels=["run", "process"])
             for name, answer in answers.items():
-                if answer is not None and answer.get(key) is not None:
+                if answer.get(key) is not None:
                     found.add_metric([self._run, name], float(answer[key]))
             yield found
 
@@ -234,24 +202,15 @@ def fault(
     show(output, answer, f"{action} {target}: done at tick {answer['tick']}")
 
 
-# Placeholders of the options by the unit of their keys.
-_METAVARS = {"s": "SECONDS", "1/s": "HZ", "": "PROBABILITY"}
-
-
 def _options() -> Iterator[inspect.Parameter]:
     """Yield the options that set the keys of a link."""
     meaning = meanings(LinkSection)
     for name, field in LinkSection.model_fields.items():
-        if not (option := key_of(field).option):
-            continue
-        is_choice = get_origin(field.annotation) is Literal
-        low, high = (next((getattr(e, end) for e in field.metadata if hasattr(e, end)), None) for end in ("ge", "le"))
-        metavar = "NAME" if is_choice else _METAVARS[unit_of(name, field)]
-        text = f"{meaning[name][0].upper()}{meaning[name][1:]}.".replace("`", "")
-        kind: Any = Annotated[
-            (str if is_choice else float) | None, Option(option, metavar=metavar, min=low, max=high, help=text)
-        ]
-        yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+        if option := key_of(field).option:
+            kind: Any = str if get_origin(field.annotation) is Literal else float
+            text = f"{meaning[name][0].upper()}{meaning[name][1:]}.".replace("`", "")
+            annotation = Annotated[kind | None, Option(option, help=text)]
+            yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
 
 
 def _settings(**given: Any) -> dict[str, Any]:
@@ -328,19 +287,19 @@ def target(
     point = [value for value in (x, y, z) if value is not None]
     if len(point) != (3 if file is None else 0):
         fail(f"expected X Y Z, or --file, got {len(point)} numbers{' and --file' if file else ''}")
-    given: dict[str, Any] = {"points_m": [point]} if speed is None else {"points_m": [point], "speed_mps": speed}
+    given: dict[str, Any] = {"points_m": [point]}
     if file is not None:
         with blame("--file"):
             given["points_m"], times_s = points_of(file)
         given |= {} if times_s is None else {"times_s": times_s}
+    given |= {} if speed is None else {"speed_mps": speed}
     asked(given)
     answer = run.ask(COORDINATOR, "target", given)
-    further = f", the last way point at t = {answer['ends_s']:.2f} s" if answer["ends_s"] > answer["reached_s"] else ""
     show(
         output,
         answer,
         f"target from tick {answer['tick']} on (t = {answer['t_s']:.2f} s), "
-        f"reached at t = {answer['reached_s']:.2f} s{further}",
+        f"reached at t = {answer['reached_s']:.2f} s, the last way point at t = {answer['ends_s']:.2f} s",
     )
 
 

@@ -55,27 +55,36 @@ def show(output: Format, content: Any, *shown: Any, width: int = 0) -> None:
             console.print(part)
 
 
-def facts(content: Iterable[tuple[str, Any]], title: Any = None) -> Any:
+def facts(content: Iterable[tuple[str, Any]]) -> Any:
     """Return a table with a row for each name and value."""
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=None, show_header=False, title=title, title_justify="left")
-    table.add_column(style="cyan", no_wrap=True)
+    table = Table(box=None, show_header=False)
+    table.add_column(no_wrap=True)
     table.add_column()
     for name, value in content:
-        table.add_row(name, value if isinstance(value, Text) else Text(str(value)))
+        table.add_row(Text(name, "cyan"), _cell(value))
     return table
 
 
 def rows(content: Sequence[Mapping[str, Any]], *left: str) -> Any:
     """Return a table with a column for each key of the rows; those named are aligned to the left."""
     from rich.table import Table
-    from rich.text import Text
 
     table = Table(box=None, padding=(0, 1, 0, 0))
     for name in content[0]:
         table.add_column(name, justify="left" if name in left else "right")
     for row in content:
-        table.add_row(*(value if isinstance(value, Text) else Text(str(value)) for value in row.values()))
+        table.add_row(*map(_cell, row.values()))
     return table
+
+
+def _cell(value: Any) -> Any:
+    """Return a value as text: numbers with four digits, entries of lists one after the other, "-" for none."""
+    from rich.text import Text
+
+    if isinstance(value, list | tuple):
+        value = " ".join(map(str, value))
+    text = "-" if value is None else f"{value:.4g}" if isinstance(value, float) else value
+    return text if isinstance(text, Text) else Text(str(text))

@@ -6,7 +6,6 @@ request of `transport target`.
 
 import os
 import time
-from collections import Counter
 from contextlib import closing
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -29,8 +28,8 @@ if TYPE_CHECKING:
 _LOG = "run.mcap"
 # Intervals, s: between two looks into the log, and between two repetitions of the markers that do not change.
 _POLL_S, _AGAIN_S = 0.01, 1.0
-# Shortest time between two targets that are handed on, s; number of reasons that are named.
-_INTERVAL_S, _MOST_REASONS = 0.5, 10
+# Shortest time between two targets that are handed on, s.
+_INTERVAL_S = 0.5
 _NICE = 10  # the processes of the run have the processors first
 
 
@@ -64,15 +63,13 @@ def ros2(
     with closing(node):
         typer.echo(f"{folder}: {len(kinds)} topics in domain {domain} through {connect}", err=True)
         _publish(messages, history, tail, node, targets)
-        targets.conclude(node)
 
 
 class Targets:
-    """Targets from ROS 2: the newest of each interval is handed on; refused ones are counted and named once."""
+    """Targets from ROS 2: the newest of each interval is handed on; refused ones are told."""
 
     def __init__(self, commands: Commands) -> None:
-        self._commands, self._counts = commands, Counter[str]()
-        self._next_s = 0.0
+        self._commands, self._next_s = commands, 0.0
 
     def work(self, node: RosNode) -> None:
         """Hand on a target that has come."""
@@ -83,18 +80,8 @@ class Targets:
         self._next_s = time.monotonic() + _INTERVAL_S
         try:
             self._commands.target(goal_in(data))
-            self._counts["handed on"] += 1
         except GoalError as error:
-            self._counts[str(error)] += 1
-            if self._counts[str(error)] == 1 and len(self._counts) <= _MOST_REASONS:
-                typer.echo(f"{TARGET[0]}: {error}", err=True)
-
-    def conclude(self, node: RosNode) -> None:
-        """Say what became of all targets."""
-        counts = [*self._counts.most_common(_MOST_REASONS), *node.dropped.items()]
-        text = ", ".join(f"{count} {what}" for what, count in counts if count)
-        if text:
-            typer.echo(f"targets: {text}", err=True)
+            typer.echo(f"{TARGET[0]}: {error}", err=True)
 
 
 def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node: RosNode, targets: Targets) -> None:

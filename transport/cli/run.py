@@ -24,7 +24,7 @@ from transport.cli.lazy import load
 from transport.cli.output import Format, fail
 from transport.flight.harness import Child, start_child
 from transport.flight.run import simulate
-from transport.flight.run_files import RunError, new_folder
+from transport.flight.run_files import new_folder
 from transport.viewer.process import ViewerBeside
 from transport.viewer.server import require_viser
 
@@ -79,16 +79,10 @@ def _interrupts_told(folder: Path) -> Iterator[None]:
     """End the command after Ctrl-C by telling which log is kept in the run folder, and how to report it."""
     try:
         yield
-        return
     except KeyboardInterrupt:
-        interrupted = "interrupted"
-    except RunError as error:
-        if error.exit_code != EXIT_INTERRUPTED:
-            raise
-        interrupted = str(error)
-    log = folder / "run.mcap"
-    kept = f"kept {log}, report it with: transport plot {folder}" if log.exists() else "nothing is recorded"
-    fail(f"{interrupted}; {kept}", EXIT_INTERRUPTED)
+        log = folder / "run.mcap"
+        kept = f"kept {log}, report it with: transport plot {folder}" if log.exists() else "nothing is recorded"
+        fail(f"interrupted; {kept}", EXIT_INTERRUPTED)
 
 
 def _check_external(setup: Setup, external: list[str]) -> None:

@@ -34,9 +34,7 @@ _ROOT = Path("/")
 # A run of 25 s writes 4 MB; an experiment has some hundred runs.
 _LEAST_DISK_MB = 500
 _LATE_MS, _NAPS = 2.0, 40
-_STEAL_S, _STOLEN = 0.4, 0.02  # duration of the measurement, largest share
 _PRIORITY = 10  # as in docs/realtime.md
-_SLOW_SOURCES = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
 # Longest round trip of an undisturbed loopback interface, number of them, time for the first.
 _LONGEST_MS, _ROUND_TRIPS, _NETWORK_S = 20.0, 20, 10.0
 _STEPS = 10  # and two that warm up
@@ -55,9 +53,6 @@ def judged(found: str, is_bad: bool, advice: str) -> Finding:
     return Finding("warn", found, advice) if is_bad else Finding("ok", found)
 
 
-_UNKNOWN = Finding("ok", "unknown")
-
-
 def checks(setup: Setup) -> Iterator[tuple[str, Finding]]:
     """Yield every check with its name as soon as it is done; all together take some seconds."""
     for name, check in CHECKS.items():
@@ -72,30 +67,19 @@ def checks(setup: Setup) -> Iterator[tuple[str, Finding]]:
 
 def packages(_: Setup) -> Finding:
     """Check Python and the required packages."""
-    wrong, right = [], [f"python {platform.python_version()}"]
-    for requirement in _required(""):
-        version = _version(requirement.name)
-        if version is not None and requirement.specifier.contains(version, prereleases=True):
-            right.append(f"{requirement.name} {version}")
-        else:
-            needed = f"needs {requirement.specifier or 'any'}"
-            wrong.append(f"{requirement.name} {version or 'is missing'} ({needed})")
-    name = f"{_DISTRIBUTION} {metadata.version(_DISTRIBUTION)}"
+    found, wrong = f"{_DISTRIBUTION} {metadata.version(_DISTRIBUTION)}, python {platform.python_version()}", []
+    for requirement in map(Requirement, metadata.requires(_DISTRIBUTION) or []):
+        if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+            try:
+                version = metadata.version(requirement.name)
+            except metadata.PackageNotFoundError:
+                version = None
+            if version is None or not requirement.specifier.contains(version, prereleases=True):
+                wrong.append(f"{requirement.name} {version or 'is missing'} (needs {requirement.specifier or 'any'})")
     if wrong:
         advice = f"pip install --upgrade {_DISTRIBUTION}, or build it again: make clean run"
-        return Finding("fail", f"{name}: {', '.join(wrong)}", advice)
-    return Finding("ok", f"{name} with {', '.join(right)}")
-
-
-def extras(_: Setup) -> Finding:
-    """List the packages of extras that are missing."""
-    missing = []
-    basic = {requirement.name for requirement in _required("")}
-    for extra in metadata.metadata(_DISTRIBUTION).get_all("Provides-Extra") or []:
-        names = {requirement.name for requirement in _required(extra)} - basic - {_DISTRIBUTION}
-        if absent := sorted(name for name in names if _version(name) is None):
-            missing.append(f"{extra} ({', '.join(absent)})")
-    return Finding("ok", f"not installed, optional: {'; '.join(missing)}" if missing else "all installed")
+        return Finding("fail", f"{found}: {', '.join(wrong)}", advice)
+    return Finding("ok", f"{found}, and all packages")
 
 
 def ports(setup: Setup) -> Finding:
@@ -107,17 +91,11 @@ def ports(setup: Setup) -> Finding:
     span = f"{listened[0]} to {listened[-1]} on {host}"
     try:
         with free_ports(host, 1):
-            pass
+            check_ports(host, listened)
     except HarnessError as error:
-        return Finding("fail", str(error), "set network.host to an address of this machine")
-    try:
-        check_ports(host, listened)
-    except HarnessError as error:
-        found = f"{span}: {str(error).partition('got ')[2]}"
-        advice = "end the process that uses it (ss -ltnp), or set another network.base_port"
-        if scenario.network.base_port is not None:
-            return Finding("fail", found, advice)
-        return Finding("warn", found, f"transport run takes any free ports; for processes started by hand {advice}")
+        advice = "an address of this machine as network.host; end the process that uses the port, or network.base_port"
+        is_needed = scenario.network.base_port is not None or "network.host" in str(error)
+        return Finding("fail" if is_needed else "warn", str(error), advice)
     return Finding("ok", f"{span} are free")
 
 
@@ -193,13 +171,6 @@ def disk(_: Setup) -> Finding:
     return judged(f"{free_mb / 1e3:.1f} GB free at {Path.cwd()}", free_mb < _LEAST_DISK_MB, advice)
 
 
-def clock(_: Setup) -> Finding:
-    """Check the source of the steady clock of all deadlines."""
-    source = _text("sys/devices/system/clocksource/clocksource0/current_clocksource")
-    advice = "too coarse for real time: check whether the kernel offers tsc or kvm-clock as a clock source"
-    return judged(f"source {source or 'unknown'}", source in _SLOW_SOURCES, advice)
-
-
 def wake_up(_: Setup) -> Finding:
     """Measure how late this process wakes up, as it does at every deadline."""
     late_ms = list[float]()
@@ -219,22 +190,6 @@ def cores(setup: Setup) -> Finding:
     found = f"{usable} for {wanted} processes ({setup.scenario.name}), of {os.cpu_count()} in this machine"
     advice = "lockstep works, but slower; real time needs a core for each process: more cores, or fewer agents"
     return judged(found, usable < wanted, advice)
-
-
-def load(_: Setup) -> Finding:
-    """Check the load of the machine by other processes."""
-    busy, all_cores = os.getloadavg()[0], os.cpu_count() or 1
-    advice = "end other processes (top), or give the run a priority: chrt -f 10 transport run"
-    return judged(f"{busy:.2f} in the last minute, on {all_cores} cores", busy > all_cores, advice)
-
-
-def steal(_: Setup) -> Finding:
-    """Measure the share of its processors that a virtual machine does not get."""
-    if not hasattr(psutil.cpu_times(), "steal"):
-        return _UNKNOWN
-    share = psutil.cpu_times_percent(_STEAL_S).steal / 100.0
-    advice = "used by other guests of the host: use a larger or dedicated machine or lockstep"
-    return judged(f"{share:.1%} now", share > _STOLEN, advice)
 
 
 def governor(_: Setup) -> Finding:
@@ -260,7 +215,7 @@ def quota(_: Setup) -> Finding:
 def priority(_: Setup) -> Finding:
     """Check whether this user may give a run a real-time priority."""
     if not hasattr(resource, "RLIMIT_RTPRIO"):
-        return _UNKNOWN
+        return Finding("ok", "unknown")
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     may = limit >= _PRIORITY or limit == resource.RLIM_INFINITY or os.geteuid() == 0
     found = f"rtprio {'unlimited' if limit == resource.RLIM_INFINITY else limit}, user {os.geteuid()}"
@@ -279,19 +234,6 @@ def memory(_: Setup) -> Finding:
     return judged(f"{swap / 1e9:.1f} GB of swap", swap > 0, advice)
 
 
-def _required(extra: str) -> list[Requirement]:
-    """Return the requirements that apply here, without or with an extra."""
-    required = [Requirement(line) for line in metadata.requires(_DISTRIBUTION) or []]
-    return [one for one in required if one.marker is None or one.marker.evaluate({"extra": extra})]
-
-
-def _version(name: str) -> str | None:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
-
-
 def _bus(setup: Setup, name: str, endpoints: Endpoints, *, serves: bool) -> Bus:
     gate = Gate(name, Keys("doctor"), setup.shape)
     return Bus(name=name, incarnation=0, run="doctor", digest="doctor", endpoints=endpoints, gate=gate, serves=serves)
@@ -306,17 +248,13 @@ def _text(path: str) -> str:
 
 CHECKS: dict[str, Callable[[Setup], Finding]] = {
     "packages": packages,
-    "extras": extras,
     "ports": ports,
     "network": network,
     "step": step,
     "kernels": kernels,
     "disk": disk,
-    "clock": clock,
     "wake-up": wake_up,
     "cores": cores,
-    "load": load,
-    "steal": steal,
     "governor": governor,
     "quota": quota,
     "priority": priority,

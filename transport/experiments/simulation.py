@@ -22,7 +22,6 @@ from protocol.wire.messages import STAGES, Control, Plan, StepReport, Tick
 from transport.analysis.metrics import summarise
 from transport.experiments.cases import Case, key_of
 from transport.flight import memory, run
-from transport.flight.run_files import RunError
 from transport.log.run_log import Recorded, RunLog, read_log
 from transport.report.report import write_report
 
@@ -114,12 +113,7 @@ def simulate(case: Case, folder: Path | None = None) -> Result:
 
 def _with_processes(setup: Setup, folder: Path) -> tuple[dict[str, Any], RunLog]:
     shutil.rmtree(folder, ignore_errors=True)  # left by an interrupted run
-    try:
-        finished = run.simulate(setup, folder, Console(file=io.StringIO()))
-    except RunError as error:
-        if error.exit_code == EXIT_INTERRUPTED:
-            raise KeyboardInterrupt from error
-        raise
+    finished = run.simulate(setup, folder, Console(file=io.StringIO()))
     if finished.exit_code == EXIT_INTERRUPTED:
         raise KeyboardInterrupt
     return write_report(finished.folder, figures=False), read_log(finished.folder / "run.mcap")

@@ -208,13 +208,11 @@ class _Progress(ConsoleProgress):
         status = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[last]}"))
         super().__init__(console, TextColumn(name), *status, TimeElapsedColumn(), TimeRemainingColumn())
         self._done, self._total = done, total
-        if self._bar is not None:
-            self._task = self._bar.add_task(name, total=total, completed=done, last="")
+        self._task = self._bar.add_task(name, total=total, completed=done, last="")
 
     def advance(self, last: str) -> None:
         """Count one more finished run, described with its outcome."""
         self._done += 1
-        if self._bar is not None:
-            self._bar.update(self._task, completed=self._done, last=last)
-        elif self._is_line_due() or self._done == self._total:
+        self._bar.update(self._task, completed=self._done, last=last)
+        if self._is_line_due() or (self._done == self._total and not self._console.is_terminal):
             self.say(f"{self._done} of {self._total} runs done; last: {last}")

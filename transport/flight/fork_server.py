@@ -1,31 +1,37 @@
 """Fork server: starts the processes of a run by fork, so that imports are done once and their memory is shared.
 
-The imports of an agent take more than 0.3 s of processor time. The server (`transport.cli.fork_server`) has one thread
-and no network, as fork requires. A forked process equals `python -m transport agent ...`: it has its own session,
-output, title and exit code, and is a child of the process that asked for it. On systems other than Linux (`prctl`), and
-without an answer of the server, processes are started by Popen.
+The imports of an agent take more than 0.3 s of processor time. The server has one thread and no network, as fork
+requires. A forked process equals `python -m transport agent ...`: it has its own session, output, title and exit code,
+and is a child of the process that asked for it. On systems other than Linux (`prctl`), and without an answer of the
+server, processes are started by Popen.
 """
 
 import atexit
 import ctypes
 import functools
+import gc
 import json
 import os
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, Any, NoReturn
 
 import psutil
+import setproctitle
 
 from protocol.network.parent import ENVIRONMENT, PARENT_PIPE, python
+from protocol.wire.exit_codes import EXIT_INTERRUPTED
 
-# First argument of the command that is the server.
-FORK_SERVER = "fork-server"
-REQUEST_BYTES = 128 * 1024
+# First argument of the command that is the server (`transport.__main__`).
+_FORK_SERVER = "fork-server"
+_REQUEST_BYTES = 128 * 1024
 # Time for an answer, s: the imports take 1 s.
 _ANSWER_S = 20.0
 _PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
@@ -59,7 +65,7 @@ class ForkServer:
         self._socket.settimeout(_ANSWER_S)
         with other:
             self._process = subprocess.Popen(
-                [*python("transport"), FORK_SERVER, str(other.fileno())],
+                [*python("transport"), _FORK_SERVER, str(other.fileno())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -100,3 +106,64 @@ class ForkServer:
 def _adopt_orphans(adopt: bool) -> bool:
     """Make this process, or not, the new parent of orphaned descendants, such as forked processes; return success."""
     return bool(ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0) == 0)
+
+
+def serve(own: socket.socket, prepare: Callable[[list[str]], None], command: Callable[[], NoReturn]) -> None:
+    """Be the server: start a process with the command for each request from a socket until its other end is closed.
+
+    `prepare` gets the arguments of each request, and reads for all processes what they need.
+    """
+    setproctitle.setproctitle(f"transport {_FORK_SERVER}")  # before the environment moves: titles use its memory
+    while True:
+        content, descriptors, _, _ = socket.recv_fds(own, _REQUEST_BYTES, 2)
+        if not content:
+            return
+        request = json.loads(content)
+        os.chdir(request["folder"])
+        with suppress(Exception):  # the process reports errors of its arguments
+            prepare(request["arguments"])
+        gc.collect()
+        gc.freeze()  # a collection after the fork would copy shared memory
+        own.send(b"%d" % _started(request, descriptors, command))
+        for descriptor in descriptors:
+            os.close(descriptor)
+
+
+def _started(request: Mapping[str, Any], descriptors: list[int], command: Callable[[], NoReturn]) -> int:
+    """Fork twice, so that the process that sent the request adopts the new one; return its id."""
+    reads, writes = os.pipe()
+    between = os.fork()
+    if between == 0:
+        own, pid = os.getpid(), os.fork()
+        if pid == 0:
+            # Once it watches its parent, the end of this one would continue it if it were stopped by then.
+            while os.getppid() == own:
+                time.sleep(1e-4)
+            _become(request, descriptors[0], descriptors[1], command)
+        os.write(writes, b"%d" % pid)
+        os._exit(0)
+    os.close(writes)
+    os.waitpid(between, 0)
+    with os.fdopen(reads, "rb") as pipe:
+        return int(pipe.read() or b"0")
+
+
+def _become(request: Mapping[str, Any], stdin: int, output: int, command: Callable[[], NoReturn]) -> NoReturn:
+    """Run the requested command in this process, and end."""
+    code = 1
+    try:
+        os.setsid()
+        for descriptor, target in ((stdin, 0), (output, 1), (output, 2)):
+            os.dup2(descriptor, target)
+        os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+        os.environ.clear()
+        os.environ.update(request["environment"])
+        sys.argv = ["transport", *request["arguments"]]
+        setproctitle.setproctitle(" ".join(sys.argv))
+        command()
+    except KeyboardInterrupt:  # before the command handles it
+        code = EXIT_INTERRUPTED
+    except BaseException:  # noqa: BLE001  # no caller would report it
+        traceback.print_exc()
+    finally:
+        os._exit(code)

@@ -49,10 +49,10 @@ class Child:
 
     def wait(self, timeout_s: float) -> int | None:
         """Wait for the end; return the exit code, None if the process still runs."""
-        code: int | None = None
-        with suppress(psutil.TimeoutExpired):
-            code = self.process.wait(timeout_s)
-        return code
+        try:
+            return self.process.wait(timeout_s)  # type: ignore[no-any-return]
+        except psutil.TimeoutExpired:
+            return None
 
     def signal(self, number: int) -> bool:
         """Send a signal; return whether the process is running."""
@@ -112,10 +112,8 @@ class Harness:
     children: list[Child] = field(default_factory=list)  # processes in the order of their starts
 
     def start(self, observers: Sequence[str] = ()) -> None:
-        """Start all processes of the mesh.
-
-        Raises: HarnessError: the folder for their output cannot be written.
-        """
+        """Start all processes of the mesh, or raise HarnessError."""
+        self.logs.mkdir(parents=True, exist_ok=True)
         for name in self.mesh:
             self._start(name, observers)
 
@@ -157,24 +155,20 @@ class Harness:
         return killed
 
     def _start(self, name: str, observers: Sequence[str] = (), incarnation: int = 0) -> None:
-        log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
-        try:
-            self.logs.mkdir(parents=True, exist_ok=True)
-            self.children.append(start_child(name, self._arguments(name, observers, incarnation), log, incarnation))
-        except OSError as error:
-            raise HarnessError(f"{log}: cannot write the output of {name} ({error.strerror})") from error
-
-    def _arguments(self, name: str, observers: Sequence[str], incarnation: int) -> list[str]:
         endpoints = self.mesh[name]
         role = ["agent", "--id", name.removeprefix("agent")] if name.startswith("agent") else [name]
         options = [("--scenario", str(self.scenario)), ("--run", self.run), ("--incarnation", str(incarnation))]
         options += [] if self.keys is None else [("--set", keys_setting(self.keys))]
         options += [("--listen", endpoint) for endpoint in endpoints.listen]
         options += [("--connect", endpoint) for endpoint in endpoints.connect]
-        if name == COORDINATOR:
-            options += [("--observer", observer) for observer in observers]
+        options += [("--observer", observer) for observer in observers if name == COORDINATOR]
         # The parent has checked the scenario's size.
-        return [*role, "--allow-large", *(text for option in options for text in option)]
+        arguments = [*role, "--allow-large", *(text for option in options for text in option)]
+        log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
+        try:
+            self.children.append(start_child(name, arguments, log, incarnation))
+        except OSError as error:
+            raise HarnessError(f"{log}: cannot write the output of {name} ({error.strerror})") from error
 
 
 def keys_setting(folder: Path | str) -> str:
@@ -217,11 +211,9 @@ def check_ports(host: str, ports: Sequence[int]) -> None:
 
 
 def _bound(host: str, port: int) -> socket.socket:
-    probe = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
+    with ExitStack() as stack:
+        probe = stack.enter_context(socket.socket())
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind((host, port))
-    except OSError:
-        probe.close()
-        raise
+        stack.pop_all()
     return probe

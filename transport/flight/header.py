@@ -2,10 +2,11 @@
 
 import os
 import platform
-import time
 from collections.abc import Collection, Mapping
 from importlib.metadata import version
 from pathlib import Path
+
+import psutil
 
 from agent.own import checked_controller
 from model import native
@@ -26,7 +27,7 @@ def run_header(
         "versions": versions(),
         **classes,
         "machine": machine(),
-        "command_started_ns": str(_command_started_ns()),
+        "command_started_ns": str(round(psutil.Process().create_time() * 1e9)),
     }
 
 
@@ -60,13 +61,3 @@ def machine() -> str:
         processor = names[0] if names else processor
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return f"{processor}, {cores} cores, {platform.system()} {platform.release()}"
-
-
-def _command_started_ns() -> int:
-    """Return the wall-clock time at which this process was started, ns since 1970; now where /proc is missing."""
-    try:
-        ticks = int(Path("/proc/self/stat").read_text().rsplit(")", 1)[1].split()[19])
-        up_s = float(Path("/proc/uptime").read_text().split()[0])
-    except OSError:
-        return time.time_ns()
-    return time.time_ns() - round((up_s - ticks / os.sysconf("SC_CLK_TCK")) * 1e9)

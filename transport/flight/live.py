@@ -71,12 +71,8 @@ def read(folder: Path) -> LiveRun | None:
 
 def newest_folder(parent: Path) -> Path | None:
     """Return the folder of the most recent active run below a folder."""
-    found = []
-    for path in parent.glob(f"*/{_FILE}"):
-        if not path.parent.is_symlink():  # `latest` is one of the others
-            with suppress(OSError):  # removed since
-                found.append((path.stat().st_mtime, path.parent))
-    return next((folder for _, folder in sorted(found, reverse=True) if read(folder) is not None), None)
+    found = [path for path in parent.glob(f"*/{_FILE}") if not path.parent.is_symlink() and read(path.parent)]
+    return max(found, key=lambda path: path.stat().st_mtime).parent if found else None
 
 
 class RefusedError(TransportError, ValueError):
@@ -143,13 +139,9 @@ class Commands:
             except (RefusedError, UnansweredError) as error:
                 self._on_result(str(error), True)
                 continue
-            text = f"links change: at tick {answer['tick']}"
-            if kind == "fault":
-                text = f"{content['do']} {content['target']}: at tick {answer['tick']}"
-            elif kind == "target":
-                name, left_s = (
-                    "target ({:g}, {:g}, {:g}) m".format(*content["points_m"][-1]),
-                    answer["ends_s"] - answer["t_s"],
-                )
-                text = f"{name}: arrives at t = {answer['ends_s']:.1f} s, in {left_s:.1f} s"
+            what = "links change" if kind == "link" else f"{content.get('do')} {content.get('target')}"
+            text = f"{what}: at tick {answer['tick']}"
+            if kind == "target":
+                text = "target ({:g}, {:g}, {:g}) m".format(*content["points_m"][-1])
+                text += f": arrives at t = {answer['ends_s']:.1f} s, in {answer['ends_s'] - answer['t_s']:.1f} s"
             self._on_result(text, False)

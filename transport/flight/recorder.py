@@ -89,7 +89,7 @@ class Recorder:
         self.setup = setup  # with its targets so far
         self._notices: deque[str] = deque()  # the thread that shows them takes from the left
         self._samples_s, self._ticks, self._shape = setup.samples_s, setup.ticks, setup.shape
-        self._writer, self._writing = writer, threading.Lock()  # notes come from another thread
+        self.writer, self._writing = writer, threading.Lock()  # notes come from another thread
         self._keys = Keys(run)
         # Checks the messages that the recorder reads; readers of the log reject others.
         self.gate = Gate(RECORDER, self._keys, self._shape, self._check_moment, _UNREAD)
@@ -155,7 +155,7 @@ class Recorder:
         if self._thread.is_alive():
             self.stop("closing")
             self._thread.join()
-        self._writer.close()
+        self.writer.close()
 
     def _run(self) -> None:
         try:
@@ -207,12 +207,12 @@ class Recorder:
 
     def _next(self, timeout_s: float | None) -> BusEvent | None:
         """Return the next event, or None after the timeout; flush the log in a pause."""
-        if timeout_s is None and not self._writer.is_up_to_date:
+        if timeout_s is None and not self.writer.is_up_to_date:
             event = self._bus.next(_PAUSE_S)
             if event is not None:
                 return event
             with self._writing:
-                self._writer.flush()
+                self.writer.flush()
         return self._bus.next(timeout_s)
 
     def receive(self, message: Message | Sample, at_ns: int | None = None) -> None:
@@ -255,5 +255,5 @@ class Recorder:
 
     def _write(self, topic: str, data: bytes, header: Header | Message, at_ns: int | None) -> None:
         with self._writing:
-            self._writer.add(topic, data, header, time.time_ns() if at_ns is None else at_ns)
+            self.writer.add(topic, data, header, time.time_ns() if at_ns is None else at_ns)
         self.received += 1

@@ -4,7 +4,7 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +14,7 @@ from rich.console import Console
 
 from protocol.network.endpoints import Endpoints, mesh, process_names
 from protocol.network.process import Place
-from protocol.network.security import Security, SecurityError
+from protocol.network.security import Security
 from protocol.network.session import BusError, check_usable
 from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.schema import Scenario
@@ -36,9 +36,8 @@ from transport.flight.harness import Child, Harness, check_ports, free_ports, ke
 from transport.flight.header import checked, run_header
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
-from transport.flight.run_files import RunError, create, own_keys, refuse_existing
+from transport.flight.run_files import RunError, create, own_keys
 from transport.flight.signals import collected_signals
-from transport.log.run_log import LogError
 from transport.log.writer import LogWriter
 
 # Exit codes of a process after the end of its run.
@@ -84,13 +83,10 @@ class FaultScript:
             request.reply(self._answer(request))
 
     def _is_due(self, tick: int) -> bool:
-        if self._recorder.tick >= tick:
-            return True
-        # Without ticks, estimate the tick from the wall clock.
-        speed, started_s = self._setup.scenario.clock.speed, self._recorder.started_s
-        if speed == 0.0 or started_s is None:
-            return False
-        return (time.monotonic() - started_s) * speed >= (tick + 1) * self._setup.settings.sampling_period_s
+        # Without ticks, as while the coordinator is stopped, the wall clock of a paced run tells.
+        clock, started_s = self._setup.scenario.clock, self._recorder.started_s
+        since_s = 0.0 if started_s is None else (time.monotonic() - started_s) * clock.speed
+        return self._recorder.tick >= tick or since_s >= (tick + 1) * self._setup.settings.sampling_period_s
 
     def _answer(self, request: Request) -> dict[str, Any]:
         action, target = (str(request.given.get(key, "")) for key in ("do", "target"))
@@ -147,13 +143,11 @@ def simulate(
     that are `external` join from elsewhere. At the end every process has ended and the log is complete.
 
     Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
-        ScenarioError: engine or controller cannot be used.
+        ScenarioError: engine or controller cannot be used. TransportError: of network, keys or log. KeyboardInterrupt.
     """
-    refuse_existing(folder)
     scenario = setup.scenario
     names = process_names(scenario)
     with ExitStack() as stack:
-        stack.enter_context(_refusals())
         check_usable()
         classes = checked(setup, external)
         compile_model(setup.system.N, console)
@@ -171,8 +165,8 @@ def simulate(
             recording = replace(recording, security=Security(own, ()))
         keys = "" if recording.security is None else str(recording.security.folder)
         harness.start(observers=[RECORDER])
-        writer = LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns, say=progress.say)
-        recorder = Recorder(setup, run, writer, recording, scenario.clock.join_timeout_s)
+        place = Place(run=run, incarnation=0, endpoints=recording, join_timeout_s=scenario.clock.join_timeout_s)
+        recorder = _recorder(setup, place, folder, header, progress)
         try:
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
             ready()  # the coordinator waits for the recorder
@@ -193,20 +187,26 @@ def simulate(
                 _discard_if_empty(folder, recorder)
             for notice in harness.end():
                 progress.say(notice)
-        return _finished(folder, writer, recorder)
+        return _finished(folder, recorder)
 
 
-@contextmanager
-def _refusals() -> Iterator[None]:
-    """Turn errors of network and log into those of the run."""
-    try:
-        yield
-    except LogError as error:
-        raise RunError(str(error), EXIT_USAGE) from error
-    except SecurityError as error:
-        raise RunError(str(error), EXIT_SCENARIO) from error
-    except BusError as error:
-        raise RunError(str(error), EXIT_UNREACHABLE) from error
+def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
+    """Record a run whose processes are started elsewhere, in a new folder.
+
+    Raises: RunError: the folder exists, or the processes did not join. TransportError: of network, keys or log.
+    """
+    names = process_names(setup.scenario)
+    classes = {"engine": setup.scenario.plant.engine, "controller": setup.scenario.agents.controller}
+    header = run_header(setup, place.run, len(names), create(folder, setup), classes)
+    with RunProgress(setup, console) as progress:
+        recorder = _recorder(setup, place, folder, header, progress)
+        try:
+            recorder.start(names)
+            _watch(recorder, progress)
+        finally:
+            recorder.close()
+            _discard_if_empty(folder, recorder)
+    return _finished(folder, recorder)
 
 
 @contextmanager
@@ -221,30 +221,15 @@ def _reserved(scenario: Scenario, names: Sequence[str]) -> Iterator[dict[str, En
         yield {name: place.checked(name, scenario) for name, place in places.items()}
 
 
-def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
-    """Record a run whose processes are started elsewhere, in a new folder.
-
-    Raises: RunError: the folder exists, or the processes did not join.
-    """
-    names = process_names(setup.scenario)
-    text = create(folder, setup)
-    with RunProgress(setup, console) as progress, _refusals():
-        classes = {"engine": setup.scenario.plant.engine, "controller": setup.scenario.agents.controller}
-        header = run_header(setup, place.run, len(names), text, classes)
-        writer = LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns, say=progress.say)
-        try:
-            recorder = Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
-        except BusError:
-            writer.close()
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
-        try:
-            recorder.start(names)
-            _watch(recorder, progress)
-        finally:
-            recorder.close()
-            _discard_if_empty(folder, recorder)
-    return _finished(folder, writer, recorder)
+def _recorder(setup: Setup, place: Place, folder: Path, header: Mapping[str, str], progress: RunProgress) -> Recorder:
+    """Return the recorder of a run with an open log; without a network the folder is removed."""
+    writer = LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns, say=progress.say)
+    try:
+        return Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
+    except BusError:
+        writer.close()
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
@@ -253,18 +238,18 @@ def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _finished(folder: Path, writer: LogWriter, recorder: Recorder) -> Finished:
+def _finished(folder: Path, recorder: Recorder) -> Finished:
     """Return how a run ended; raise RunError if it did not begin or was not recorded."""
+    control = recorder.control
+    if control is None:
+        if recorder.error is None and recorder.started_s is not None:
+            return Finished(folder, EXIT_INTERRUPTED, "recording interrupted; the run may continue without it")
+        raise RunError(recorder.error or "the run ended before its first tick", EXIT_UNREACHABLE)
     if recorder.error is not None:
         raise RunError(recorder.error, EXIT_UNREACHABLE)
-    if recorder.control is None and recorder.started_s is not None:
-        return Finished(folder, EXIT_INTERRUPTED, "recording interrupted; the run may continue without it")
-    if recorder.control is None:
-        raise RunError("the run ended before its first tick", EXIT_UNREACHABLE)
-    control = recorder.control
-    if writer.lost:
-        ended = f"{control.outcome}{f': {control.reason}' if control.reason else ''}"
-        raise RunError(f"{writer.lost}; the run {ended}", control.exit_code or EXIT_UNRECORDED)
+    if recorder.writer.lost:
+        text = f"{recorder.writer.lost}; the run {control.outcome} {control.reason}".rstrip()
+        raise RunError(text, control.exit_code or EXIT_UNRECORDED)
     return Finished(folder, control.exit_code, control.reason)
 
 
@@ -286,7 +271,7 @@ def _watch(
             if len(signals) > interrupted:
                 interrupted = len(signals)
                 if interrupted > 1 or recorder.started_s is None:
-                    raise RunError(f"interrupted ({signals[-1]})", EXIT_INTERRUPTED)
+                    raise KeyboardInterrupt(signals[-1])
                 if harness is None:
                     recorder.stop(signals[-1])
                     continue
@@ -307,7 +292,5 @@ def _ended_early(child: Child) -> RunError:
     code = child.code or 0
     how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
     # A child refuses the same options and scenario as this command would; any other end is that of a peer.
-    passed_on = code in (EXIT_USAGE, EXIT_SCENARIO)
-    return RunError(
-        f"{child.name} {how} before the run began: {child.last_line()}", code if passed_on else EXIT_UNREACHABLE
-    )
+    passed_on = code if code in (EXIT_USAGE, EXIT_SCENARIO) else EXIT_UNREACHABLE
+    return RunError(f"{child.name} {how} before the run began: {child.last_line()}", passed_on)

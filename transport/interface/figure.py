@@ -33,11 +33,12 @@ class RunFigure(Figure):
         return picture.getvalue()
 
 
-def drawn(draw: Callable[[RunFigure], Any]) -> RunFigure:
+def drawn(draw: Callable[[RunFigure], Any], *, cropped: bool = False) -> RunFigure:
     """Return a figure that a function has drawn in the style of the project."""
     with mpl.rc_context(RC):
         figure = RunFigure()
         draw(figure)
+    figure.cropped = cropped
     return figure
 
 
@@ -48,11 +49,9 @@ def run_figure(name: str, setup: Setup, log: RunLog, series: Series) -> RunFigur
     """
     if name not in FIGURES:
         raise ArgumentError(f"figure: expected one of {', '.join(FIGURES)}, got {name!r}")
-    if not len(series.ticks):
-        raise ArgumentError("figure: expected a run with at least one tick, got one with none")
-    with mpl.rc_context(RC):
-        figure = RunFigure()
-        if not fill(figure, name, setup, log, series):
+
+    def draw(figure: RunFigure) -> None:
+        if not len(series.ticks) or not fill(figure, name, setup, log, series):
             raise ArgumentError(f"figure: expected a run with data for {name!r}, got one without")
-    figure.cropped = name in CROPPED
-    return figure
+
+    return drawn(draw, cropped=name in CROPPED)

@@ -1,13 +1,10 @@
 """Simulating a run, and loading a recorded one."""
 
-import html
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self, Unpack
+from typing import Unpack
 
 import tomli_w
 from rich.console import Console
@@ -20,80 +17,23 @@ from protocol.wire.messages import Message, PlantState, Target
 from transport.flight import memory
 from transport.flight.header import checked, run_header
 from transport.flight.progress import RunProgress, compile_model
-from transport.flight.run_files import RunError
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario, path_phase
-from transport.interface.settings import ArgumentError, Settings, ShortSettings, file_name, public
+from transport.interface.settings import ArgumentError, Settings, ShortSettings
 from transport.log.run_folder import open_run
 from transport.log.run_log import Recorded, RunLog
 from transport.report.report import write_report
 
 # Shortest time between two updates, wall time, s.
 _EVERY_S = 0.1
-
-
-def console(*, shown: bool) -> Console:
-    """Return the console for progress: standard error; in a notebook lines of text, neither a widget nor a terminal."""
-    if _in_notebook():
-        return Console(quiet=not shown, force_jupyter=False, force_terminal=False)
-    return Console(stderr=True, quiet=not shown)
-
-
-@contextmanager
-def run_progress(setup: Setup, *, shown: bool) -> Iterator[Callable[[Message], None]]:
-    """Show the progress of a run; yield the function that takes each of its messages."""
-    if not shown:
-        yield lambda _: None
-        return
-    began_s = next_s = time.monotonic()
-    in_cell = _in_notebook()
-    with _CellProgress(setup) if in_cell else RunProgress(setup, console(shown=True), waiting="in memory") as bar:
-
-        def take(message: Message) -> None:
-            nonlocal next_s
-            if isinstance(message, Target):
-                bar.setup = with_targets(bar.setup, [message])
-            elif isinstance(message, PlantState) and time.monotonic() >= next_s:
-                next_s = time.monotonic() + _EVERY_S
-                bar.show(message, began_s)
-
-        yield take
-
-
-class _CellProgress:
-    """Progress in the output of a notebook's cell, without widgets, and the duration at the end."""
-
-    def __init__(self, setup: Setup) -> None:
-        from IPython.display import HTML, display  # in every notebook
-
-        self.setup = setup
-        self._html: Any = HTML
-        self._handle: Any = display(HTML("<pre>starting</pre>"), display_id=True)
-        self._name, self._began_s = html.escape(setup.scenario.name), time.monotonic()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        duration_s = time.monotonic() - self._began_s
-        self._handle.update(self._html(f"<pre>{self._name}: {duration_s:.1f} s of wall time</pre>"))
-
-    def show(self, plant_state: PlantState, _: float) -> None:
-        share, period_s = plant_state.tick / self.setup.ticks, self.setup.settings.sampling_period_s
-        times = f"{plant_state.tick * period_s:.1f} of {self.setup.ticks * period_s:.1f} s"
-        self._handle.update(self._html(f'<progress value="{share:.3f}"></progress> {self._name}: {times}'))
-
-
-def _in_notebook() -> bool:
-    """Return whether this process is the kernel of a notebook."""
-    ipython: Any = sys.modules.get("IPython")
-    return ipython is not None and hasattr(ipython.get_ipython(), "kernel")
-
-
 RUNS = Path("runs")
 
 
-@public
+def console(*, shown: bool) -> Console:
+    """Return the console for progress: standard error; in a notebook as lines of text, without widgets."""
+    return Console(stderr=True, quiet=not shown, force_jupyter=False)
+
+
 def fly(
     scenario: "str | PathLike[str] | Scenario" = "paper",
     settings: Settings | None = None,
@@ -126,7 +66,7 @@ did you mean 'horizon'?
         settings: Changes by dotted key; list entries count from 1.
         processes: Start a process for each part of the run.
         folder: Run folder to create; by default none in memory, and runs/<time>-<scenario> with processes.
-        progress: Show the progress on standard error, or in the notebook.
+        progress: Show the progress on standard error.
         path: Path of the payload in place of the maneuver: rows of time and position, (t_s, x_m, y_m, z_m), as an array
             or a list; both count from the first row. Between rows at constant speed; with a flat reference a spline
             through them, so a few rows are enough.
@@ -140,8 +80,8 @@ did you mean 'horizon'?
     if path is not None:
         flown.set(phases=[path_phase(path, flat=flown.maneuver.reference == "flat")])
     setup = Setup.of(flown.validated, str(flown.file))
-    target = None if folder is None else Path(file_name(folder, "folder"))
-    if target is not None and target.exists():
+    target = None if folder is None else Path(folder)
+    if target is not None and target.exists():  # before the simulation
         raise ArgumentError(f"folder: expected a folder that does not exist yet, got {target}")
     if processes:
         return _with_processes(flown, setup, target, shown=progress)
@@ -154,7 +94,6 @@ did you mean 'horizon'?
     return run
 
 
-@public
 def load(folder: "str | PathLike[str]") -> Run:
     """Return a recorded run from its folder, also one that was cut off: `run.summary["log_cut"]` tells.
 
@@ -166,21 +105,27 @@ def load(folder: "str | PathLike[str]") -> Run:
 
     Raises: LogError: no run folder, or a log that cannot be read. ScenarioError: its scenario cannot be read.
     """
-    path = Path(file_name(folder, "folder"))
+    path = Path(folder)
     recorded = open_run(path)
     return Run(Scenario(recorded.scenario_file, allow_large=True), recorded.setup, recorded.log, path)
 
 
 def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
-    began_ns = time.time_ns()
+    began_ns, began_s = time.time_ns(), time.monotonic()
     compile_model(setup.system.N, console(shown=shown))
     header = run_header(setup, setup.scenario.name, 1, tomli_w.dumps(setup.scenario.tree()), checked(setup))
     messages: list[Recorded] = []
-    with run_progress(setup, shown=shown) as show:
+    next_s = began_s
+    with RunProgress(setup, console(shown=shown), waiting="in memory") as progress:
 
         def record(message: Message) -> None:
+            nonlocal next_s
             messages.append(Recorded(message=message, received_ns=time.time_ns()))
-            show(message)
+            if isinstance(message, Target):
+                progress.setup = with_targets(progress.setup, [message])
+            elif isinstance(message, PlantState) and time.monotonic() >= next_s:
+                next_s = time.monotonic() + _EVERY_S
+                progress.show(message, began_s)
 
         memory.simulate(setup, record)
     log = RunLog(header={**header, "command_started_ns": str(began_ns)}, messages=tuple(messages), cut="")
@@ -196,10 +141,6 @@ def _with_processes(scenario: Scenario, setup: Setup, folder: Path | None, *, sh
     target = new_folder(RUNS, setup.scenario.name) if folder is None else folder
     try:
         finished = processes_run.simulate(setup, target, console(shown=shown))
-    except RunError as error:
-        if error.exit_code == EXIT_INTERRUPTED:
-            raise KeyboardInterrupt(str(error)) from None
-        raise
     finally:
         close_fork_server()
     write_report(finished.folder, setup=setup)

@@ -8,8 +8,8 @@ from typing import Any, Unpack
 from protocol.scenario.setup import Setup
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.scenario import Scenario
-from transport.interface.settings import Settings, ShortSettings, public
-from transport.report.margins import HoverMargins, draw, hover_margins, notes, rows
+from transport.interface.settings import Settings, ShortSettings
+from transport.report.margins import ACTUATIONS, HoverMargins, draw, hover_margins, notes, rows
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,11 @@ class Margins:
         return drawn(lambda figure: draw(self.found, figure))
 
     def __str__(self) -> str:
-        lines = [f"{label:20s} {' '.join(f'{text:16s}' for text in texts)}" for label, *texts in rows(self.found)]
-        head = f"{'property':20s} {'immediate':16s} {'next_tick':16s}"
-        return "\n".join(line.rstrip() for line in (head, *lines, *notes(self.found)))
+        table = [("property", *ACTUATIONS), *rows(self.found)]
+        lines = ["".join(f"{text:20s}" for text in row).rstrip() for row in table]
+        return "\n".join([*lines, *notes(self.found)])
 
 
-@public
 def margins(
     scenario: "str | PathLike[str] | Scenario" = "resilient",
     settings: Settings | None = None,

@@ -6,14 +6,14 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from protocol.scenario.files import write_delays
 from protocol.scenario.setup import Setup
 from transport.analysis.metrics import summarise
 from transport.analysis.series import counted
 from transport.analysis.steps import steps_rows
+from transport.flight.run_files import create
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries
-from transport.interface.settings import ArgumentError, file_name, printed, public, require_pandas
+from transport.interface.settings import ArgumentError, printed, require_pandas
 from transport.log.run_log import RunLog
 from transport.log.writer import LogWriter
 from transport.report.report import summary_table, write_report
@@ -80,7 +80,6 @@ class Run:
         """Return the table that `transport run` prints."""
         return printed(summary_table(self.summary), _WIDTH)
 
-    @public
     def to_pandas(self, table: TableName = "series") -> "pd.DataFrame":
         """Return a table: "series" has a row per tick, "steps" one per agent and tick, as steps.csv (docs/summary.md).
 
@@ -95,7 +94,6 @@ class Run:
             return pandas.DataFrame(list(steps_rows(self._setup, self._counted)))
         raise ArgumentError(f"table: expected 'series' or 'steps', got {table!r}")
 
-    @public
     def plot(self, figure: FigureName = "performance") -> "RunFigure":
         """Return a figure of the report: "performance", "inputs", "trajectories", "timing" or "estimate".
 
@@ -107,7 +105,6 @@ class Run:
 
         return run_figure(figure, self._setup, self._counted, self.series.source)
 
-    @public
     def view(self, host: str = "127.0.0.1", port: int = 8080) -> "RunViewer":
         """Show the run in the browser; return the viewer, which shows until it is closed or this process ends.
 
@@ -117,24 +114,15 @@ class Run:
 
         return RunViewer(self._setup, self.log, host, port)
 
-    @public
     def save(self, folder: "str | PathLike[str]", *, figures: bool = True) -> Path:
         """Write the run folder that `transport run` writes, to a folder that does not exist yet; return its path.
 
-        Raises: ArgumentError: the folder exists or cannot be created. LogError: the log cannot be written.
+        Raises: RunError: the folder exists or cannot be created. LogError: the log cannot be written.
         """
-        target = Path(file_name(folder, "folder"))
-        try:
-            if self.folder is not None:
-                shutil.copytree(self.folder, target)
-                return target
-            target.mkdir(parents=True)
-            (target / "scenario.toml").write_text(self.log.header["scenario"], encoding="utf-8")
-            write_delays(self._setup.samples_s, target)
-        except FileExistsError as error:
-            raise ArgumentError(f"folder: expected a folder that does not exist yet, got {target}") from error
-        except OSError as error:
-            raise ArgumentError(f"folder: cannot create {target} ({error.strerror or error})") from error
+        target = Path(folder)
+        if self.folder is not None:
+            return Path(shutil.copytree(self.folder, target))
+        create(target, self._setup)
         with LogWriter(target / "run.mcap", self.log.header, period_ns=self._setup.period_ns) as writer:
             for entry in self.log.messages:
                 writer.write(entry.message, entry.received_ns)

@@ -21,9 +21,7 @@ from transport.interface.settings import (
     ArgumentError,
     Settings,
     ShortSettings,
-    file_name,
     key_of,
-    public,
     settings_of,
 )
 
@@ -45,16 +43,16 @@ class Section:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
-        if _part(self._data, name) is None:
-            raise AttributeError(f"{self._key or 'scenario'}: unknown key {name!r}; {_hint(self._data, name)}")
-        return self._owner._shown(self._key_of(name))
+        try:
+            return self._owner._shown(f"{self._key}.{name}".lstrip("."))
+        except ScenarioError as error:
+            raise AttributeError(str(error)) from None
 
-    @public
     def __setattr__(self, name: str, value: Any) -> None:
         if name.startswith("_"):
             object.__setattr__(self, name, value)
         else:
-            self._owner[self._key_of(name)] = value
+            self._owner[f"{self._key}.{name}".lstrip(".")] = value
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *type(self._data).model_fields]
@@ -66,11 +64,6 @@ class Section:
 
     def __repr__(self) -> str:
         return repr(self._data)
-
-    def _key_of(self, name: str) -> str:
-        """Return the dotted key of a field."""
-        field = type(self._data).model_fields.get(name)
-        return f"{self._key}.{(field and field.alias) or name}".lstrip(".")
 
 
 class Scenario(Section):
@@ -104,7 +97,6 @@ class Scenario(Section):
     _setup: Setup
     _allow_large: bool
 
-    @public
     def __init__(
         self,
         source: "str | PathLike[str] | Scenario" = "paper",
@@ -122,10 +114,9 @@ class Scenario(Section):
                 self._replace(given(self._tree), changes)
             return
         self._allow_large = allow_large
-        self._path = find_scenario(file_name(source, "scenario"))
+        self._path = find_scenario(str(source))
         self._take(read_scenario(self._path, changes, allow_large=allow_large), changes)
 
-    @public
     def set(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> None:
         """Make several changes at once, such as those that are valid only together.
 
@@ -135,30 +126,13 @@ class Scenario(Section):
         """
         self._replace(given(self._tree), settings_of(settings, short))
 
-    @public
     def __getitem__(self, key: str) -> Any:
         """Return the value of a dotted key or short name."""
         return self._shown(key_of(key))
 
-    @public
     def __setitem__(self, key: str, value: Any) -> None:
         """Change the value of a dotted key or short name."""
         self._replace(given(self._tree), settings_of({key: value}, {}))
-
-    @public
-    def __delitem__(self, key: str) -> None:
-        """Return a dotted key or short name to its default."""
-        self._found(key_of(key))  # refuses an unknown key
-        tree = given(self._tree)
-        *above, last = key_of(key).split(".")
-        node: Any = tree
-        for part in above:
-            node = node[int(part) - 1] if isinstance(node, list) else node.get(part, {})
-        if isinstance(node, list):
-            del node[int(last) - 1]
-        else:
-            node.pop(last, None)
-        self._replace(tree, [])
 
     def __repr__(self) -> str:
         N, agents = self._setup.system.N, len(self._setup.agents)
@@ -188,12 +162,10 @@ class Scenario(Section):
         """Return the fingerprint that `transport validate` prints."""
         return self._tree.digest()
 
-    @public
     def copy(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> "Scenario":
         """Return a copy with changes."""
         return Scenario(self, settings, **short)
 
-    @public
     def resized(
         self,
         uavs: int,
@@ -208,13 +180,13 @@ class Scenario(Section):
         Vehicle and load are those of `team`. An agent owns `group` UAVs, by default as many as in this scenario, whose
         name, with the vehicle's and the number of UAVs, is the default of `name`.
         """
-        if not isinstance(uavs, int) or not FEWEST <= uavs <= MOST:
-            raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs!r}")
-        if group is not None and not (isinstance(group, int) and 1 <= group <= uavs):
-            raise ArgumentError(f"group: expected 1 to {uavs} UAVs per agent, got {group!r}")
-        if load_kg is not None and not (isinstance(load_kg, int | float) and 0.0 < load_kg < math.inf):
-            raise ArgumentError(f"load_kg: expected a number > 0, got {load_kg!r}")
-        source, chosen = str(self._path), None if vehicle is None else str(file_name(vehicle, "vehicle"))
+        if not FEWEST <= uavs <= MOST:
+            raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs}")
+        if group is not None and not 1 <= group <= uavs:
+            raise ArgumentError(f"group: expected 1 to {uavs} UAVs per agent, got {group}")
+        if load_kg is not None and not 0.0 < load_kg < math.inf:
+            raise ArgumentError(f"load_kg: expected a number > 0, got {load_kg}")
+        source, chosen = str(self._path), None if vehicle is None else str(vehicle)
         data = resized(
             self._tree, self._path.parent, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg
         )
@@ -224,26 +196,27 @@ class Scenario(Section):
         made._take(data, [])
         return made
 
-    @public
     def save(self, path: "str | PathLike[str]") -> Path:
         """Write the scenario, with every default, to a file that does not exist yet; return its path."""
-        target = Path(file_name(path, "path"))
-        try:
-            with target.open("x", encoding="utf-8") as file:
-                file.write(tomli_w.dumps(self.tree()))
-        except FileExistsError as error:
-            raise ArgumentError(f"path: expected a file that does not exist yet, got {target}") from error
-        except OSError as error:
-            raise ArgumentError(f"path: cannot write {target} ({error.strerror})") from error
-        return target
+        with Path(path).open("x", encoding="utf-8") as file:
+            file.write(tomli_w.dumps(self.tree()))
+        return Path(path)
 
     def _found(self, key: str) -> Any:
         """Return the value of a dotted key as the model has it; the scenario itself for an empty one."""
         found: Any = self._tree
         for part in filter(None, key.split(".")):
-            if (inner := _part(found, part)) is None:
-                raise ScenarioError(str(self._path), key, f"unknown key; {_hint(found, part)}")
-            (found,) = inner
+            if isinstance(found, list | tuple):
+                if not (part.isdecimal() and 1 <= int(part) <= len(found)):
+                    raise ScenarioError(str(self._path), key, f"expected an entry from 1 to {len(found)}, got {part}")
+                found = found[int(part) - 1]
+                continue
+            names = names_of(type(found)) if isinstance(found, BaseModel) else {}
+            if part not in names:
+                near = difflib.get_close_matches(part, names, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"
+                raise ScenarioError(str(self._path), key, f"unknown key; {hint}")
+            found = getattr(found, names[part])
         return found
 
     def _shown(self, key: str) -> Any:
@@ -268,26 +241,6 @@ class Scenario(Section):
         self._tree = tree
 
 
-def _part(found: Any, name: str) -> tuple[Any] | None:
-    """Return the value of a key or field in a section, or of a number, from 1, in a list; None if there is none."""
-    if isinstance(found, list | tuple):
-        return (found[int(name) - 1],) if name.isdecimal() and 1 <= int(name) <= len(found) else None
-    if not isinstance(found, BaseModel):
-        return None
-    name = names_of(type(found)).get(name, name)
-    return (getattr(found, name),) if name in type(found).model_fields else None
-
-
-def _hint(found: Any, name: str) -> str:
-    """Return what there is instead of an unknown key."""
-    if isinstance(found, list | tuple):
-        return f"expected an entry from 1 to {len(found)}"
-    known = list(names_of(type(found))) if isinstance(found, BaseModel) else []
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known) or 'none'}"
-
-
-@public
 def team(
     uavs: int = 4,
     *,

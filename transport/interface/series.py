@@ -11,7 +11,7 @@ from model.arrays import Array
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import ActualInputs, StepReport
 from transport.analysis.series import Series, series_of
-from transport.interface.settings import ArgumentError, public
+from transport.interface.settings import ArgumentError
 from transport.log.run_log import RunLog
 
 _XYZ, _ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
@@ -81,9 +81,7 @@ class RunSeries(Mapping[str, Array]):
             values.setflags(write=False)
 
     def __getitem__(self, name: str) -> Array:
-        """Return a series, (ticks, ...), read-only; raise KeyError if there is none of this name."""
-        if name not in QUANTITIES:
-            raise KeyError(f"{name}: expected one of {', '.join(QUANTITIES)}")
+        """Return a series, (ticks, ...), read-only."""
         return self._arrays[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -96,17 +94,14 @@ class RunSeries(Mapping[str, Array]):
         rows = [f"{name:22}{self[name].shape!s:14}{quantity.meaning}" for name, quantity in QUANTITIES.items()]
         return "\n".join([f"{len(self['time_s'])} ticks; name, shape, meaning:", *rows])
 
-    @public
     def unit(self, name: str) -> str:
         """Return the unit of a series, empty for none."""
         return _known(name).unit
 
-    @public
     def axes(self, name: str) -> tuple[str | tuple[str, ...], ...]:
         """Return the meaning of a series' axes behind time: "uav", "agent" (counted from 1), or names of components."""
         return _known(name).axes
 
-    @public
     def meaning(self, name: str) -> str:
         """Return the meaning of a series in one sentence."""
         return _known(name).meaning

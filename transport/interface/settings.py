@@ -1,51 +1,25 @@
-"""Arguments of the Python interface: settings by dotted key or short name, file names, and errors about them."""
+"""Arguments of the Python interface: settings by dotted key or short name, and errors about them."""
 
 import difflib
 import json
-from collections.abc import Callable, Mapping, Sequence
-from functools import wraps
+from collections.abc import Mapping, Sequence
 from importlib import import_module
-from importlib.util import find_spec
 from os import PathLike
-from typing import Any, Literal, TypedDict, TypeVar, cast
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 import tomli_w
 from rich.console import Console, RenderableType
 
 from protocol.scenario.errors import PythonSetting
-from protocol.scenario.files import path_problem
 from protocol.scenario.keys import short_names
 from protocol.wire.errors import TransportError
 
 Settings = Mapping[str, Any]
-F = TypeVar("F", bound=Callable[..., Any])
 
 
 class ArgumentError(TransportError, TypeError):
     """An argument of the Python interface that is refused: its text is one line with argument, expected and got."""
-
-
-def public(function: F) -> F:
-    """Return a public function whose `TransportError`s show the user's own frames and that of the function, no others.
-
-    The errors of libraries that they came from are left out: the text of a `TransportError` says all of it. Other
-    exceptions are bugs and keep their whole traceback.
-    """
-
-    @wraps(function)
-    def with_short_traceback(*arguments: Any, **named: Any) -> Any:
-        try:
-            return function(*arguments, **named)
-        except TransportError as error:
-            error.__cause__, error.__suppress_context__ = None, True
-            own = error.__traceback__ and error.__traceback__.tb_next  # the first is the frame of this function
-            if own is not None:
-                own.tb_next = None
-                error.__traceback__ = own
-            raise
-
-    return cast("F", with_short_traceback)
 
 
 class ShortSettings(TypedDict, total=False):
@@ -96,9 +70,6 @@ def settings_of(settings: Settings | None, short: Mapping[str, Any]) -> list[str
 
     Raises: ArgumentError: an unknown keyword argument, a key given twice, or a value that TOML cannot hold.
     """
-    if settings is not None and not isinstance(settings, Mapping):
-        expected = "expected a dictionary such as {'links.delay_s': 0.2}"
-        raise ArgumentError(f"settings: {expected}, got {type(settings).__name__} {settings!r:.60}")
     found: dict[str, str] = {}
     for name, value in [*(settings or {}).items(), *short.items()]:
         key = key_of(name)
@@ -110,18 +81,6 @@ def settings_of(settings: Settings | None, short: Mapping[str, Any]) -> list[str
     return list(found.values())
 
 
-def file_name(path: "str | PathLike[str]", argument: str) -> str:
-    """Return a path as text.
-
-    Raises: ArgumentError: neither text nor a path.
-    """
-    if not isinstance(path, str | PathLike):
-        raise ArgumentError(f"{argument}: expected text or a path, got {type(path).__name__} {path!r:.60}")
-    if problem := path_problem(str(path)):
-        raise ArgumentError(f"{argument}: expected the name of a file, got {str(path)!r:.60} ({problem})")
-    return str(path)
-
-
 def printed(table: RenderableType, width: int) -> str:
     """Return a table as text of a width, characters."""
     console = Console(width=width, force_jupyter=False, force_terminal=False, no_color=True)
@@ -131,13 +90,11 @@ def printed(table: RenderableType, width: int) -> str:
 
 
 def require_pandas() -> Any:
-    """Return the module pandas.
-
-    Raises: ArgumentError: pandas is not installed.
-    """
-    if find_spec("pandas") is None:
-        raise ArgumentError("pandas is not installed: pip install 'payload-transport[pandas]'")
-    return import_module("pandas")
+    """Return the module pandas; raise ArgumentError if it is not installed."""
+    try:
+        return import_module("pandas")
+    except ModuleNotFoundError as error:
+        raise ArgumentError("pandas is not installed: pip install 'payload-transport[pandas]'") from error
 
 
 def _toml(value: Any, name: str) -> str:

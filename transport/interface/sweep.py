@@ -21,7 +21,7 @@ from transport.flight.progress import compile_model
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.fly import console
 from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, file_name, key_of, printed, public, require_pandas
+from transport.interface.settings import ArgumentError, key_of, printed, require_pandas
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,7 +32,6 @@ _NAME = "sweep"
 _CURVE = "settings"  # label of all keys but the one along the axis
 
 
-@public
 def sweep(
     base: "Base | Sequence[Base] | Mapping[str, Base]",
     grid: Mapping[str, Iterable[Any]],
@@ -60,22 +59,20 @@ def sweep(
         workers: Number of processes, by default one for each core; 1 simulates in this process. An address such as
             "tcp://host:8786" stands for a Dask cluster (extra `cluster`).
         folder: Folder for tables, figure and each result as it comes; a folder of the same sweep is resumed.
-        progress: Show the progress on standard error, or in the notebook.
+        progress: Show the progress on standard error.
 
     Raises: ScenarioError, ArgumentError: a combination or an argument is refused, before the first run.
         ExperimentError: a worker was lost, a run raised an error, or the folder cannot be used. KeyboardInterrupt:
         Ctrl-C; no process is left.
     """
     values = _checked_grid(grid)
-    if not isinstance(seeds, int) or seeds < 1:
-        raise ArgumentError(f"seeds: expected a number >= 1, got {seeds!r}")
+    if seeds < 1:
+        raise ArgumentError(f"seeds: expected a number >= 1, got {seeds}")
     if isinstance(workers, str):
         check_cluster(workers)
         simulate: experiment_sweep.Simulate = partial(on_cluster, address=workers)
-    elif workers is None or (isinstance(workers, int) and workers >= 1):
-        simulate = partial(on_cores, jobs=workers)
     else:
-        raise ArgumentError(f"workers: expected a number >= 1 or the address of a Dask cluster, got {workers!r}")
+        simulate = partial(on_cores, jobs=workers)
     points, cases, sizes = list[Point](), list[Case](), set[int]()
     for label, scenario in _scenarios(base).items():
         for number, combination in enumerate(itertools.product(*values.values())):
@@ -89,7 +86,7 @@ def sweep(
     first = next(iter(values))
     experiment = Experiment(name=_NAME, points=tuple(points), x=axis(first))
     shown = console(shown=progress)
-    target = None if folder is None else Path(file_name(folder, "folder"))
+    target = None if folder is None else Path(folder)
     with Results(_NAME, target) as results:
         for size in sizes:
             compile_model(size, shown)  # once, not in each worker
@@ -119,23 +116,17 @@ class Sweep:
         """Return the table that the commands `transport experiment` print."""
         return printed(table_of(means_in_words(self.points), self.points), WIDTH)
 
-    @public
     def rows(self, table: Literal["points", "runs"] = "points") -> list[dict[str, Any]]:
         """Return a row for each point, or for each run: values by column, as points.csv and cases.csv have them.
 
         Columns are described in docs/experiments.md; the cost ratio is relative to the first combination of the grid.
         """
-        if table not in ("points", "runs"):
-            raise ArgumentError(f"table: expected 'points' or 'runs', got {table!r}")
         return self._swept.rows(table)
 
-    @public
     def to_pandas(self, table: Literal["points", "runs"] = "points") -> "pd.DataFrame":
         """Return the rows as a table of pandas (extra `pandas`)."""
-        pandas = require_pandas()
-        return pandas.DataFrame(self.rows(table))
+        return require_pandas().DataFrame(self.rows(table))
 
-    @public
     def plot(self, x: str | None = None, kind: Literal["curves", "map"] = "curves") -> RunFigure:
         """Return a figure: completed runs, mean cost and payload attitude over a setting; or a map of two settings.
 
@@ -148,15 +139,10 @@ class Sweep:
         experiment, measured = self._drawn_as(x, kind)
         return drawn(lambda figure: fill(figure, experiment, measured))
 
-    @public
     def save(self, folder: "str | PathLike[str]") -> list[Path]:
         """Write points.csv, cases.csv and the figure of `plot()` to a folder; return the files."""
-        target = Path(file_name(folder, "folder"))
-        try:
-            target.mkdir(parents=True, exist_ok=True)
-            return self._swept.write(target, shown=self._drawn_as(None, "curves"))
-        except OSError as error:
-            raise ArgumentError(f"folder: cannot write {target} ({error.strerror or error})") from error
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        return self._swept.write(Path(folder), shown=self._drawn_as(None, "curves"))
 
     def _repr_html_(self) -> str:
         return f"<pre>{self}</pre>"
@@ -188,12 +174,8 @@ class Sweep:
 
 def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
     """Return the values of each setting as a list."""
-    if not isinstance(grid, Mapping) or not grid:
-        raise ArgumentError(f"grid: expected a dictionary such as {{'links.delay_s': [0.0, 0.1]}}, got {grid!r:.60}")
     found: dict[str, list[Any]] = {}
     for name, values in grid.items():
-        if key_of(name) == "seed":
-            raise ArgumentError("grid: expected other settings than the seed (seeds=...), got the seed")
         if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
             raise ArgumentError(f"{name}: expected a list of values, got {values!r:.60}")
         found[name] = [value.item() if isinstance(value, np.generic) else value for value in values]
@@ -201,8 +183,8 @@ def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
         if not labels or len(set(labels)) < len(labels):
             raise ArgumentError(f"{name}: expected different values, at least one, got {found[name]!r:.60}")
     keys = [key_of(name) for name in found]
-    if len(set(keys)) < len(keys):
-        raise ArgumentError(f"grid: expected each setting once, got {', '.join(keys)}")
+    if not keys or "seed" in keys or len(set(keys)) < len(keys):
+        raise ArgumentError(f"grid: expected settings other than the seed (seeds=...), each once, got {keys}")
     return found
 
 
@@ -220,9 +202,7 @@ def _scenarios(base: "Base | Sequence[Base] | Mapping[str, Base]") -> dict[str, 
         several = [base] if isinstance(base, str | PathLike | Scenario) else list(base)
         named = [(scenario.name, scenario) for scenario in map(Scenario, several)]
     found = dict(named)
-    if len(found) < len(named):
-        names = ", ".join(name for name, _ in named)
-        raise ArgumentError(f"base: expected different names, or a dictionary with labels, got {names}")
-    if not found:
-        raise ArgumentError("base: expected at least one scenario, got none")
+    if not named or len(found) < len(named):
+        names = ", ".join(name for name, _ in named) or "none"
+        raise ArgumentError(f"base: expected scenarios with different names, or a dictionary with labels, got {names}")
     return found

@@ -3,7 +3,7 @@
 Missing messages are found by gaps in the sequence numbers of each sender.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -65,12 +65,8 @@ def missing(log: RunLog) -> str:
             merged[-1] = merged[-1][0], max(last, merged[-1][1])
         else:
             merged.append((first, last))
-    return f"some messages of ticks {ranges(merged)} did not reach the recorder" if merged else ""
-
-
-def ranges(spans: Iterable[tuple[int, int]]) -> str:
-    """Format spans of ticks: "3, 7 to 9"."""
-    return ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in spans)
+    spans = ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in merged)
+    return f"some messages of ticks {spans} did not reach the recorder" if merged else ""
 
 
 def _gaps(log: RunLog) -> Iterator[tuple[int, int]]:

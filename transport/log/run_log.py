@@ -44,11 +44,6 @@ def topic_of(message: Message) -> str:
     return _KEYS.of(message).removeprefix(_KEYS.prefix)
 
 
-def kind_of(topic: str) -> str:
-    """Return the message kind of a channel of `topic_of`."""
-    return topic.lstrip("/").split("/", 1)[0]
-
-
 M = TypeVar("M", bound=Message)
 
 
