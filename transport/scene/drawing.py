@@ -16,7 +16,7 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from model.arrays import Array
-from model.parameters import System, payload_corners, payload_half_size
+from model.parameters import System, payload_half_size
 from protocol.scenario.setup import Setup
 from transport.scene.scene import Scene, SceneBuilder
 
@@ -42,23 +42,22 @@ ROOT = "map"
 UPSIDE_DOWN: Pose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 
 _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150), (0, 0, 0)
-_CONTACT, _GROUND, _OBSTACLE = (178, 24, 43), (225, 222, 214), (196, 120, 60)
+_GROUND, _OBSTACLE = (225, 222, 214), (196, 120, 60)
 # Arm length, rotor radius, beam and body thickness of a drawn quadrotor, in parts of its span (rotor tip to rotor tip).
 _ARM, _ROTOR, _BEAM, _BODY = 0.31, 0.17, 0.02, 0.06
 # Its span, m, and at most this part of the smallest gap between UAVs, so that they do not overlap.
 _SPAN_M, _SPAN_OF_GAP = 0.9, 0.7
 # Thickness of the drawn payload, a plate through the attachments, and its least half width around the centre; length of
-# a thrust arrow at hover, and of its head; radius of the reference and of a contact; thickness of the ground, m.
+# a thrust arrow at hover, and of its head; radius of the reference; thickness of the ground, m.
 _PLATE_M, _CORE_M = 0.12, 0.15
 ARROW_M, _HEAD_M = 0.6, 0.05
-_GOAL_M, _CONTACT_M, _GROUND_M = 0.07, 0.03, 0.02
+_GOAL_M, _GROUND_M = 0.07, 0.02
 # Distance of the plane below everything where there is no ground, m.
 _BELOW_M = 0.5
 # Half size from which an obstacle counts as endless, and how far beyond the maneuver it is drawn then, m.
 _ENDLESS_M, _BEYOND_M = 1e4, 1.0
-# Points of a flown and of a reference path, and tolerance of the former in parts of the maneuver's size: wide lines are
-# a third of the work of a browser without a graphics processor.
-_POINTS, _POINTS_REFERENCE, _TOLERANCE = 240, 120, 5e-4
+# Points of a flown and of a reference path: wide lines are work for a browser without a graphics processor.
+_POINTS, _POINTS_REFERENCE = 160, 120
 # Points of the reference to a target, and targets drawn with so many: the newest ones.
 _POINTS_TARGET, _DRAWN_TARGETS = 30, 20
 # Dashes of half a link; the gap in each is the share of lost plans. A trace is left at 100 % loss.
@@ -164,7 +163,7 @@ class Drawing:
                 rod_I = scene.uavs_I[i] - scene.attachments_I[i]
                 turn, _ = Rotation.align_vectors(rod_I[None], [[0.0, 0.0, -1.0]])
                 poses[f"rod{i + 1}"] = scene.attachments_I[i], turn.as_matrix()
-        return poses | {f"contact{k + 1}": (corner_I, level) for k, corner_I in enumerate(scene.contacts_I)}
+        return poses
 
     def moving(self, scene: Scene, *, flown: bool = True) -> Iterator[Lines]:
         """Yield the lines of a scene, the same names for each; with `flown` the actual paths too.
@@ -194,7 +193,7 @@ class Drawing:
         """Return the actual paths until a scene."""
         payload_I, uavs_I = self._builder.paths(scene.tick, _POINTS)
         paths = [(_FLOWN, payload_I), *((uav_colour(i), uavs_I[:, i]) for i in range(self._N))]
-        drawn = [(colour, _segments(_simplified(path, _TOLERANCE * self.size))) for colour, path in paths]
+        drawn = [(colour, _segments(path)) for colour, path in paths]
         return _lines("actual paths", INERTIAL, "actual paths", 2.0, drawn)
 
     def _arrows(self, scene: Scene) -> Iterator[tuple[Colour, Array]]:
@@ -235,8 +234,6 @@ class Drawing:
             middle, width = np.round((self.low + self.high)[:2] / 2.0), np.ceil(0.7 * self.size)
             below = self._ground_m + np.array([1.0, 2.0]) * _GROUND_M  # below the grid of the viewer
             yield _solid("ground", INERTIAL, _prism(middle + width * _SQUARE, *below), _GROUND)
-            for k in range(len(payload_corners(system))):
-                yield _solid("contact", f"contact{k + 1}", _ball(_CONTACT_M), _CONTACT)
 
     def _uav(self, frame: str, colour: Colour) -> Iterator[Mesh]:
         """Yield body, beams and rotors of a quadrotor; its front rotors are dark."""
@@ -309,22 +306,6 @@ def tree(poses: Mapping[str, Pose]) -> Iterator[tuple[str, str, Pose]]:
 def quaternion(R: Array) -> Array:
     """Return the quaternion (w, x, y, z) of a rotation matrix, (4,)."""
     return np.asarray(np.roll(Rotation.from_matrix(R).as_quat(), 1))
-
-
-def _simplified(path: Array, tolerance_m: float) -> Array:
-    """Return a path, (k, 3), with fewer points, about as near to the original as the tolerance.
-
-    Every second point that is near enough to the line between its neighbours is removed, until none is.
-    """
-    while True:
-        before, middle, after = path[:-2:2], path[1:-1:2], path[2::2]
-        along = after - before
-        squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-12)
-        share = np.clip(np.einsum("ij,ij->i", middle - before, along) / squared, 0.0, 1.0)
-        near = np.linalg.norm(middle - before - share[:, None] * along, axis=1) <= tolerance_m
-        if not near.any():
-            return path
-        path = np.delete(path, 1 + 2 * np.flatnonzero(near), axis=0)
 
 
 def _segments(path: Array) -> Array:

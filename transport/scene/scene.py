@@ -11,7 +11,6 @@ import numpy as np
 from agent.announced import AnnouncedInputs
 from model import motors
 from model.arrays import Array
-from model.parameters import payload_corners
 from model.rotations import rotation
 from model.state import INPUTS, StateView
 from mpc.feedback import FeedbackError, FeedbackLaw
@@ -26,8 +25,6 @@ from transport.scene.history import LinkHistory, LinkState, RunHistory
 
 # Ticks after which a command no longer acts on the actual inputs.
 _FORGOTTEN = 100
-# A corner this near to the ground is drawn as touching it, m.
-_TOUCHING_M = 2e-3
 
 
 class PredictedPaths(NamedTuple):
@@ -52,7 +49,6 @@ class Scene:
     R_uavs: Array  # body to inertial frames, (N, 3, 3)
     attachments_I: Array  # of the rods to the payload, (N, 3)
     thrusts_I: Array  # forces, (N, 3), N
-    contacts_I: Array  # corners of the payload's box that touch the ground, (k, 3)
     predictions: tuple[PredictedPaths, ...]  # of the agents that made a plan at this tick
     links: tuple[LinkState, ...]  # between agents
     members: frozenset[int]  # agents on the roster
@@ -116,7 +112,6 @@ class SceneBuilder:
             R_uavs=R_uavs,
             attachments_I=np.array([view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]),
             thrusts_I=-plant_state.u[::INPUTS, None] * R_uavs[:, :, 2],
-            contacts_I=self._contacts(view.r0_I, R_payload),
             predictions=self._predictions(tick),
             links=self.link_history.states(tick),
             members=frozenset(setup.agents if roster is None else roster.agents),
@@ -135,15 +130,6 @@ class SceneBuilder:
         y, y_ref = setup.model.outputs(plant_state.x), setup.reference.outputs(time_s)[0]
         error_I = StateView(plant_state.x).r0_I - setup.maneuver.path(time_s)[0][0]
         return float(np.linalg.norm(error_I)), self._cost.at(tick, y, y_ref, plant_state.u)
-
-    def _contacts(self, r0_I: Array, R_payload: Array) -> Array:
-        """Return the corners of the payload's box on the ground, (k, 3), m; none without a ground."""
-        ground_m = self.setup.scenario.plant.ground_m
-        if ground_m is None:
-            return np.zeros((0, 3))
-        corners_I = r0_I + payload_corners(self.setup.system) @ R_payload.T
-        touching: Array = corners_I[corners_I[:, 2] > ground_m - _TOUCHING_M]
-        return touching
 
     def paths(self, tick: int, points: int) -> tuple[Array, Array]:
         """Return the flown paths until a tick, with about so many points.

@@ -8,7 +8,6 @@ from transport.scene.drawing import LAYERS
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
 from transport.viewer.controls import LinkControls, TargetControls, add_processes, from_browser
-from transport.viewer.playback import Playback
 from transport.viewer.plots import Plots
 from transport.viewer.view3d import View3D
 
@@ -19,15 +18,53 @@ _SLIDER_S = 20.0
 _SPEEDS = {f"{speed:g} x": speed for speed in (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)}
 
 
+class Playback:
+    """The tick to show; advanced by the drawing thread, changed by widgets on other threads.
+
+    Attributes:
+        speed: Playback speed, in multiples of real time.
+        follows, playing: Whether the newest tick is shown, or one after the other.
+    """
+
+    def __init__(self, period_s: float, *, follows: bool) -> None:
+        self._period_s, self._tick, self._last = period_s, 0.0, 0
+        self.speed, self.follows, self.playing = 1.0, follows, False
+
+    def advance(self, elapsed_s: float, first: int, last: int) -> int:
+        """Return the tick to show now, of those that can be shown, given the wall time since the previous call, s."""
+        self._last, tick = last, self._tick
+        if self.follows:
+            tick = float(last)
+        elif self.playing:
+            tick += elapsed_s * self.speed / self._period_s
+            self.playing = tick < last
+        self._tick = min(max(tick, float(first)), float(last))
+        return int(self._tick)
+
+    def seek(self, tick: int) -> None:
+        """Pause at a tick."""
+        self._tick, self.playing, self.follows = float(tick), False, False
+
+    def toggle(self) -> None:
+        """Pause if playing or following; otherwise play, from the beginning if at the end."""
+        self.playing = not (self.playing or self.follows)
+        self.follows = False
+        if self.playing and self._tick >= self._last:
+            self._tick = 0.0
+
+    def follow(self, wanted: bool) -> None:
+        """Follow the live run, or pause."""
+        self.follows, self.playing = wanted, False
+
+
 class Panel:
     """Widgets of one viewer, which change playback and view; with commands to the run if it is live."""
 
     def __init__(
         self, server: Any, builder: SceneBuilder, playback: Playback, view3d: View3D, commands: Commands | None
     ) -> None:
-        self._builder, self._playback, self._is_over = builder, playback, commands is None
-        self._setup, gui, is_live = builder.setup, server.gui, commands is not None
-        self._period_s = self._setup.settings.sampling_period_s
+        self._builder, self._playback, self._setup, gui = builder, playback, builder.setup, server.gui
+        self._period_s, is_live = self._setup.settings.sampling_period_s, commands is not None
         self._duration_s = self._setup.ticks * self._period_s
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
@@ -44,12 +81,12 @@ class Panel:
         follows = gui.add_checkbox("camera follows the team", is_live)
         with gui.add_folder("Run"):
             self._flight = gui.add_html("")
-        self._target, self._links, self._live = None, None, [self._follow]
+        self._target, self._live = None, [self._follow]
         if commands is not None:
-            self._target, self._links = TargetControls(server, builder, commands), LinkControls(gui, builder, commands)
-            self._live += [self._target.folder, self._links.folder]
+            self._target = TargetControls(server, builder, commands)
+            self._live += [self._target.folder, LinkControls(gui, builder, commands).folder]
         with gui.add_folder("Plots"):
-            self._plots = Plots(gui, builder, is_live=is_live)
+            self._plots = Plots(gui, builder)
         with gui.add_folder("Agents"):
             self._agents = gui.add_html("")
         if commands is not None:
@@ -81,32 +118,23 @@ class Panel:
 
     def show_playback(self) -> None:
         """Show whether the viewer plays or follows."""
-        if self._follow.value != self._playback.follows:
-            self._follow.value = self._playback.follows
-        label = "Pause" if self._playback.playing else "Play"
-        if self._play.label != label:
-            self._play.label = label
+        self._follow.value = self._playback.follows
+        self._play.label = "Pause" if self._playback.playing else "Play"
 
     def show(self, scene: Scene) -> None:
         """Show time, numbers and events of a scene."""
-        last_s = self._builder.history.last * self._period_s
-        while self._time.max < min(last_s, self._duration_s):
+        while self._time.max < min(self._builder.history.last * self._period_s, self._duration_s):
             self._time.max = min(2.0 * self._time.max, self._duration_s)
         self._time.value = scene.time_s
         self._plots.show(scene.tick)
         if self._target is not None:
             self._target.show(scene)
-        if self._links is not None:
-            self._links.begin()
-        behind_s = 0.0 if self._is_over else last_s - scene.time_s
-        watched = not self._is_over and self._playback.follows
-        self._flight.content = html.flight(scene, self._duration_s, behind_s, watched=watched)
+        self._flight.content = html.flight(scene, self._duration_s)
         self._agents.content = html.agents(scene, self._setup.owned, self._period_s)
         self._events.content = html.events(self._builder.history.events, scene.tick, self._period_s)
 
     def close_controls(self) -> None:
         """Hide the controls of a live run, which has ended."""
-        self._is_over = True
         for widget in self._live:
             widget.visible = False
         if self._target is not None:

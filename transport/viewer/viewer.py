@@ -22,8 +22,7 @@ from transport.scene.drawing import Drawing
 from transport.scene.history import KINDS, RunHistory
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
-from transport.viewer.panel import Panel
-from transport.viewer.playback import Playback
+from transport.viewer.panel import Panel, Playback
 from transport.viewer.server import Page, start_server
 from transport.viewer.view3d import View3D
 
@@ -46,24 +45,18 @@ class Viewer:
 
     Attributes:
         notice: The sentence on top of the panel.
-        address: URL for browsers; that of a live run, which a page can change, has a secret path.
+        address: URL for browsers, with a secret path.
         other_port: Sentence that the port is another than the requested one; empty if it is not.
 
     Raises: ViewerError: viser is not installed, or no port is free.
     """
 
     def __init__(
-        self,
-        builder: SceneBuilder,
-        *,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        notice: str = "",
-        tail: LogTail | None = None,
-        live: LiveRun | None = None,
-    ) -> None:
+        self, builder: SceneBuilder, *, host: str = "127.0.0.1", port: int = 8080, notice: str = "",
+        tail: LogTail | None = None, live: LiveRun | None = None,
+    ) -> None:  # fmt: skip
         self._builder, self._tail, self._is_over = builder, tail, live is None
-        self._server, self._guard, self.address = start_server(host, port, secret=live is not None)
+        self._server, self._guard, self.address = start_server(host, port)
         self._frame, got = 0, self._server.get_port()
         self.other_port = "" if port in (0, got) else f"port {port} is taken; the viewer listens on port {got}"
         self.playback = Playback(builder.setup.settings.sampling_period_s, follows=live is not None)
@@ -74,7 +67,7 @@ class Viewer:
         running = "live" if self._paced else f"live, without pacing: a frame every {_FRAME_UNPACED_S:g} s"
         self._set_notice(notice or ("" if live is None else running), warning=bool(notice))
         self._server.on_client_connect(self._add_page)
-        self._server.on_client_disconnect(self._remove_page)
+        self._server.on_client_disconnect(lambda client: self._guard.pages.pop(client.client_id, None))
         self._updated_s = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -103,10 +96,10 @@ class Viewer:
             self._panel.close_controls()
             reason = f", {control.reason}" if control.reason else ""
             self._set_notice(f"the run has ended: {control.outcome}{reason}", warning=bool(reason))
-        pages = list(self._guard.pages.values())
         if not self._is_over and not self.clients():
             return  # a browser that connects gets the newest frame
         self._panel.show_playback()
+        pages = list(self._guard.pages.values())
         if any(page.shown < page.sent and now_s - page.progress_s < _PATIENCE_S for page in pages):
             return
         if self.view3d.outdated or self.shown is None or history.nearest(tick) != self.shown.tick:
@@ -156,9 +149,6 @@ class Viewer:
             sent=self._frame, shown=self._frame, progress_s=time.monotonic(), receipt=client.gui.add_html("")
         )
         self.view3d.outdated = True
-
-    def _remove_page(self, client: Any) -> None:
-        self._guard.pages.pop(client.client_id, None)
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
