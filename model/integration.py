@@ -1,11 +1,7 @@
-"""Integration over an interval of constant input, with steps halved where they are not accurate.
-
-Calm motion takes equal steps in one compiled call. Violent motion takes shorter steps where its error estimate demands
-them. Which steps are taken depends on the numbers alone, so the result has the same bits in every process.
-"""
+"""Integration over an interval of constant input: equal steps in one call, halved ones where not accurate."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
@@ -13,22 +9,17 @@ import numpy as np
 from model.arrays import Array
 from model.compiled import Compiled
 
-# Shortest step, relative to the equal steps: 2.4 us of 10 ms.
-SHORTEST = 2.0**-12
-# Most steps tried in one integration, so that its time is bounded: about a second.
-MOST_STEPS = 20_000
-
+SHORTEST = 2.0**-12  # step, relative to the equal steps: 2.4 us of 10 ms
+MOST_STEPS = 20_000  # tried in one integration: about a second
 _BLOCK = 64  # equal steps in one call, so that memory does not grow with their number
-
-# What is constant during an integration: inputs, parameters, forces.
-Held = Sequence[Array]
+Held = Sequence[Array]  # inputs, parameters, forces
 
 
 class Integrator:
     """Integrator of one model by its compiled `step` (`model.compiled`)."""
 
     def __init__(self, step: ca.Function) -> None:
-        self._step, self._single, self._stepping = step, Compiled(step), Compiled(step)
+        self._step, self._single = step, Compiled(step)
         self._blocks: dict[int, Compiled] = {}
 
     def integrate(self, x: Array, held: Held, duration_s: float, steps: int, tolerance: float) -> tuple[Array, float]:
@@ -50,14 +41,6 @@ class Integrator:
                 return self._halved(steps, x, held, length_s, tolerance)
             largest = max(largest, error)
         return end, largest
-
-    def stepper(self, held: tuple[Array, Array], length_s: float) -> Callable[[Array, Array], Array]:
-        """Return the map from state and input to the state after a step, without its error; valid until the next one.
-
-        Parameters and forces are held.
-        """
-        evaluate, state = self._stepping.partial(*held, length_s), self._stepping.parts[0]
-        return lambda x, u: evaluate(x, u)[state]
 
     def _halved(self, steps: int, x: Array, held: Held, length_s: float, tolerance: float) -> tuple[Array, float]:
         """Return the state after steps, each halved until its local error estimate is within the tolerance."""

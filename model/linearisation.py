@@ -20,11 +20,7 @@ from model.state import input_indices
 
 @dataclass(frozen=True, kw_only=True)
 class Linearisation:
-    """The first-order expansion about (x0, u0), which need not be an equilibrium.
-
-    A_c and B_c are kept as factors and multiplied out where they are asked for. Source: docs/equations.md (15), (15b);
-    paper (13).
-    """
+    """The first-order expansion about (x0, u0), any; A_c and B_c are kept as factors: equations.md (15), (15b)."""
 
     f: Array  # x' at (x0, u0), (n,), SI
     y: Array  # h(x0), (p,)
@@ -58,9 +54,9 @@ class Linearisation:
 class Model:
     """The equations of motion of one system, evaluated numerically.
 
-    External forces, where a method takes them, are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs,
-    (3 + 3 N,), inertial frame, N; zero by default. A mass that the payload has beyond the known one, kg, may follow.
-    Inputs of UAVs that are off, 0-based, and forces on those released from their rods have no effect.
+    External forces are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs, (3 + 3 N,), inertial frame, N;
+    the payload's mass beyond the known one, kg, may follow. Inputs of UAVs off, 0-based, and forces on released ones
+    have no effect.
     """
 
     def __init__(self, system: System, off: Collection[int] = (), released: Collection[int] = ()) -> None:
@@ -158,29 +154,23 @@ class Model:
         self, x: Array, u: Array, duration_s: float, steps: int, *, forces: Array | None = None,
         tolerance: float = math.inf,
     ) -> tuple[Array, float]:  # fmt: skip
-        """Return the state after `duration_s` of constant input, by Dormand-Prince steps of order 5: (13b), (13c).
+        """Return the state after `duration_s` of constant input, (n,), and the largest local error estimate, SI.
 
-        The steps, >= 1, are equal if none of their error estimates exceeds the tolerance. Otherwise the interval is
-        integrated again, with steps halved where their estimate exceeds it. The rods are projected back after each.
-
-        Returns: State, (n,), and the largest local error estimate of any step and component, SI. It exceeds the
-            tolerance only where the shortest or the most possible steps (model/integration.py) do not suffice.
+        Dormand-Prince steps of order 5, >= 1, are equal, or halved where their estimate exceeds the tolerance; the rods
+        are projected back after each. Source: docs/equations.md (13b), (13c).
         """
         x, *held = self._arguments(x, u, forces)
         return self._integrator.integrate(x, held, duration_s, steps, tolerance)
 
     def stepper(self, duration_s: float, forces: Array | None = None) -> Callable[[Array, Array], Array]:
-        """Return the map from state and input to the state after one step of `integrate`; valid until the next one."""
-        step = self._integrator.stepper(self._acting(forces), duration_s)
-        return step if not len(self._off) else lambda x, u: step(x, _zeroed(u, self._off))
+        """Return the map from state and input to the state after one step of `integrate`, without its error."""
+        held, step = self._acting(forces), self._compiled["step"]
+        return lambda x, u: step.flat(x, _zeroed(u, self._off), *held, duration_s)[: len(x)]
 
     def rollout(
         self, x: Array, at_x: Array, K: Array, bounds: tuple[Array, Array], duration_s: float, forces: Array | None
     ) -> tuple[Array, Array] | None:
-        """Return states and inputs under u = at_x + K (x(k) - x) within bounds, in one call; steps as in `stepper`.
-
-        None without compiled kernels, or if the model is not compiled or motors are off.
-        """
+        """Return states and inputs under u = at_x + K (x(k) - x) within bounds, in one call; None if not compiled."""
         if self._native is None or len(self._off):
             return None
         return self._native.rollout(x, at_x, K, bounds, self._acting(forces), duration_s)
