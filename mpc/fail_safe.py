@@ -1,7 +1,4 @@
-"""The fail-safe of a UAV whose plan has run out: hover thrust, and level attitude or the way along the reference.
-
-The plant's actuators follow it, and controllers predict a UAV without an agent by it.
-"""
+"""The fail-safe of a UAV whose plan has run out: hover thrust, and level attitude or the way along the reference."""
 
 from collections.abc import Collection
 from copy import copy

@@ -1,8 +1,4 @@
-"""Linear analysis of the sampled loop about hover: plant, actuators, estimators and control laws of a whole team.
-
-The plant between the sampling instants is exact. The controllers are those of a run, without limits and constraints.
-The eigenvalues of the step from one sampling instant to the next tell whether the hover is stable.
-"""
+"""Linear analysis of the sampled loop about hover: exact plant, actuators, estimators and control laws of a team."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -144,10 +140,7 @@ class Loop:
     def _estimate(
         self, agent: int, known: Sequence[Array], commands: Sequence[Array], guess: Array
     ) -> tuple[Array, Array]:
-        """Return an agent's estimate of the state of its plan, and what it assumes of UAVs without agents.
-
-        Given are states, of now and before, and commands, newest first, and that assumption one instant earlier.
-        """
+        """Return an agent's estimate of the state of its plan, and of UAVs without agents, from states and commands."""
         own, age, ahead = self._controllers[agent].own, self._age, int(self._next_tick)
         x, offset = known[age].copy(), np.zeros(0)
         x[self._lost] = guess

@@ -29,8 +29,7 @@ T = TypeVar("T")
 # Instants before a change of the reference for which its law is kept: more than estimators look back.
 KEPT = 128
 _NO_CORRECTIONS = np.zeros((1, 0))
-# Regulators and previews by model, team and identities of what else they follow from, kept beside them: computed once
-# for all controllers of a process; the oldest are forgotten.
+# Results by model, team and identities of what else they follow from, which are kept beside them: the newest ones.
 _MOST_FOUND = 64
 _FOUND: WeakKeyDictionary[Model, dict[tuple[Any, ...], tuple[Any, tuple[object, ...]]]] = WeakKeyDictionary()
 
@@ -96,12 +95,10 @@ class Regulation:
     def form(
         self, gone: Collection[int], off: Collection[int], released: Collection[int], *, since: int | None = None
     ) -> None:
-        """Set the UAVs, 0-based, without an agent, without motors, and of these those released from their rods.
+        """Set the UAVs, 0-based, without an agent, without motors, and of these the released ones: (45), (50), (51).
 
-        The shared control law depends on nothing else: it is the same in all agents. Along a reference, that of a new
-        team takes the work of several instants: if the present one is given, `advance` completes it.
-        If the remaining UAVs have no hover or cannot stabilise the team, the regulator ignores the lost agents, else
-        the failures, else both. Source: equations.md (40), (45), (50), (51).
+        Along a reference, if the present instant is given, `advance` completes the law. If the remaining UAVs cannot
+        stabilise the team, the regulator ignores the lost agents, else the failures, else both.
         """
         gone, off, released, none = frozenset(gone), frozenset(off), frozenset(released), frozenset[int]()
         for team in ((gone, off, released), (none, off, released), (gone, none, none)):
@@ -120,10 +117,7 @@ class Regulation:
         return True
 
     def head(self, X_ref: Array, ahead: Ahead) -> bool:
-        """Follow another reference from the present instant on; the law before it stays as it was.
-
-        Given are all reference states, (K, n), for UAVs without an agent, and the new part. Returns: as `advance`.
-        """
+        """Follow another reference, of states X_ref, (K, n), from the present instant on. Returns: as `advance`."""
         completed = self._recursion is not None and self.advance(self._recursion.ready)
         self._ahead, self._preview_before = (ahead,), self._preview
         self._X_ref = None if self._X_ref is None else ahead.X_ref
@@ -171,8 +165,8 @@ class Regulation:
     def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
         """Return the shared control law over the horizon; None with open-loop prediction: equations.md (35), (40).
 
-        Given are the state at its first step, (n,), with motor lag [x, actual inputs], (n + m,), reference states,
-        (N_p, n), announced corrections, (N_p, m), estimated forces (`Model`), and the instant of the first step.
+        Given are the state at its first step, (n,) or (n + m,), at instant `start`, references, (N_p, n), announced
+        corrections, (N_p, m), and estimated forces (`Model`).
         """
         if self.regulator is None or self._settings.prediction != "closed_loop":
             return None
@@ -218,10 +212,7 @@ class Regulation:
         return self.regulator.K
 
     def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
-        """Return the cost after the horizon, (36d); None if a multiple of the stage cost, or part of the law's weights.
-
-        Reference state, (n,), and instant are those of step N_p; the rest as in `law`.
-        """
+        """Return the cost after the horizon, (36d), if any; reference, (n,), and instant are those of step N_p."""
         if self.regulator is None or self._settings.terminal != "riccati" or self._track is not None:
             return None
         error, slope = self._error(x0, x_ref), np.zeros_like(x0)
@@ -299,10 +290,7 @@ class Regulation:
             self._preview = seen if before is None else continued(before, seen, KEPT)
 
     def _shared(self, what: str, compute: Callable[[], T]) -> T:
-        """Return a result for this team, computed by the first controller of the reference that needs it.
-
-        Not for others: the number of BLAS threads, which decides the order of sums, may differ.
-        """
+        """Return a result for this team, computed by the first controller of the reference that needs it."""
         origin = self._follows_from if what == "regulator" else (*self._follows_from, *self._ahead)
         found, key = _FOUND.setdefault(self._whole, {}), (what, *map(id, origin), *self._team)
         if key not in found:

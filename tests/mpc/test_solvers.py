@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from model.arrays import Array
-from mpc import solvers
-from mpc.qp import QP, RESIDUAL_TOLERANCE, residuals
+from mpc import qp as solvers
+from mpc.qp import QP, RESIDUAL_TOLERANCE, residuals, solve, solve_clarabel, solve_daqp
 from mpc.settings import SolverName
-from mpc.solvers import solve, solve_clarabel, solve_daqp
 from tests.support.programs import collected, random_qp, without_solution
 
 # Relative to the largest entry: two solvers meeting the residual tolerance on well-conditioned programs.

@@ -78,12 +78,12 @@ class TargetControls:
         self._set(self._place_I + _STEP_M * np.array(STEPS[label][0]))
         self._go(self._place_I)
 
-    def _typed_place(self, _: object) -> None:
+    def _typed_place(self, event: Any) -> None:
         time.sleep(_TYPED_S)
         try:
             x, y, z = map(float, self._typed.value.replace(",", " ").split())
         except ValueError:
-            self._state.content = html.notice(f"expected three numbers, got {self._typed.value[:40]!r}", warning=True)
+            event.client.add_notification("Target", f"expected three numbers, got {self._typed.value[:40]!r}")
             return
         self._set(np.array([x, y, z]))
         self._go(self._place_I)

@@ -67,7 +67,7 @@ class Viewer:
         running = "live" if self._paced else f"live, without pacing: a frame every {_FRAME_UNPACED_S:g} s"
         self._set_notice(notice or ("" if live is None else running), warning=bool(notice))
         self._server.on_client_connect(self._add_page)
-        self._server.on_client_disconnect(lambda client: self._guard.pages.pop(client.client_id, None))
+        self._server.on_client_disconnect(self._remove_page)
         self._updated_s = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -149,6 +149,9 @@ class Viewer:
             sent=self._frame, shown=self._frame, progress_s=time.monotonic(), receipt=client.gui.add_html("")
         )
         self.view3d.outdated = True
+
+    def _remove_page(self, client: Any) -> None:
+        self._guard.pages.pop(client.client_id, None)
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
