@@ -70,17 +70,17 @@ class Controller:
         self, x0: Array, u0: Array, U: Array, y_ref: Array, law: FeedbackLaw | None = None,
         forces: Array | None = None, ticks_since_start: int | None = None, end: CostToGo | None = None,
     ) -> StepResult:  # fmt: skip
-        """One step of the controller. Never raises for a problem without solution.
+        """Return the plan of one step; never raises for a problem without solution.
 
         Args:
             x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
             u0: Inputs in force just before it, all UAVs, (m,): linearisation point and origin of the rates.
             U: Announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan, shifted.
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
-            law: Shared control law over the horizon (`law`), with closed-loop prediction.
+            law: Shared control law over the horizon, with closed-loop prediction.
+            end: The cost after the horizon, with terminal "riccati".
             forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
             ticks_since_start: Ticks since this controller began; see `conclude`.
-            end: The cost after the horizon (`end`), with terminal "riccati".
         """
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from model import flat
-from model.arrays import Array, Rows, continued, padded, rows
+from model.arrays import Array, continued, padded, rows
 from model.failure import failed_hover, failed_model
 from model.flat import Track
 from model.hover import Hover
@@ -72,10 +72,8 @@ class Regulation:
         self._whole_track = track
         self._X_ref = X_ref if settings.preview and track is None else None
         self._follows_from = (hover, settings, X_ref, track)
-        # The newest change of the reference, and the preview before it.
-        self._ahead: tuple[Ahead, ...] = ()
+        self._ahead: tuple[Ahead, ...] = ()  # the newest change of the reference, and the preview before it
         self._preview_before: Preview | None = None
-        self._value_on_reference()
         self._preview: Preview | None = None
         self.regulator: Regulator | None = None  # None if the settings need none
         self._tracker: Tracker | None = None
@@ -121,7 +119,6 @@ class Regulation:
         completed = self._recursion is not None and self.advance(self._recursion.ready)
         self._ahead, self._preview_before = (ahead,), self._preview
         self._X_ref = None if self._X_ref is None else ahead.X_ref
-        self._value_on_reference()
         if self._whole_track is not None and ahead.track is not None:
             self._whole_track = continued(self._whole_track, ahead.track, KEPT)
         self._whole_fail_safe = self._whole_fail_safe.following(X_ref, self._whole_track)
@@ -217,7 +214,7 @@ class Regulation:
             return None
         error, slope = self._error(x0, x_ref), np.zeros_like(x0)
         if self._preview is not None:
-            slope = self._preview.slope[_within(self._preview, instant, 1)][0]
+            slope = self._preview.slope[rows(instant - self._preview.first, 1, len(self._preview.slope))][0]
         if forces is not None:
             forces = self._model.at_rest(forces)
             error = error - self._shift(forces)
@@ -228,15 +225,14 @@ class Regulation:
         """Return the response to the reference ahead from instant `start` on, (steps, m); zero without preview."""
         if self._preview is None:
             return np.zeros((steps, self._model.system.m))
-        return self._preview.feedforward[_within(self._preview, start, steps)]
+        return self._preview.feedforward[rows(start - self._preview.first, steps, len(self._preview.slope))]
 
     def _error(self, x0: Array, x_ref: Array) -> Array:
         """Return the deviation of a state from reference states, (..., n); actual inputs deviate from hover."""
-        n = x_ref.shape[-1]
-        if len(x0) == n:
-            return x0 - x_ref
-        actual = np.broadcast_to(x0[n:] - self.hover.u, (*x_ref.shape[:-1], len(x0) - n))
-        return np.concatenate([x0[:n] - x_ref, actual], axis=-1)
+        if len(x0) > x_ref.shape[-1]:
+            actual = np.broadcast_to(self.hover.u, (*x_ref.shape[:-1], len(self.hover.u)))
+            x_ref = np.concatenate([x_ref, actual], axis=-1)
+        return x0 - x_ref
 
     def _shift(self, forces: Array) -> Array:
         """Return the deviation of the target from hover under forces, (n,); in it the actual inputs are the command."""
@@ -272,17 +268,13 @@ class Regulation:
         fixed = {uav: (partial(on_reference, uav), feedback) for uav, feedback in self._uncontrolled.items()}
         return Recursion(self._model, track, found, self.cost, self.user_costs, period_s, fixed, before, since)
 
-    def _value_on_reference(self) -> None:
-        """Evaluate the user's terms on the reference, (K, terms): no team changes them."""
-        known = () if self._X_ref is None else self._X_ref
-        self._on_reference = np.array([self.user_costs.at(x)[0] for x in known])
-
     def _foresee(self, found: Regulator) -> None:
         """Compute the response to the reference from its newest change on; that before stays as it was."""
         if self._X_ref is not None:
             # On the reference, the output error is zero; the user's terms are not.
             states, further = len(found.T), self.user_costs.about(self.hover.x)
-            pull = (np.sqrt(self.user_costs.weights) * self._on_reference) @ padded(further, states)
+            on_reference = np.array([self.user_costs.at(x)[0] for x in self._X_ref])
+            pull = (np.sqrt(self.user_costs.weights) * on_reference) @ padded(further, states)
             # The actual inputs of the reference are those of hover: their deviation from the last ones is zero.
             X_ref, first = padded(self._X_ref, states), self._ahead[0].first if self._ahead else 0
             seen = self._shared("preview", lambda: feedback.preview(found, X_ref, pull, first))
@@ -312,8 +304,3 @@ class Regulation:
             feedforward[regulator.controlled] = regulator.preview_gain @ p
             self._by_forces = feedforward, regulator.T @ p
         return self._by_forces
-
-
-def _within(preview: Preview, start: int, steps: int) -> Rows:
-    """Return the rows of instants of the maneuver; later ones are replaced by its last."""
-    return rows(start - preview.first, steps, len(preview.slope))

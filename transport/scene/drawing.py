@@ -1,8 +1,7 @@
 """Drawing of a run: lines, meshes and labels in moving frames, which browser, Foxglove and figures show alike.
 
-Bodies are fixed in their frames, so that a browser, which applies the poses of a frame at once but the points of lines
-one drawing later, never tears them apart; lines that change lie in frames that move with the team or the payload. All
-frames are relative to the inertial one, z down; lengths in m.
+Bodies are fixed in their frames; lines that change lie in frames that move with the team or the payload, as a browser
+draws their points later than poses. All frames are relative to the inertial one, z down; lengths in m.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -103,22 +102,13 @@ Part = Lines | Mesh | Label
 
 
 class Drawing:
-    """Drawing of one run.
-
-    Attributes:
-        fixed: Parts that stay as they are in their frames.
-        low, high: Corners of the box around the maneuver, (3,), inertial frame, with the UAVs' arrows and names.
-        start_I: Position of the payload at the start of the reference, (3,), inertial frame.
-        team_I: Middle of the UAVs at this start, (3,), m.
-        size: Diagonal of this box.
-        floor: z of the ground, or of a plane below everything, inertial frame.
-        span: Span of a drawn quadrotor.
-    """
+    """Drawing of one run: parts that stay as they are in their frames, `fixed`, and those of a scene."""
 
     def __init__(self, builder: SceneBuilder) -> None:
         self._builder, self._setup = builder, builder.setup
         self._N = self._setup.system.N
         payload_I, uavs_I = self._reference()
+        # Start of payload and of the middle of the UAVs, (3,); box around the maneuver and arrows; its diagonal.
         self.start_I, self.team_I = payload_I[0], uavs_I[0].mean(axis=0)
         everything = np.vstack([payload_I, uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * ARROW_M])])
         self.low, self.high = everything.min(axis=0), everything.max(axis=0)
@@ -166,10 +156,7 @@ class Drawing:
         return poses
 
     def moving(self, scene: Scene, *, flown: bool = True) -> Iterator[Lines]:
-        """Yield the lines of a scene, the same names for each; with `flown` the actual paths too.
-
-        A new target also changes the lines of the reference among the fixed parts, once.
-        """
+        """Yield the lines of a scene, with `flown` the actual paths too, after a new target those of the reference."""
         targets = len(self._builder.setup.maneuver.targets)
         if targets != self._targets:
             self._targets, self.fixed = targets, tuple(self._fixed())
@@ -261,10 +248,7 @@ def uav_colour(i: int) -> Colour:
 
 
 def age_colour(age_s: float | None, period_s: float) -> Colour:
-    """Return the colour of a link by the age of the newest plan, s; None for no plan.
-
-    A plan that is one sampling period old is fresh: on a perfect network there is no newer one.
-    """
+    """Return the colour of a link by the age of the newest plan, s, fresh until one period; None for no plan."""
     if age_s is None or age_s > _OLDEST_S:
         return DARK
     ages_s = min(period_s, _FRESH_S), *_AGES_S
@@ -288,10 +272,7 @@ def obstacles(setup: Setup, low: Array, high: Array) -> Iterator[Mesh]:
 
 
 def payload_points(system: System, *, grounded: bool = False) -> Array:
-    """Return the corners of a plate with all attachments on its top, (V, 3), payload frame.
-
-    Where there is a ground, the plate is as thick as the box that touches it.
-    """
+    """Return the corners of a plate below all attachments, (V, 3), payload frame; on a ground it is the box there."""
     flat = np.vstack([[uav.rho[:2] for uav in system.uavs], _CORE_M * _SQUARE])
     height = float(np.mean([uav.rho[2] for uav in system.uavs]))
     return _prism(flat, height, float(payload_half_size(system)[2]) if grounded else height + _PLATE_M)

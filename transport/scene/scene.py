@@ -61,15 +61,11 @@ class Scene:
 
 
 class SceneBuilder:
-    """Builder of the scenes of one run, whose history may grow.
-
-    Attributes:
-        start_I: Positions of the UAVs at the start of the reference, (N, 3), inertial frame, m.
-        hover_N: Mean thrust of a UAV at hover, N.
-    """
+    """Builder of the scenes of one run, whose history may grow."""
 
     def __init__(self, setup: Setup, history: RunHistory) -> None:
         self.history, self.link_history = history, LinkHistory(history)
+        # Positions of the UAVs at the start of the reference, (N, 3), m, and mean thrust of a UAV at hover, N.
         self.start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N].reshape(-1, 3)
         self.hover_N = float(np.mean(setup.hover.u[::INPUTS]))
         self._cost = StageCost(setup)
@@ -83,10 +79,7 @@ class SceneBuilder:
 
     @classmethod
     def of(cls, setup: Setup, log: RunLog) -> "SceneBuilder":
-        """Return the builder for a recorded run.
-
-        Raises: LogError: the log holds no readable plant state.
-        """
+        """Return the builder for a recorded run. Raises: LogError: the log holds no readable plant state."""
         history = RunHistory(setup)
         history.add(entry.message for entry in log.messages)
         if history.last < 0:
@@ -132,10 +125,7 @@ class SceneBuilder:
         return float(np.linalg.norm(error_I)), self._cost.at(tick, y, y_ref, plant_state.u)
 
     def paths(self, tick: int, points: int) -> tuple[Array, Array]:
-        """Return the flown paths until a tick, with about so many points.
-
-        Returns: Payload (k, 3) and UAVs (k, N, 3), inertial frame, m.
-        """
+        """Return the flown paths of payload, (k, 3), and UAVs, (k, N, 3), m, until a tick, by some points."""
         ticks = sorted(k for k in self.history.plant_states if k < tick)
         positions = np.array([self._position(k) for k in [*ticks[:: max(1, len(ticks) // points)], tick]])
         return positions[:, 0], positions[:, 1:]
@@ -159,14 +149,9 @@ class SceneBuilder:
         return tuple(predictions)
 
     def _predicted_states(self, agent: int, tick: int) -> Array | None:
-        """Return the states an agent predicted with its plan of a tick, k: the trajectory of the nonlinear model.
+        """Return the states that an agent predicted with its plan of a tick, (N_p + 1, n): equations.md (32), (35).
 
-        With closed-loop prediction every agent applies the shared control law with its announced corrections, otherwise
-        its announced inputs.
-
-        Returns: States at ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k, or an agent or UAV was
-            off the roster.
-        Source: docs/equations.md (32), (35).
+        None without a plan of that tick, and while an agent or UAV is off the roster.
         """
         history, setup = self.history, self.history.setup_at(tick)
         own, plant_state, roster = history.plans.get((agent, tick)), history.plant_states[tick], history.roster(tick)

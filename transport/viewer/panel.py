@@ -19,12 +19,7 @@ _SPEEDS = {f"{speed:g} x": speed for speed in (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)}
 
 
 class Playback:
-    """The tick to show; advanced by the drawing thread, changed by widgets on other threads.
-
-    Attributes:
-        speed: Playback speed, in multiples of real time.
-        follows, playing: Whether the newest tick is shown, or one after the other.
-    """
+    """The tick to show: of the run that it follows, or of a playback; widgets change it on other threads."""
 
     def __init__(self, period_s: float, *, follows: bool) -> None:
         self._period_s, self._tick, self._last = period_s, 0.0, 0

@@ -16,17 +16,12 @@ _TURNED = 1e-3
 
 
 class View3D:
-    """3D view of one run.
-
-    Attributes:
-        shown: The scene in the current frame.
-        outdated: Whether the current frame lacks something: a layer that was hidden, or a new page.
-    """
+    """3D view of one run."""
 
     def __init__(self, server: Any, drawing: Drawing, *, follows: bool) -> None:
         self._server, self._drawing = server, drawing
-        self.shown: Scene | None = None
-        self.outdated = True
+        self.shown: Scene | None = None  # in the current frame
+        self.outdated = True  # whether that lacks something: a layer that was hidden, or a new page
         self._frames: dict[str, Any] = {}
         self._nodes: dict[str, Any] = {}
         self._layers: dict[str, list[Any]] = {name: [] for name in ("", *LAYERS)}

@@ -38,17 +38,10 @@ _NICE = 10
 
 
 class Viewer:
-    """Viewer of one run, on the first free port from `port` on, or on any for 0.
+    """Viewer of one run, on the first free port from `port` on, or on any for 0; its URL for browsers is `address`.
 
     A live run has a log that is read as it grows, and takes requests. A notice, such as what a log lacks, is on top of
-    the panel.
-
-    Attributes:
-        notice: The sentence on top of the panel.
-        address: URL for browsers, with a secret path.
-        other_port: Sentence that the port is another than the requested one; empty if it is not.
-
-    Raises: ViewerError: viser is not installed, or no port is free.
+    the panel. Raises: ViewerError: viser is not installed, or no port is free.
     """
 
     def __init__(
@@ -155,11 +148,7 @@ class Viewer:
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
-    """Return the viewer of the run in a folder, live or recorded, that listens on the first free port from `port` on.
-
-    Raises: ViewerError, LogError: it cannot listen, or there is nothing to show; ScenarioError: the folder's scenario
-        cannot be read.
-    """
+    """Return the viewer of the run in a folder, live or recorded. Raises: ViewerError, LogError, ScenarioError."""
     running = read_live_run(folder)
     if running is not None:
         os.nice(_NICE)
