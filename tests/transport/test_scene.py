@@ -51,10 +51,10 @@ def lagging(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
     return builder_of(tmp_path_factory.mktemp("lagging"), DARK, LATE, *LAW, *MOTORS)
 
 
-@pytest.fixture(scope="module", params=[(), MOTORS], ids=["ideal", "lagging"])
-def centralized(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
+@pytest.fixture(scope="module")
+def centralized(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
     """One agent that owns all UAVs."""
-    return builder_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]", *request.param)
+    return builder_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]")
 
 
 def test_positions_at_hover(distributed: SceneBuilder) -> None:

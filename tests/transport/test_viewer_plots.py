@@ -19,7 +19,7 @@ from transport.flight.live import LiveRun
 from transport.log.run_log import LogTail
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
-from transport.viewer.plots import Plots
+from transport.viewer.panel import Plots
 from transport.viewer.viewer import Viewer
 
 NEAR_M = 1e-6

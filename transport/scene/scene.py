@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.announced import AnnouncedInputs
-from model import motors
 from model.arrays import Array
 from model.rotations import rotation
 from model.state import INPUTS, StateView
@@ -22,9 +21,6 @@ from protocol.scenario.stage_cost import StageCost
 from protocol.wire.messages import StepReport
 from transport.log.run_log import LogError, RunLog
 from transport.scene.history import LinkHistory, LinkState, RunHistory
-
-# Ticks after which a command no longer acts on the actual inputs.
-_FORGOTTEN = 100
 
 
 class PredictedPaths(NamedTuple):
@@ -163,7 +159,7 @@ class SceneBuilder:
         announced.add(own)
         x, z0, forces = plant_state.x, plant_state.x, np.zeros(3 + 3 * setup.system.N)
         if setup.settings.motor_lag_s > 0.0:
-            z0 = np.concatenate([x, self._actual_inputs(tick)])
+            z0 = np.concatenate([x, plant_state.u])  # as if the motors had followed
         if report is not None:
             forces[:3] = report.force
             for peer, age in zip(report.peers, report.plan_ages, strict=True):
@@ -201,15 +197,3 @@ class SceneBuilder:
             found.head(setup.X_ref, setup.ahead)
             self._newest = setup.ahead, found
         return self._newest[1]
-
-    def _actual_inputs(self, tick: int) -> Array:
-        """Return the actual inputs at a tick as its agents estimate them: by the lag from the commands before, (m,)."""
-        settings, system = self.setup.settings, self.setup.system
-        gains = None if system.rate_gains is None else tuple(system.rate_gains.tolist())
-        # What is left of deviations from commands after a period.
-        left = motors.shares(settings.motor_lag_s, settings.sampling_period_s, gains, system.N)[2]
-        a: Array = self.setup.hover.u
-        for k in range(max(0, tick - _FORGOTTEN), tick):
-            if (before := self.history.plant_states.get(k)) is not None:
-                a = before.u + left[0] * (a - before.u) + left[1] * (motors.commanded_states(before.x) - before.u)
-        return a
