@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from model import compiler, dynamics, rotations, state
-from model.arrays import Array, ShapeError
+from model.arrays import Array
 from model.dynamics import Symbols
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
@@ -44,7 +44,6 @@ class Compiled:
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = function.buffer()
-        self._name: str = function.name()
         self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
         ends = np.cumsum([0, *(function.nnz_out(i) for i in range(function.n_out()))]).tolist()
         self.parts = [slice(begin, end) for begin, end in itertools.pairwise(ends)]  # of the outputs in that of `flat`
@@ -71,9 +70,6 @@ class Compiled:
     def flat(self, *arguments: Array | float) -> Array:
         """Return the entries of all outputs in one new array; `parts` are their places."""
         for own, argument in zip(self._arguments, arguments, strict=True):
-            size = argument.size if isinstance(argument, np.ndarray) else 1
-            if size != own.size:
-                raise ShapeError(f"{self._name}: expected an argument of {own.size} numbers, got {size}")
             own[:] = argument
         self._evaluate()
         return self._results.copy()

@@ -108,7 +108,6 @@ def test_a_recorded_run_is_shown(recorded: Path, window: Browser) -> None:
     with shown(recorded) as viewer:
         window.open(viewer.address)
         assert wait_for(lambda: "hover" in (window.text() or ""))
-        assert window.driver.title == "transport: paper"
         before, pixels, plots = viewer.view3d.payload_I, window.pixels(), window.plots()
         window.press(1.5, END)
         assert wait_for(lambda: viewer.shown is not None and viewer.shown.tick == 29)
@@ -399,7 +398,6 @@ def test_the_command_listens_here_alone_until_ctrl_c(recorded: Path) -> None:
         with open_viewer(recorded, "127.0.0.1", port) as second:
             got = int(second.address.rpartition(":")[2].partition("/")[0])
             assert got > port
-            assert second.other_port == f"port {port} is taken; the viewer listens on port {got}"
     finally:
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=PATIENCE_S)

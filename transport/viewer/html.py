@@ -1,6 +1,5 @@
 """HTML of the panel: notice, tables of payload and agents, events and legend."""
 
-import json
 from collections.abc import Iterable, Sequence
 from html import escape
 
@@ -16,18 +15,11 @@ _ALARM = "color:#b2182b"
 # Ages in the legend, s.
 _AGES = ((0.0, "fresh"), (0.2, "0.2 s"), (0.5, "0.5 s"))
 _SHOWN_EVENTS = 5
-# An image of one pixel.
-_PIXEL = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"
 
 
-def image(source: str = _PIXEL, onload: str = "") -> str:
-    """Return an invisible image, which a page asks the server for, and a script that runs once it is loaded."""
-    return f'<img src="{source}" alt="" style="display:none" onload="{escape(onload)}">'
-
-
-def tab_title(name: str) -> str:
-    """Return an image that names the tab of the browser; viser has no call for that."""
-    return image(onload=f"document.title = {json.dumps(f'transport: {name}')}")
+def image(source: str) -> str:
+    """Return an invisible image, which a page asks the server for."""
+    return f'<img src="{source}" alt="" style="display:none">'
 
 
 def notice(text: str, *, warning: bool) -> str:

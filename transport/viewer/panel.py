@@ -15,8 +15,6 @@ from transport.viewer.controls import LinkControls, TargetControls, add_processe
 from transport.viewer.view3d import View3D
 
 _WHOLE, _TEAM = "whole path", "team"
-# First length of the time slider of a live run, s; it doubles.
-_SLIDER_S = 20.0
 # Playback speeds by label.
 _SPEEDS = {f"{speed:g} x": speed for speed in (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)}
 # Time axis, s; points of a curve.
@@ -130,11 +128,8 @@ class Panel:
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         gui.set_panel_label(f"transport: {self._setup.scenario.name}")
-        gui.add_html(html.tab_title(self._setup.scenario.name))
         self._notice = gui.add_html("")
-        # That of a live run grows with it.
-        shown_s = min(_SLIDER_S, self._duration_s) if is_live else self._duration_s
-        self._time = gui.add_slider("time (s)", 0.0, shown_s, self._period_s, 0.0)
+        self._time = gui.add_slider("time (s)", 0.0, self._duration_s, self._period_s, 0.0)
         self._play = gui.add_button("Play")
         speed = gui.add_dropdown("speed", tuple(_SPEEDS), initial_value="1 x")
         self._follow = gui.add_checkbox("follow the run", playback.follows, visible=is_live)
@@ -184,8 +179,6 @@ class Panel:
 
     def show(self, scene: Scene) -> None:
         """Show time, numbers and events of a scene."""
-        while self._time.max < min(self._builder.history.last * self._period_s, self._duration_s):
-            self._time.max = min(2.0 * self._time.max, self._duration_s)
         self._time.value = scene.time_s
         self._plots.show(scene.tick)
         if self._target is not None:

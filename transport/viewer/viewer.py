@@ -50,15 +50,13 @@ class Viewer:
     ) -> None:  # fmt: skip
         self._builder, self._tail, self._is_over = builder, tail, live is None
         self._server, self._guard, self.address = start_server(host, port)
-        self._frame, got = 0, self._server.get_port()
-        self.other_port = "" if port in (0, got) else f"port {port} is taken; the viewer listens on port {got}"
+        self._frame = 0
         self.playback = Playback(builder.setup.settings.sampling_period_s, follows=live is not None)
         self.view3d = View3D(self._server, Drawing(builder), follows=live is not None)
         commands = None if live is None else Commands(live, self._show_result)
         self._panel = Panel(self._server, builder, self.playback, self.view3d, commands)
         self._paced = builder.setup.scenario.clock.speed > 0.0
-        running = "live" if self._paced else f"live, without pacing: a frame every {_FRAME_UNPACED_S:g} s"
-        self._set_notice(notice or ("" if live is None else running), warning=bool(notice))
+        self._set_notice(notice or ("" if live is None else "live"), warning=bool(notice))
         self._server.on_client_connect(self._add_page)
         self._server.on_client_disconnect(self._remove_page)
         self._updated_s = time.monotonic()
