@@ -22,19 +22,13 @@ from model.motors import lagged
 from model.state import input_indices
 from mpc.cost import Cost
 
-# Doublings of the Riccati recursion: 2^k steps after k of them; the slowest modes decay within some thousand periods.
-_DOUBLINGS = 20
+_DOUBLINGS = 20  # of the Riccati recursion: the slowest modes decay within some thousand periods
 _CONVERGED = 1e-12
-# Root of the discount of the cost per sampling period, where it is infinite without; 500 s at 50 ms.
-_DISCOUNT = 1.0 - 1e-4
-# Largest growth rate of the closed loop, 1/s: headings have zero, a UAV that falls over has 2 1/s.
-_GROWTH = 0.02
-# Largest gain relative to sqrt(Q / R): 0.1 to 2 for most teams, 500 and more for modes reached through rounding only.
-_GAIN = 100.0
-# Directions whose cost is below this share of the largest count as free (headings).
-_RANK = 1e-12
-# Directions that change a quantity of the target by less than this share of the largest change have no effect on it.
-_EFFECT = 1e-9
+_DISCOUNT = 1.0 - 1e-4  # root of that of the cost per sampling period, where it is infinite without
+_GROWTH = 0.02  # largest of the closed loop, 1/s: headings have zero, a UAV that falls over has 2 1/s
+_GAIN = 100.0  # largest, relative to sqrt(Q / R): 0.1 to 2 for most teams, 500 where rounding alone reaches a mode
+_RANK = 1e-12  # directions whose cost is below this share of the largest count as free (headings)
+_EFFECT = 1e-9  # directions that change a quantity of the target by less, relative to the most, have no effect on it
 _EXPECTED = "expected a team that linear feedback can stabilise about hover"
 
 

@@ -22,13 +22,11 @@ from transport.scene.scene import Scene, SceneBuilder
 Colour = tuple[int, int, int]
 Pose = tuple[Array, Array]  # position, (3,), and rotation to the inertial frame, (3, 3)
 
-# For colour-blind readers (after Okabe and Ito 2008), with different lightness for print in grey. Beyond five UAVs the
-# colours repeat with another line style.
+# For colour-blind readers and print in grey (after Okabe and Ito 2008), repeated with other line styles.
 UAV_COLOURS = ("#004488", "#C24E00", "#009E73", "#E08BBC", "#7F5F00")
 _LINE_STYLES = ("-", "--", ":", "-.")
 
-# Ages of plans and their colours (docs/viewer.md), after that of a fresh one, which is at most `_FRESH_S` old; dark if
-# older than the oldest, or without any plan.
+# Ages of plans and their colours (docs/viewer.md), that of a fresh one first; dark if older, or without any plan.
 _FRESH_S, _AGES_S, _OLDEST_S = 0.1, (0.2, 0.5), 1.0
 _AGE_COLOURS = ((154, 154, 154), (230, 159, 0), (178, 24, 43))
 DARK: Colour = (17, 17, 17)
@@ -44,23 +42,15 @@ _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150)
 _GROUND, _OBSTACLE = (225, 222, 214), (196, 120, 60)
 # Arm length, rotor radius, beam and body thickness of a drawn quadrotor, in parts of its span (rotor tip to rotor tip).
 _ARM, _ROTOR, _BEAM, _BODY = 0.31, 0.17, 0.02, 0.06
-# Its span, m, and at most this part of the smallest gap between UAVs, so that they do not overlap.
-_SPAN_M, _SPAN_OF_GAP = 0.9, 0.7
-# Thickness of the drawn payload, a plate through the attachments, and its least half width around the centre; length of
-# a thrust arrow at hover, and of its head; radius of the reference; thickness of the ground, m.
-_PLATE_M, _CORE_M = 0.12, 0.15
-ARROW_M, _HEAD_M = 0.6, 0.05
-_GOAL_M, _GROUND_M = 0.07, 0.02
-# Distance of the plane below everything where there is no ground, m.
-_BELOW_M = 0.5
-# Half size from which an obstacle counts as endless, and how far beyond the maneuver it is drawn then, m.
-_ENDLESS_M, _BEYOND_M = 1e4, 1.0
-# Points of a flown and of a reference path: wide lines are work for a browser without a graphics processor.
-_POINTS, _POINTS_REFERENCE = 160, 120
-# Points of the reference to a target, and targets drawn with so many: the newest ones.
-_POINTS_TARGET, _DRAWN_TARGETS = 30, 20
-# Dashes of half a link; the gap in each is the share of lost plans. A trace is left at 100 % loss.
-_DASHES, _TRACE = 8, 0.15
+_SPAN_M, _SPAN_OF_GAP = 0.9, 0.7  # its span, m, and at most this part of the smallest gap between UAVs
+_PLATE_M, _CORE_M = 0.12, 0.15  # thickness of the drawn payload, and its least half width, m
+ARROW_M, _HEAD_M = 0.6, 0.05  # length of a thrust arrow at hover, and of its head, m
+_GOAL_M, _GROUND_M = 0.07, 0.02  # radius of the reference, and thickness of the ground, m
+_BELOW_M = 0.5  # distance of the plane below everything where there is no ground, m
+_ENDLESS_M, _BEYOND_M = 1e4, 1.0  # half size of an endless obstacle, and how far beyond the maneuver it is drawn, m
+_POINTS, _POINTS_REFERENCE = 160, 120  # of a flown and of a reference path
+_POINTS_TARGET, _DRAWN_TARGETS = 30, 20  # points of the reference to a target, and targets drawn with them
+_DASHES, _TRACE = 8, 0.15  # dashes of half a link, whose gaps are the share of lost plans, and what is left of them
 _SQUARE = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
 
 

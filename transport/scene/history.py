@@ -22,8 +22,7 @@ from protocol.wire.messages import (
 
 # Kinds of messages that a history keeps.
 KINDS = frozenset(kind.kind for kind in (PlantState, Plan, StepReport, LinkChange, Target, Roster, FaultNote, Control))
-# Time before the shown tick over which losses are counted, s.
-LOSS_WINDOW_S = 1.0
+LOSS_WINDOW_S = 1.0  # before the shown tick, over which losses are counted
 
 
 class RunHistory:

@@ -27,14 +27,11 @@ from transport.viewer.server import Page, start_server
 from transport.viewer.view3d import View3D
 
 LOG = "run.mcap"
-# Shortest time between two frames, s: of a recorded or paced run, and of a live run without pacing, which needs the
-# processors itself.
-_FRAME_S, _FRAME_UNPACED_S = 0.1, 0.5
+_FRAME_S, _FRAME_UNPACED_S = 0.1, 0.5  # shortest time between frames; a run without pacing needs the processors itself
 # A page shows a frame before it gets the next, so that it is never behind by more than one; one that has shown none for
 # this long, such as that of a hidden tab, is no longer waited for, s.
 _PATIENCE_S = 2.0
-# Priority of the viewer of a live run: the run gets the processors first, but requests are still sent in time.
-_NICE = 10
+_NICE = 10  # of the viewer of a live run: the run gets the processors first, but requests are still sent in time
 
 
 class Viewer:
