@@ -15,8 +15,7 @@ from benchmarks.runs import CLIMB, programs, setup
 from benchmarks.timing import spread, times_ms
 from docs.tables import table
 from model.arrays import Array
-from mpc.qp import QP
-from mpc.solvers import solve, solve_clarabel
+from mpc.qp import QP, solve, solve_clarabel
 
 # Limits that bind at every step of the same climb: thrust a tenth above that of hover, and a tenth of its rate.
 TIGHT = ("controller.limits.thrust_N=[0.0,25.0]", "controller.limits.thrust_rate_N_s=10.0")

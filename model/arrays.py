@@ -59,10 +59,7 @@ def rows(start: int, steps: int, known: int) -> Rows:
 
 
 def continued(before: T, after: T, kept: int) -> T:
-    """Return data of instants from their `first` on, a row each, with up to `kept` rows of earlier data ahead of them.
-
-    Both are of one dataclass of arrays, lists, such dataclasses, or functions, of which the later one is taken.
-    """
+    """Return a dataclass of rows from `first` on with up to `kept` earlier ones ahead; functions are the later."""
     first, now = before.first, after.first  # type: ignore[attr-defined]
     count = min(kept, now - first)
 

@@ -1,13 +1,9 @@
-"""Compiled model functions: built once per number of UAVs, kept on disk, called through CasADi's buffers.
-
-Building the Jacobians takes a second for large N. They depend on N alone (physical parameters are arguments), so the
-next process loads them from the cache in milliseconds.
-"""
+"""Compiled model functions: built once per number of UAVs, kept on disk, called through CasADi's buffers."""
 
 import ctypes
 import hashlib
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from model import compiler, dynamics, rotations, state
-from model.arrays import Array, ShapeError
+from model.arrays import Array
 from model.dynamics import Symbols
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
@@ -48,7 +44,6 @@ class Compiled:
 
     def __init__(self, function: ca.Function) -> None:
         self._buffer, self._evaluate = function.buffer()
-        self._name: str = function.name()
         self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
         ends = np.cumsum([0, *(function.nnz_out(i) for i in range(function.n_out()))]).tolist()
         self.parts = [slice(begin, end) for begin, end in itertools.pairwise(ends)]  # of the outputs in that of `flat`
@@ -74,30 +69,10 @@ class Compiled:
 
     def flat(self, *arguments: Array | float) -> Array:
         """Return the entries of all outputs in one new array; `parts` are their places."""
-        self._take(self._arguments, arguments)
+        for own, argument in zip(self._arguments, arguments, strict=True):
+            own[:] = argument
         self._evaluate()
         return self._results.copy()
-
-    def partial(self, *last: Array | float) -> Callable[..., Array]:
-        """Return `flat` as a function of the first arguments, unchecked vectors; valid until the next call here."""
-        first = self._arguments[: -len(last)]
-        self._take(self._arguments[len(first) :], last)
-        evaluate, results = self._evaluate, self._results
-
-        def flat(*arguments: Array) -> Array:
-            for own, argument in zip(first, arguments, strict=True):
-                own[:] = argument
-            evaluate()
-            return results.copy()
-
-        return flat
-
-    def _take(self, places: Sequence[Array], arguments: Sequence[Array | float]) -> None:
-        for own, argument in zip(places, arguments, strict=True):
-            size = argument.size if isinstance(argument, np.ndarray) else 1
-            if size != own.size:
-                raise ShapeError(f"{self._name}: expected an argument of {own.size} numbers, got {size}")
-            own[:] = argument
 
 
 def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
@@ -146,10 +121,7 @@ def needs_compilation(N: int, rates: bool = False) -> bool:
 
 
 def compile_functions(N: int, rates: bool = False) -> bool:
-    """Compile the functions of N UAVs for this processor, in seconds; return False if that is not possible.
-
-    Later calls of `functions`, in all processes, return the compiled ones, with bit-identical results.
-    """
+    """Compile the functions of N UAVs, with the same bits, for this processor, in seconds; return whether they are."""
     if needs_compilation(N, rates):
         sources = [
             _OFTEN.format(_source(function)) if name == "step" else _source(function)
@@ -226,10 +198,7 @@ def _sense(s: Symbols, motion: dynamics.Motion) -> ca.Function:
 
 
 def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
-    """Return the derivatives of motion and outputs in the parts of `model.linearisation.Linearisation`.
-
-    The payload's acceleration solves M a = b, so its derivative is M^-1 times that of b - M a with a held.
-    """
+    """Return the parts of `model.linearisation.Linearisation`: a solves M a = b, so a' is M^-1 (b - M a)', a held."""
     a, Pi = ca.SX.sym("a", 6), dynamics.projection(s.x, s.N)
     given = dynamics.motion(s, a)
     direct, pushed = given.derivative, [ca.jacobian(given.unbalanced, s.x) @ Pi, ca.jacobian(given.unbalanced, s.u)]

@@ -1,7 +1,4 @@
-"""The cache folder, and C source compiled for this processor by the installed compiler and kept there.
-
-Both only save time: each compiled function has an uncompiled equivalent. PAYLOAD_TRANSPORT_NATIVE=0 switches them off.
-"""
+"""The cache folder, and C source compiled for this processor; PAYLOAD_TRANSPORT_NATIVE=0 switches it off."""
 
 import hashlib
 import os

@@ -1,8 +1,4 @@
-"""Smooth curves of the payload: shapes run through from rest to rest, with derivatives of any order in time.
-
-A curve is p(s(t)): a shape p over the covered share s of the way, and s from 0 to 1 with smooth start and stop. The
-derivatives of s up to order 7 are continuous, so those of the path that a team of UAVs feels, up to order 6, are too.
-"""
+"""Smooth curves of the payload: p(s(t)), a shape over the covered share s, from rest to rest, and its derivatives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,14 +36,12 @@ class Curve:
 
     kind: ShapeKind | None
     duration_s: float  # from rest to rest
-    # Time of speeding up, and of slowing down, at most half the duration; in between, s grows at constant rate.
-    ramp_s: float
+    ramp_s: float  # time of speeding up, and of slowing down, at most half the duration
     size_I: tuple[float, ...] = (0.0, 0.0, 0.0)  # a, b, c of circle and eight, m; the displacement of a straight curve
     laps: float = 1.0  # of circle and eight
     points_I: Sequence[Sequence[float]] = ()  # way points of a spline after its start at zero, (k, 3), m
     times_s: Sequence[float] | None = None  # of them; None: s is proportional to the distance between way points
-    # Times since the start and displacements then, (k, 4), s and m, the path at constant speed between rows. The curve
-    # is the spline from rest to rest that is closest to it, instead of a shape and its timing.
+    # Times and displacements since the start, (k, 4), s and m, instead of shape and timing: the closest spline.
     table: Sequence[Sequence[float]] = ()
 
     def path(self, t_s: Array, orders: int = ORDERS) -> Array:

@@ -1,9 +1,6 @@
-"""Exact zero-order hold of the affine linearisation, x' = f + A_c dx + B_c du, over one sampling period.
+"""Zero-order hold of x' = f + A_c dx + B_c du: a Taylor series applied to [A_c B_c f], with A_c in factors.
 
-    A = I + A_c Phi,   B = Phi B_c,   f_d = Phi f,   Phi = integral of exp(A_c s) ds over the period
-
-A Taylor series applied to [A_c B_c f], with A_c in factors, replaces the exponential of an augmented matrix, without
-Phi. Its length follows from the remainder bound; long periods are halved until it is short, then doubled back.
+Its length follows from the remainder bound; long periods are halved until it is short, then doubled back.
 """
 
 from dataclasses import dataclass
@@ -34,13 +31,9 @@ class Discrete:
 def zero_order_hold(
     linear: Linearisation, period_s: float, known: Discrete | None = None, *, remainder: float = _REMAINDER
 ) -> Discrete:
-    """Discretise with the input held over the sampling period T_s > 0, s, exact but for rounding.
+    """Discretise with the input held over the sampling period, s, exact but for rounding: equations.md (16)-(17).
 
-    Known is the same for another f with these A_c and B_c, if there is one: A and B are then taken from it. A larger
-    remainder of the series, relative to T_s, takes less time.
-
-    Raises: ShapeError: A_c or its exponential is not finite.
-    Source: docs/equations.md (16)-(17).
+    Known is the same for another f: A and B are then taken from it. Raises: ShapeError: A_c or exp(A_c) is not finite.
     """
     if not native.AVAILABLE:
         return _zero_order_hold(linear, period_s)

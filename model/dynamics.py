@@ -1,8 +1,4 @@
-"""The equations of motion as CasADi expressions; docs/equations.md derives them.
-
-The paper's (7)-(9) are a linear system in (v0', omega0', Omega_1', ..., Omega_N'). Eliminating each Omega_i' leaves 6
-unknowns, and every remaining term is a rod tension: the only forces of the UAVs on the payload act along the rods.
-"""
+"""The equations of motion as CasADi expressions: a 6 x 6 system in the payload's acceleration (docs/equations.md)."""
 
 from dataclasses import dataclass
 
@@ -14,11 +10,10 @@ from model.rotations import euler_rates, rotation
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Symbols:
-    """The symbols of a system of N UAVs: state x, input u, parameters p and external forces F.
+    """The symbols of a system of N UAVs: state x, input u, parameters p and external forces F (payload, UAVs), N.
 
     p holds g, m0, the upper triangle of J0, and for each UAV m_i, the upper triangle of J_i, rho_i, l_i
-    (`System.vector`), so that compiled functions serve any system of N UAVs; with commanded body rates the gains of the
-    inner loop follow. F holds the external forces on the centres of mass of payload and UAVs, inertial frame, N.
+    (`System.vector`), then the gains of inner loops on body rates.
     """
 
     N: int
@@ -62,10 +57,7 @@ class Motion:
 
 
 def motion(symbols: Symbols, given: ca.SX | None = None) -> Motion:
-    """Return the right-hand side; with a given payload acceleration, (6,), derivative and tensions are under that one.
-
-    Source: docs/equations.md (4)-(13), (37), (57); paper (2)-(11).
-    """
+    """Return the right-hand side, also under a given payload acceleration, (6,): equations.md (4)-(13), (37), (57)."""
     x, u, N = symbols.x, symbols.u, symbols.N
     v0, omega0 = x[state.V0], x[state.OMEGA0]
     R0 = rotation(x[state.THETA0])

@@ -1,9 +1,6 @@
-"""The derivatives of a system as sparse factors: UAVs notice each other by the payload's acceleration alone.
+"""The derivatives of a system as sparse factors with O(N) entries: A_c = X + P V_x, B_c = U + P V_u.
 
-    A_c = X + P V_x,    B_c = U + P V_u
-
-X and U, with the payload's acceleration held, couple a UAV with itself and the payload; V_x and V_u, six rows, are the
-acceleration's own derivatives; P is its effect. So the factors have O(N) entries, A_c has O(N^2).
+X and U hold the payload's acceleration; V_x and V_u, six rows, are its own derivatives; P is its effect.
 """
 
 from collections.abc import Sequence
@@ -88,14 +85,11 @@ def rate_places(m: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
 
 @lru_cache(64)
 def with_lag(pattern: Pattern, rates: bool = False) -> tuple[Pattern, npt.NDArray[np.intp]]:
-    """Return the pattern of a system whose inputs a follow commands u by a' = (u - a) / lag: states [x, a], inputs u.
+    """Return the pattern of a system [x, a] with motors, and the order of its entries, -1/lag and 1/lag, (m,) each.
 
         X = [[X, U], [0, -1/lag]],    U = [[0], [1/lag]],    P = [[P], [0]],    V_x = [V_x, V_u],    V_u = 0
 
-    With commanded body rates a' also has the row of the body rate that the input commands, in X and U; the entry of an
-    input's own row on itself is one of the m entries of -1/lag.
-
-    Returns: The pattern, and the order of its entries, taken from those of the system, -1/lag (m,) and 1/lag (m,).
+    With commanded body rates the row of a' also is that of the body rate, with -1/lag on itself.
     """
     (n, m), r, (p, _) = pattern.shapes[1], pattern.shapes[2][1], pattern.shapes[5]
     entries = len(pattern.index)

@@ -1,8 +1,6 @@
-"""Motor-off and released UAVs in the state and the parameters of the whole team.
+"""Motor-off and released UAVs in state and parameters of the whole team: docs/equations.md (50), (51).
 
-The layout of state and input stays that of N UAVs. A motor-off UAV keeps mass and rod and has no inputs. A released
-UAV is replaced at the end of its rod by a bob of negligible mass that hangs below its attachment point. UAVs are
-0-based; the released ones are among those without motors. Source: docs/equations.md (50), (51).
+A motor-off UAV has no inputs. A released one, also motor-off, is replaced by a bob that hangs at its attachment.
 """
 
 from collections.abc import Collection, Mapping
@@ -35,10 +33,9 @@ def failed_model(system: System, off: Collection[int], released: Collection[int]
 def failed_hover(
     system: System, off: Collection[int], released: Collection[int], thrusts: Mapping[int, float] | None = None
 ) -> Hover:
-    """Return the hover of a team some of whose UAVs have no motors, the payload level.
+    """Return the hover of a team with UAVs off, upright on their rods, and given thrusts of others, N.
 
-    A motor-off UAV stands upright on its rod, as at the moment of failure; its weight on the payload is the same below.
-    Given may be thrusts of UAVs left to the fail-safe, N. Raises: ParameterError: the others cannot hold the payload.
+    Raises: ParameterError: the others cannot hold the payload.
     """
     rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
     rods[sorted(released)] *= -1.0

@@ -1,8 +1,6 @@
-"""References that a team can fly: states and inputs that carry the payload along a smooth path exactly.
+"""References that a team can fly: states and inputs that carry the level payload along a smooth path exactly.
 
-The payload stays level, so force and moment on it follow from its acceleration. Their least change from hover gives the
-rod forces, these the directions of the rods, these the motion of the UAVs, and that their attitudes, thrusts and
-moments: all by derivatives of the path (differential flatness: Sreenath, Kumar 2013; Mellinger, Kumar 2011).
+By derivatives of the path: differential flatness (Sreenath, Kumar 2013; Mellinger, Kumar 2011).
 """
 
 from collections.abc import Callable, Collection
@@ -115,10 +113,9 @@ def track(system: System, hover: Hover, by_instant: Array, first: int = 0, relea
 def flight(system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()) -> Flight:
     """Return the motion of a team whose level payload follows a path: equations.md (66)-(68).
 
-    Given are jets of the payload's position, inertial frame, m, and of length and width of the team as multiples of
-    those at hover, (7, k, 5), or (7, k, 3) if it keeps its formation. Forces, constant or of each instant, are external
-    ones and the payload's further mass, (4 + 3 N,), N and kg, and may be complex. Rod forces deviate least from those
-    of the hover. In the place of released UAVs, 0-based, bobs hang from their rods, in system and hover too.
+    Given are jets of position, m, and of length and width of the team, relative to hover, (7, k, 5), or (7, k, 3).
+    Forces, of each instant or constant, are external ones and further mass of the payload, (4 + 3 N,), and may be
+    complex. Bobs hang in the place of released UAVs, 0-based, in system and hover too.
     """
     N, k = system.N, path.shape[1]
     path, formation = path[..., :3], path[..., 3:]
@@ -178,10 +175,7 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
 
 
 def _apart(hover: Hover, rho: Array, lengths: Array, formation: Array, W: Array) -> Array:
-    """Return the jets of rod forces that hold a formation without effect on the payload, (7, k, N, 3), N: (66a).
-
-    Given are attachments, (N, 3), m, rods' lengths, (N, 1), m, jets of the formation, (7, k, 2), and W, (6, 3 N).
-    """
+    """Return the jets of rod forces that hold a formation without effect on the payload, (7, k, N, 3), N: (66a)."""
     away = np.zeros((*formation.shape[:2], *rho.shape))
     away[0, ..., :2] = -rho[:, :2]
     away[..., :2] += formation[:, :, None] * rho[:, :2]

@@ -26,9 +26,7 @@ class Hover:
 def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int, float] | None = None) -> Hover:
     """Return the equilibrium with rod directions, (N, 3), payload frame, straight down by default.
 
-    The rods hold the payload's weight and no moment: sum_i T_i [e_i; rho_i x e_i] = [m0 g k; 0], the
-    least-norm solution when several exist. Each UAV then pulls against its rod and its own weight. Given thrusts, N, by
-    0-based numbers (zero without motors), fix the tensions of these UAVs' vertical rods; the others balance them.
+    Rod tensions are of least norm. Given thrusts, N, by 0-based numbers, fix those of these UAVs' vertical rods.
 
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
     Source: docs/equations.md (18)-(19), (51).
@@ -59,9 +57,8 @@ def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int,
         if thrust <= _BALANCE_TOLERANCE * max(weight, 1.0):
             thrust = 0.0  # zero but for rounding
         if thrust > 0.0 and force_I[2] >= 0.0:
-            raise ParameterError(
-                f"no hover equilibrium: UAV{i + 1} would have to push down or sideways ({force_I[2]:.3g} N)"
-            )
+            problem = f"UAV{i + 1} would have to push down or sideways ({force_I[2]:.3g} N)"
+            raise ParameterError(f"no hover equilibrium: {problem}")
         block = x[state.uav_slice(i)]
         block[state.E] = e[i]
         if thrust > 0.0:

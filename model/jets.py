@@ -1,8 +1,4 @@
-"""Arithmetic of truncated Taylor series in time: exact derivatives of compositions of functions.
-
-A jet holds the coefficients f^(j)(t) / j! for j = 0..J-1 along its first axis; the other axes are times, bodies and
-coordinates, as in any array. Binary operations keep the lower of the two orders. Griewank, Walther 2008, chapter 13.
-"""
+"""Arithmetic of truncated Taylor series (jets): f^(j)(t) / j! along the first axis (Griewank, Walther 2008, 13)."""
 
 from math import factorial
 from typing import Any
@@ -29,10 +25,7 @@ def dot(a: Array, b: Array) -> Array:
 
 
 def composed(outer: Array, inner: Array) -> Array:
-    """Return the jet of f(g(t)) from Taylor coefficients of f at g(t), by order along the first axis, and the jet of g.
-
-    Coefficients may have further axes at their end.
-    """
+    """Return the jet of f(g(t)) from Taylor coefficients of f at g(t), which may have further axes, and that of g."""
     steps = inner.reshape(*inner.shape, *[1] * (outer.ndim - inner.ndim)).copy()
     steps[0] = 0.0
     result = np.zeros((len(inner), *outer.shape[1:]), dtype=np.result_type(outer, inner))

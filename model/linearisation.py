@@ -1,7 +1,7 @@
 """The numerical model of one system: derivative, outputs, exact linearisation, integration."""
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,18 +13,62 @@ from model import native
 from model.arrays import Array
 from model.compiled import Compiled, functions, library
 from model.factors import NAMES, Pattern, of_matrices
-from model.integration import Integrator
 from model.parameters import System
 from model.state import input_indices
+
+SHORTEST = 2.0**-12  # step, relative to the equal steps: 2.4 us of 10 ms
+MOST_STEPS = 20_000  # tried in one integration: about a second
+_BLOCK = 64  # equal steps in one call, so that memory does not grow with their number
+Held = Sequence[Array]  # inputs, parameters, forces
+
+
+class Integrator:
+    """Integrator of one model by its compiled `step` (`model.compiled`)."""
+
+    def __init__(self, step: ca.Function) -> None:
+        self._step, self._single = step, Compiled(step)
+        self._blocks: dict[int, Compiled] = {}
+
+    def integrate(self, x: Array, held: Held, duration_s: float, steps: int, tolerance: float) -> tuple[Array, float]:
+        """Return the state at the end of an interval, and the largest local error estimate of the steps taken.
+
+        Arguments as in `Model.integrate`. Source: docs/equations.md (13b), (13c).
+        """
+        length_s, end, largest = duration_s / steps, x, 0.0
+        for begin in range(0, steps, _BLOCK):
+            count = min(_BLOCK, steps - begin)
+            if count not in self._blocks:
+                x_s, *held_s = (ca.MX.sym(f"argument{i}", self._step.size1_in(i)) for i in range(self._step.n_in()))
+                states, errors = self._step.mapaccum(count)(x_s, *[ca.repmat(each, 1, count) for each in held_s])
+                results = [states[:, -1], ca.mmax(ca.fabs(errors))]  # the last state, the largest error
+                self._blocks[count] = Compiled(ca.Function("integrate", [x_s, *held_s], results))
+            flat = self._blocks[count].flat(end, *held, length_s)
+            end, error = flat[:-1], float(flat[-1])
+            if not error <= tolerance and tolerance < math.inf:
+                return self._halved(steps, x, held, length_s, tolerance)
+            largest = max(largest, error)
+        return end, largest
+
+    def _halved(self, steps: int, x: Array, held: Held, length_s: float, tolerance: float) -> tuple[Array, float]:
+        """Return the state after steps, each halved until its local error estimate is within the tolerance."""
+        ahead_s, largest, tried = [length_s] * steps, 0.0, 0  # steps still to take, the next one last
+        while ahead_s:
+            h = ahead_s.pop()
+            end, estimate = self._single(x, *held, h)
+            error = float(np.abs(estimate).max())
+            tried += 1
+            if not error <= tolerance and tried < MOST_STEPS and h > SHORTEST * length_s:
+                ahead_s += [h / 2.0, h / 2.0]
+                continue
+            x, largest = end, error if math.isnan(error) else max(largest, error)
+            if not np.isfinite(x).all():
+                break
+        return x, largest
 
 
 @dataclass(frozen=True, kw_only=True)
 class Linearisation:
-    """The first-order expansion about (x0, u0), which need not be an equilibrium.
-
-    A_c and B_c are kept as factors and multiplied out where they are asked for. Source: docs/equations.md (15), (15b);
-    paper (13).
-    """
+    """The first-order expansion about (x0, u0), any; A_c and B_c are kept as factors: equations.md (15), (15b)."""
 
     f: Array  # x' at (x0, u0), (n,), SI
     y: Array  # h(x0), (p,)
@@ -58,9 +102,9 @@ class Linearisation:
 class Model:
     """The equations of motion of one system, evaluated numerically.
 
-    External forces, where a method takes them, are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs,
-    (3 + 3 N,), inertial frame, N; zero by default. A mass that the payload has beyond the known one, kg, may follow.
-    Inputs of UAVs that are off, 0-based, and forces on those released from their rods have no effect.
+    External forces are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs, (3 + 3 N,), inertial frame, N;
+    the payload's mass beyond the known one, kg, may follow. Inputs of UAVs off, 0-based, and forces on released ones
+    have no effect.
     """
 
     def __init__(self, system: System, off: Collection[int] = (), released: Collection[int] = ()) -> None:
@@ -158,29 +202,23 @@ class Model:
         self, x: Array, u: Array, duration_s: float, steps: int, *, forces: Array | None = None,
         tolerance: float = math.inf,
     ) -> tuple[Array, float]:  # fmt: skip
-        """Return the state after `duration_s` of constant input, by Dormand-Prince steps of order 5: (13b), (13c).
+        """Return the state after `duration_s` of constant input, (n,), and the largest local error estimate, SI.
 
-        The steps, >= 1, are equal if none of their error estimates exceeds the tolerance. Otherwise the interval is
-        integrated again, with steps halved where their estimate exceeds it. The rods are projected back after each.
-
-        Returns: State, (n,), and the largest local error estimate of any step and component, SI. It exceeds the
-            tolerance only where the shortest or the most possible steps (model/integration.py) do not suffice.
+        Dormand-Prince steps of order 5, >= 1, are equal, or halved where their estimate exceeds the tolerance; the rods
+        are projected back after each. Source: docs/equations.md (13b), (13c).
         """
         x, *held = self._arguments(x, u, forces)
         return self._integrator.integrate(x, held, duration_s, steps, tolerance)
 
     def stepper(self, duration_s: float, forces: Array | None = None) -> Callable[[Array, Array], Array]:
-        """Return the map from state and input to the state after one step of `integrate`; valid until the next one."""
-        step = self._integrator.stepper(self._acting(forces), duration_s)
-        return step if not len(self._off) else lambda x, u: step(x, _zeroed(u, self._off))
+        """Return the map from state and input to the state after one step of `integrate`, without its error."""
+        held, step = self._acting(forces), self._compiled["step"]
+        return lambda x, u: step.flat(x, _zeroed(u, self._off), *held, duration_s)[: len(x)]
 
     def rollout(
         self, x: Array, at_x: Array, K: Array, bounds: tuple[Array, Array], duration_s: float, forces: Array | None
     ) -> tuple[Array, Array] | None:
-        """Return states and inputs under u = at_x + K (x(k) - x) within bounds, in one call; steps as in `stepper`.
-
-        None without compiled kernels, or if the model is not compiled or motors are off.
-        """
+        """Return states and inputs under u = at_x + K (x(k) - x) within bounds, in one call; None if not compiled."""
         if self._native is None or len(self._off):
             return None
         return self._native.rollout(x, at_x, K, bounds, self._acting(forces), duration_s)

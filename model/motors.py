@@ -1,9 +1,8 @@
 """First-order lag of the motors: the actual inputs a follow the commanded inputs u by a' = (u - a) / lag.
 
-Over one step a is known in closed form. The motion under it is integrated with two held inputs per step that have the
-step's mean and first moment: a commutator-free Magnus method of order 4 (Blanes, Moan 2006). A state with motors is
-z = [x, a], (n + m,). With commanded body rates the lag is inside the inner loops: a is then the rate command that would
-give the present angular acceleration at once, omega + omega' / K.
+The motion is integrated with two held inputs per step that have the mean and first moment of a: a Magnus
+method of order 4 (Blanes, Moan 2006). A state with motors is z = [x, a], (n + m,). With commanded body rates a is
+the rate command that would give the present angular acceleration at once, omega + omega' / K.
 """
 
 import math
@@ -35,10 +34,7 @@ def _deviations(lag_s: float, step_s: float) -> tuple[float, float]:
 
 
 def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, Array], Array]:
-    """Return two inputs, held for half a step each, that stand for the actual ones a, (m,), and those at its end.
-
-    Given are also the command, (m,), time constant > 0 and step, s. Source: equations.md (53), (54).
-    """
+    """Return two inputs, held for half a step each, that stand for the actual ones a, (m,), and a at its end: (54)."""
     deviation = a - u
     first, second = _deviations(lag_s, step_s)
     return (u + first * deviation, u + second * deviation), u + decay(lag_s, step_s) * deviation
@@ -46,10 +42,9 @@ def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, 
 
 @lru_cache
 def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: int) -> Array:
-    """Return what is left of deviations from held commands, for all UAVs, (3, 2, 4 uavs): equations.md (54), (58a).
+    """Return what is left of deviations from held commands, (3, 2, 4 uavs): equations.md (54), (58a).
 
-    By row: in two held inputs that stand for the actual ones over a step, s, and in the actual ones at its end. By
-    column: of the actual input, and of the body rate that it commands, given the gains of the inner loops.
+    By row: in the two held inputs and in the actual ones at the end. By column: of actual inputs and of body rates.
     """
     found = np.zeros((3, 2, 4))
     found[:, 0] = np.array([*_deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
@@ -76,12 +71,9 @@ def commanded_states(x: Array) -> Array:
 def integrate(
     model: Model, z: Array, u: Array, duration_s: float, steps: int, lag_s: float, forces: Array | None = None
 ) -> tuple[Array, float]:
-    """Return the state after `duration_s` of constant commands; global error of order 4 in the step.
+    """Return the state after `duration_s` of constant commands, order 4, and the largest local error: (54), (58a).
 
     States z are x, (n,), without lag, and [x, a], (n + m,), with lag; the rest as in `Model.integrate`.
-
-    Returns: State, of the size of z, and the largest local error estimate of the integration under held inputs, SI.
-    Source: docs/equations.md (53), (54), (58a).
     """
     if lag_s == 0.0:
         return model.integrate(z, u, duration_s, steps, forces=forces)
@@ -110,10 +102,7 @@ def stepper(
 
 
 def lagged(linear: Linearisation, a: Array, u: Array, lag_s: float, rates: bool = False) -> Linearisation:
-    """Return the expansion of motion and motors, in deviations of z = [x, a] and of the command u: (55), (58a).
-
-    `linear` is about a state and the actual inputs a, (m,); `rates`: inputs are rates of loops with the lag inside.
-    """
+    """Return the expansion of motion and motors in z = [x, a] and the command u from that about x, a: (55), (58a)."""
     pattern, order = with_lag(linear.pattern, rates)
     rate = np.full(len(a), 1.0 / lag_s)
     on_itself, moving = -rate, (u - a) / lag_s

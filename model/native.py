@@ -1,7 +1,4 @@
-"""The compiled loops of `kernels.c`: a controller's step is a hundred small matrix operations, mostly call overhead.
-
-Without a C compiler `AVAILABLE` is false and Python functions with the same result, but for rounding, take their place.
-"""
+"""The compiled loops of `kernels.c`; without a C compiler `AVAILABLE` is false, and Python functions are used."""
 
 import ctypes
 from collections.abc import Callable, Sequence
@@ -39,10 +36,7 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
 def zero_order_hold(
     pattern: Pattern, values: Array, f: Array, period_s: float, bounds: tuple[float, float, float], known: bool
 ) -> tuple[float, Array, Array, Array]:
-    """Return the growth theta, A, B and f_d; the last three are meaningless if theta > theta_possible or nan.
-
-    The bounds are theta_max, theta_possible and remainder of `model.discretisation`. With `known` only f_d is computed.
-    """
+    """Return the growth theta, A, B and f_d, meaningless if theta is too large; with `known` f_d alone."""
     (n, m), accelerations = pattern.shapes[1], pattern.shapes[2][1]
     A, B, f_d = np.empty((n, n)), np.empty((n, m)), np.empty(n)
     theta = _KERNELS.zero_order_hold(
@@ -122,10 +116,7 @@ class Step:
 def solve_within_bounds(
     shape: tuple[int, ...], program: Sequence[int], most: int
 ) -> tuple[int, Array, Array, tuple[float, float, float]]:
-    """Return number of guesses, solution, multipliers and residuals of a QP by its bounds; see `mpc.solvers`.
-
-    Given are the shape of the rows and `QP.addresses`. No guesses: no such solution; -1: H or g is not finite.
-    """
+    """Return number of guesses, <= 0 without a solution, solution, multipliers and residuals; see `mpc.qp`."""
     rows, n = shape
     z, multipliers, found = np.empty(n), np.empty(n), _Residuals()
     work = _work("within_bounds", _KERNELS.within_bounds_work(n, rows))

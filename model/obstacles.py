@@ -1,8 +1,4 @@
-"""Obstacles as rounded boxes, and their distances from UAVs, rods and payload.
-
-A box of half sizes h, zero and infinite ones among them, grown by a radius: a sphere, an upright cylinder, a box or a
-wall. Distances are exact between bodies that do not touch, and zero or less between those that do.
-"""
+"""Obstacles as boxes, also flat or endless, grown by a radius, and exact distances from UAVs, rods and payload."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -14,9 +10,7 @@ from model.arrays import Array
 from model.parameters import System, payload_half_size
 from model.rotations import rotation
 
-# Half size for an infinite one where a body needs ends, m, and halvings of a segment: to rounding of such a length.
-_FAR_M = 1e6
-_HALVINGS = 64
+_FAR_M, _HALVINGS = 1e6, 64  # half size for an infinite one, m, and halvings of a segment: to rounding of it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,10 +42,7 @@ class Solid:
         return _apart((a_I - self.centre_I) @ self.R, (b_I - self.centre_I) @ self.R, self.half) - self.radius
 
     def from_boxes(self, r_I: Array, R: Array, half: Array) -> Array:
-        """Return the distances of boxes, (k,), at least minus the radius, m; nearest is an edge of one of them.
-
-        Given are centres, (k, 3), rotations to the inertial frame, (k, 3, 3), and half sizes, (3,).
-        """
+        """Return the distances of boxes, (k,), at least minus the radius, m: of centres, rotations and half sizes."""
         ends = np.einsum("kij,epj->kepi", R, _edges(half)) + r_I[:, None, None]
         own = _edges(self.half) @ self.R.T + self.centre_I
         seen = np.einsum("kij,kepi->kepj", R, own - r_I[:, None, None])

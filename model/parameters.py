@@ -131,10 +131,7 @@ def _inertia(name: str, value: ArrayLike) -> Array:
 
 
 def payload_half_size(system: System) -> Array:
-    """Return half the edges of the payload's box, (3,), payload frame, m: as far as its attachment points.
-
-    The payload is taken for this box where it touches the ground; the equations of motion know no shape.
-    """
+    """Return half the edges of the payload's box, (3,), payload frame, m: as far as its attachment points."""
     rho = np.array([uav.rho for uav in system.uavs])
     return np.asarray(np.maximum(np.abs(rho).max(axis=0), _LEAST_HALF_M))
 

@@ -16,14 +16,13 @@ from model.motors import lagged
 from model.native import Places
 from model.obstacles import Obstacle
 from model.state import LARGEST
-from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
 from mpc.prediction import Linear, Prediction, convolve, free_response
 from mpc.program import Program
-from mpc.qp import QP, Solution
+from mpc.qp import QP, Solution, solve, unsolved
 from mpc.regulation import CostToGo, Regulation
+from mpc.rows import Decision
 from mpc.settings import ControllerSettings
-from mpc.solvers import solve, unsolved
 from mpc.tracking import Along, Course, rollout
 
 __all__ = ["Controller", "Linear", "StepResult"]
@@ -36,9 +35,7 @@ _STEEPEST = 1.3
 class StepResult:
     """Plan of one step."""
 
-    # Absolute inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve the previous plan,
-    # shifted.
-    U: Array
+    U: Array  # inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve the previous plan
     c: Array  # their corrections to the shared control law, (N_p, 4 owned); (0, 4 owned) without that law
     solution: Solution  # of the QP, solved or not
 
@@ -46,10 +43,8 @@ class StepResult:
 class Controller:
     """Model predictive control of the owned UAVs, given the announced inputs of the others.
 
-    The stages are separate methods so that a caller can time them; `step` runs them all. The reference is X_ref,
-    (K, n), for the preview, or a flat track, which the shared control law follows, keeping clear of obstacles.
-
-    Raises: SettingsError: a constraint that cannot be read.
+    The reference is X_ref, (K, n), for the preview, or a flat track, which the shared control law follows, keeping
+    clear of obstacles. Raises: SettingsError: a constraint that cannot be read.
     """
 
     def __init__(
@@ -68,26 +63,24 @@ class Controller:
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
         self._along = Along(self._decision, obstacles)
         self._at_hover: Linearisation | None = None
-        # Derivatives and difference equation of the newest step.
-        self._held: tuple[Array, Discrete] | None = None
-        # Outputs along the newest trajectory beyond their linearisation, (N_p + 1, p).
-        self._curvature: Array | None = None
+        self._held: tuple[Array, Discrete] | None = None  # derivatives and difference equation of the newest step
+        self._curvature: Array | None = None  # outputs along a trajectory beyond their linearisation, (N_p + 1, p)
 
     def step(
         self, x0: Array, u0: Array, U: Array, y_ref: Array, law: FeedbackLaw | None = None,
         forces: Array | None = None, ticks_since_start: int | None = None, end: CostToGo | None = None,
     ) -> StepResult:  # fmt: skip
-        """One step of the controller. Never raises for a problem without solution.
+        """Return the plan of one step; never raises for a problem without solution.
 
         Args:
             x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
             u0: Inputs in force just before it, all UAVs, (m,): linearisation point and origin of the rates.
             U: Announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan, shifted.
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
-            law: Shared control law over the horizon (`law`), with closed-loop prediction.
+            law: Shared control law over the horizon, with closed-loop prediction.
+            end: The cost after the horizon, with terminal "riccati".
             forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
             ticks_since_start: Ticks since this controller began; see `conclude`.
-            end: The cost after the horizon (`end`), with terminal "riccati".
         """
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
@@ -167,9 +160,7 @@ class Controller:
     ) -> StepResult:  # fmt: skip
         """Return the plan to announce: w U* + (1 - w) U_previous, or the previous plan after a failure: (30a), (36a).
 
-        With a shared control law only the corrections are mixed: the stabilising feedback acts in full, and the inputs
-        follow from the control law and the mixed corrections. Within `ticks_since_start`, None for a member from the
-        start, w is at least 1 / (ticks + 1), as there is no previous plan to average with.
+        With a shared control law only the corrections are mixed. Soon after the start of an agent w is larger.
         """
         w, decision, solved = self._relaxation, self._decision, solution.status == "solved"
         if ticks_since_start is not None:
@@ -207,10 +198,7 @@ class Controller:
         return np.clip(U, self.settings.lower(N), self.settings.upper(N))
 
     def adapted(self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, columns: Places) -> FeedbackLaw:
-        """Return the law whose corrections, in some columns of u, reproduce inputs U announced under another one.
-
-        Given are also the expansion about (x0, u0) and its zero-order hold. Source: equations.md (46).
-        """
+        """Return the law whose corrections, in some columns of u, reproduce U announced under another: (46)."""
         c = law.c.copy()
         if law.along is not None:
             open_loop = replace(law, K=np.zeros_like(law.K), u_rest=U, feedforward=np.zeros_like(U), c=np.zeros_like(U))
@@ -222,10 +210,7 @@ class Controller:
         return replace(law, c=c)
 
     def without(self, uavs: Collection[int], since: int | None = None) -> None:
-        """Set the UAVs without an agent, 0-based: they follow the fail-safe and are predicted so.
-
-        `since` is the present instant, if `Regulation.advance` completes the control law along a reference.
-        """
+        """Set the UAVs without an agent, 0-based: they follow the fail-safe; `since` as in `Regulation.form`."""
         self._gone = frozenset(uavs)
         # UAVs without agents obstruct the others: several agents correct the same distances, each its share of them.
         share = len(self.owned) / self._whole.system.N if uavs and self.settings.prediction == "closed_loop" else 1.0
@@ -233,10 +218,7 @@ class Controller:
         self._form(since)
 
     def fail(self, off: Collection[int], released: Collection[int], since: int | None = None) -> None:
-        """Set the UAVs without motors, 0-based, and those of them that are released from their rods: (50), (51).
-
-        If the remaining UAVs cannot stabilise the team, cost and control law ignore the failure; the model has it.
-        """
+        """Set the UAVs without motors, 0-based, and those of them that are released from their rods: (50), (51)."""
         self._off, self._released = frozenset(off), frozenset(released)
         self.model = failed_model(self._whole.system, off, released) if off else self._whole
         self._form(since)

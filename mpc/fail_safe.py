@@ -1,7 +1,4 @@
-"""The fail-safe of a UAV whose plan has run out: hover thrust, and level attitude or the way along the reference.
-
-The plant's actuators follow it, and controllers predict a UAV without an agent by it.
-"""
+"""The fail-safe of a UAV whose plan has run out: hover thrust, and level attitude or the way along the reference."""
 
 from collections.abc import Collection
 from copy import copy
@@ -17,10 +14,8 @@ from model.rotations import rotation
 
 # Attitude loop: slow enough for the moment limits of small quadrotors, faster than the pendulum of a rod.
 _FREQUENCY_RAD_S, _DAMPING = 6.0, 0.8
-# Attitude gain around an inner loop on body rates, 1/s: critical damping, but not faster than usual autopilots.
-_CRITICAL, _LARGEST_GAIN = 0.25, 6.0
-# Loop of the horizontal position around it: as fast as the pendulum of a rod, slower than the attitude.
-_FOLLOWING_RAD_S, _FOLLOWING_DAMPING = 1.5, 1.0
+_CRITICAL, _LARGEST_GAIN = 0.25, 6.0  # around an inner loop on body rates, 1/s: critical damping, as usual autopilots
+_FOLLOWING_RAD_S, _FOLLOWING_DAMPING = 1.5, 1.0  # of the horizontal position: as fast as the pendulum of a rod
 _STEEPEST = 0.2  # largest roll or pitch that it asks for, rad
 
 

@@ -1,12 +1,8 @@
 """The shared linear-quadratic regulator: the infinite-horizon optimum of the team's cost about hover.
 
-Every agent computes the same gain and cost-to-go, decides its own corrections c to the shared control law
-u = u_rest + K (x - x_ref) + feedforward + c, and takes the others' corrections as announced.
-
-A moving reference is a known disturbance: one backward recursion along the maneuver is the preview, the optimum under
-it (Anderson and Moore 1990, chapter 4; Tomizuka 1975). Under constant forces, steering towards hover leaves an offset;
-steering towards the target, the steady state that balances them, does not (offset-free MPC: Pannocchia, Rawlings 2003;
-Maeder, Borrelli, Morari 2009).
+Every agent decides its own corrections c to the shared control law u = u_rest + K (x - x_ref) + feedforward + c. The
+preview is the optimum under a known reference (Anderson and Moore 1990, chapter 4; Tomizuka 1975), the target the
+steady state under constant forces (offset-free MPC: Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
 """
 
 import math
@@ -26,19 +22,13 @@ from model.motors import lagged
 from model.state import input_indices
 from mpc.cost import Cost
 
-# Doublings of the Riccati recursion: 2^k steps after k of them; the slowest modes decay within some thousand periods.
-_DOUBLINGS = 20
+_DOUBLINGS = 20  # of the Riccati recursion: the slowest modes decay within some thousand periods
 _CONVERGED = 1e-12
-# Root of the discount of the cost per sampling period, where it is infinite without; 500 s at 50 ms.
-_DISCOUNT = 1.0 - 1e-4
-# Largest growth rate of the closed loop, 1/s: headings have zero, a UAV that falls over has 2 1/s.
-_GROWTH = 0.02
-# Largest gain relative to sqrt(Q / R): 0.1 to 2 for most teams, 500 and more for modes reached through rounding only.
-_GAIN = 100.0
-# Directions whose cost is below this share of the largest count as free (headings).
-_RANK = 1e-12
-# Directions that change a quantity of the target by less than this share of the largest change have no effect on it.
-_EFFECT = 1e-9
+_DISCOUNT = 1.0 - 1e-4  # root of that of the cost per sampling period, where it is infinite without
+_GROWTH = 0.02  # largest of the closed loop, 1/s: headings have zero, a UAV that falls over has 2 1/s
+_GAIN = 100.0  # largest, relative to sqrt(Q / R): 0.1 to 2 for most teams, 500 where rounding alone reaches a mode
+_RANK = 1e-12  # directions whose cost is below this share of the largest count as free (headings)
+_EFFECT = 1e-9  # directions that change a quantity of the target by less, relative to the most, have no effect on it
 _EXPECTED = "expected a team that linear feedback can stabilise about hover"
 
 
@@ -78,10 +68,7 @@ class Gains:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Regulator:
-    """The regulator of the team about hover, in coordinates xi = T' (x - x_hover) of the manifold.
-
-    With motor lag the actual inputs are further states, and n counts them.
-    """
+    """The regulator about hover, in coordinates xi = T' (x - x_hover); with motor lag n counts the actual inputs."""
 
     K: Array  # feedback gain of all inputs, (m, n)
     P: Array  # cost-to-go, xi' P xi, (r, r)
@@ -99,10 +86,8 @@ def regulator(
 ) -> Regulator:  # fmt: skip
     """Return the linear-quadratic regulator of the team about hover: equations.md (33)-(34), (45), (55).
 
-    UAVs without an agent follow a control law of their own, a feedback from the state, (4, n), by 0-based numbers;
-    the gain of the others is the optimum given that law. Directions off |e| = 1 and e . Omega = 0 can be neither
-    reached nor left: the recursion has no coordinates for them, and none for UAVs that are off or released (`tangent`).
-    Further terms of the cost are roots of weights times slopes at hover, (t, n). With motor lag inputs are states.
+    UAVs without an agent, by 0-based numbers, follow a feedback of their own, (4, n). Further terms of the cost are
+    roots of weights times slopes at hover, (t, n). With motor lag inputs are states.
 
     Raises: FeedbackError: the recursion does not converge, or its feedback does not stabilise the team.
     """
@@ -147,10 +132,7 @@ def regulator(
 
 
 def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
-    """Return the least positive semidefinite solution of the discrete algebraic Riccati equation, by doubling.
-
-    H is the Riccati recursion from zero after 2^k steps, so modes without cost (a UAV's heading) stay without cost.
-    """
+    """Return the least positive semidefinite solution of the discrete algebraic Riccati equation, by doubling."""
     identity = np.eye(len(A))
     G = (B / R) @ B.T
     H = Q
@@ -165,10 +147,7 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
 
 
 def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = ()) -> Array:
-    """Return an orthonormal basis of the directions the state can take at x, (n,): (n, n - 2 N).
-
-    Attitudes of UAVs that are `off` are left out, 6 columns less for each, and all states of `released` ones, 10 less.
-    """
+    """Return an orthonormal basis of the directions of x, (n, n - 2 N), less those of attitudes off, UAVs released."""
     blocks = [np.eye(state.PAYLOAD)]
     for e in state.StateView(x).e_P:
         across = np.linalg.svd(e[None, :])[2][1:].T  # two unit vectors across the rod
@@ -207,16 +186,11 @@ class Preview:
 
 
 def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> Preview:
-    """Solve the tracking problem backwards from the reference at rest after the last instant.
+    """Solve the tracking problem backwards from the reference at rest after the last instant: (36b), (36c).
 
-    With xi the deviation from the reference, the regulator's problem becomes
+        d(k) = A xi_ref(k) - xi_ref(k+1),   p(k) = A_closed' (p(k+1) + P d(k)) + pull(k)
 
-        xi(k+1) = A xi(k) + B du(k) + d(k),    d(k) = A xi_ref(k) - xi_ref(k+1),
-        stage cost xi' Q xi + 2 pull(k)' xi + du' R du,    cost-to-go xi' P xi + 2 p(k)' xi + constant,
-        p(k) = A_closed' (p(k+1) + P d(k)) + pull(k),    du(k) = K xi(k) - (R + B' P B)^-1 B' (p(k+1) + P d(k)).
-
-    Given are the reference states from the `first` instant on, (K, n), held after the last one, and half the gradient
-    of the stage cost where the deviation is zero, (K, n). Source: docs/equations.md (36b), (36c).
+    Given are the reference states from the `first` instant on, (K, n), and half the slope of the cost there, (K, n).
     """
     T, P, A_closed = regulator.T, regulator.P, regulator.A_closed
     # Relative to the last instant, which is at rest, so that the attitudes at hover are no deviation.
@@ -240,11 +214,7 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> 
 
 
 def at_rest(regulator: Regulator, pulled: Array) -> Array:
-    """Return the slope of the cost-to-go under a constant pull, (r,) or (r, columns): p = A_closed' p + pulled.
-
-    Directions without cost (headings) are neither pulled nor damped; the slope has no part along them. A_closed' maps
-    the other directions into themselves, and there the solution is unique: the sum of all future pulls.
-    """
+    """Return the slope of the cost-to-go under a constant pull, (r, ..): p = A_closed' p + pulled, 0 along headings."""
     costly = np.linalg.svd(regulator.root @ regulator.T, full_matrices=False)[2]  # orthonormal basis, (rank, r)
     within = np.eye(len(costly)) - costly @ regulator.A_closed.T @ costly.T
     return np.asarray(costly.T @ np.linalg.solve(within, costly @ pulled))
@@ -262,12 +232,9 @@ def target(
     model: Model, hover: Hover, cost: Cost, uncontrolled: Mapping[int, Array] | None = None, off: Collection[int] = (),
     released: Collection[int] = (),
 ) -> Target:  # fmt: skip
-    """Return the steady state of the linearisation about hover with least output error, then least input effort.
+    """Return the steady state about hover with least output error, then least input effort, the rest as at hover: (40).
 
-    Remaining free directions, such as the headings of the UAVs, stay as at hover. A steady state exists for any forces:
-    rods lean in parallel or pull in proportion, a remaining moment tilts the payload, and thrusts balance their rods.
-
-    Arguments as those of `regulator`. Source: docs/equations.md (40).
+    Arguments as those of `regulator`.
     """
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)

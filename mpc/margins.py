@@ -1,8 +1,4 @@
-"""Linear analysis of the sampled loop about hover: plant, actuators, estimators and control laws of a whole team.
-
-The plant between the sampling instants is exact. The controllers are those of a run, without limits and constraints.
-The eigenvalues of the step from one sampling instant to the next tell whether the hover is stable.
-"""
+"""Linear analysis of the sampled loop about hover: exact plant, actuators, estimators and control laws of a team."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -17,9 +13,8 @@ from model.hover import hover
 from model.linearisation import Linearisation, Model
 from model.motors import lagged
 from model.parameters import ParameterError, Payload, System, Uav
-from mpc.controller import Controller, Linear
+from mpc.controller import Controller
 from mpc.feedback import tangent, with_motors
-from mpc.solvers import unsolved
 
 GROWTH = 0.02  # fastest that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them
 _DECAY = 1e-3  # slowest that is one, 1/s: undamped modes have zero, and rounding moves them
@@ -55,9 +50,9 @@ class Mismatch:
 class Loop:
     """The sampled loop of a team about hover, as a function of the plant.
 
-    There is a controller per agent. With `next_tick` inputs act one sampling period after the measurement; `age` are
-    the periods until an agent knows another agent's state, >= 1. UAVs without an agent, by 0-based numbers, follow a
-    fail-safe, (4, n), on the present state, unmeasured; the others then follow their control law without corrections.
+    There is a controller per agent, whose plans are the shared control law. With `next_tick` inputs act one sampling
+    period after the measurement; `age` are the periods until an agent knows another agent's state, >= 1. UAVs without
+    an agent, by 0-based numbers, follow a fail-safe, (4, n), on the present state, unmeasured.
     """
 
     def __init__(
@@ -66,18 +61,16 @@ class Loop:
     ) -> None:  # fmt: skip
         self._controllers, self._next_tick, self._age = tuple(controllers), next_tick, age
         first = controllers[0]
-        self._system, self._hover, self._settings = first.model.system, first.regulation.hover, first.settings
-        self.period_s, self.known_lag_s = self._settings.sampling_period_s, self._settings.motor_lag_s
+        self._system, at_rest = first.model.system, first.regulation.hover
+        self.period_s, self.known_lag_s = first.settings.sampling_period_s, first.settings.motor_lag_s
         self._m = self._system.m
-        model = first.model.linearise(self._hover.x, self._hover.u)
-        self._motion, T = model, tangent(self._hover.x)
+        model = first.model.linearise(at_rest.x, at_rest.u)
+        T = tangent(at_rest.x)
         self._r = T.shape[1]  # coordinates of the motion; those of the actual inputs follow
         if self.known_lag_s > 0.0:
-            rates = self._system.commands_rates
-            model = lagged(model, self._hover.u, self._hover.u, self.known_lag_s, rates)
+            model = lagged(model, at_rest.u, at_rest.u, self.known_lag_s, self._system.commands_rates)
             T = with_motors(T, ())
-        self._model, self._T = model, T
-        discrete = zero_order_hold(model, self.period_s)
+        self._T, discrete = T, zero_order_hold(model, self.period_s)
         self._A, self._B = T.T @ discrete.A @ T, T.T @ discrete.B
         # Projections of states in tangent coordinates on what the agents measure at once.
         self._measured: list[Array] = []
@@ -87,8 +80,7 @@ class Loop:
             for uav in controller.owned:
                 known[state.uav_slice(uav)] = 1.0
             self._measured.append(T.T @ (known[:, None] * T))
-        regulator = first.regulation.regulator
-        self._law = None if regulator is None or self._settings.prediction != "closed_loop" else regulator.K @ T
+        self._law = first.regulation.gain(0) @ T
         lost = np.zeros(len(self._T), dtype=bool)
         self._gone, self._fail_safe = np.zeros((self._m, 1), dtype=bool), np.zeros((self._m, len(self._A)))
         for uav, gain in (uncontrolled or {}).items():
@@ -96,47 +88,6 @@ class Loop:
             lost[state.uav_slice(uav)][state.THETA][2] = False  # its heading matters to no other state
             self._fail_safe[state.input_slice(uav)] = gain @ self._T[: gain.shape[1]]
         self._lost = np.flatnonzero((self._T[lost] != 0.0).any(axis=0))  # their coordinates
-        # The control law alone, if every controller finds it optimal; else the whole plans.
-        alone = bool(uncontrolled) or (
-            self._law is not None and self._settings.terminal == "riccati" and self._settings.discretisation == "exact"
-        )
-        self._plans = () if alone else tuple(map(self._plan_map, self._controllers))
-
-    def _planned(self, controller: Controller, x: Array, u0: Array, U: Array, c: Array) -> tuple[Array, Array]:
-        """Return a controller's plan and corrections without limits and constraints; all are deviations from hover."""
-        steps, hover = self._settings.horizon, self._hover
-        dx = self._T @ x
-        known = np.concatenate([hover.x, hover.u])[: len(dx)]
-        rate = self._model.A_c @ dx + self._model.B_c @ u0
-        expansion = replace(self._model, f=rate, y=self._motion.y + self._motion.C @ dx[: self._system.n])
-        law = controller.law(known + dx, np.tile(hover.x, (steps, 1)), c) if self._law is not None else None
-        if law is not None:
-            law = replace(law, feedforward=np.zeros_like(law.feedforward))
-        end = controller.end(known + dx, hover.x)
-        if end is not None:
-            end = replace(end, slope=np.zeros_like(end.slope))
-        n, U = self._system.n, hover.u + U
-        linear = Linear(x0=known[:n] + dx[:n], u0=hover.u + u0, model=expansion, u_target=hover.u)
-        prediction = controller.predict(linear, controller.discretise(linear), U, law)
-        qp = controller.condense(linear, prediction, np.tile(self._motion.y, (steps + 1, 1)), law, end)
-        size = steps * len(controller.own)
-        z = np.asarray(np.linalg.solve(qp.H[:size, :size], -qp.g[:size]), dtype=np.float64)
-        solution = replace(unsolved(size, 0, "none"), status="solved", z=z)
-        result = controller.conclude(solution, prediction, U, law)
-        return result.U - hover.u[controller.own], result.c
-
-    def _plan_map(self, controller: Controller) -> Array:
-        """Return plan and corrections per state, input in force, announced inputs and announced corrections."""
-        steps, m = self._settings.horizon, self._m
-        with_c = self._law is not None
-        sizes = [len(self._A), m, steps * m, steps * m if with_c else 0]
-        columns = []
-        for entry in np.eye(sum(sizes)):
-            x, u0, U, c = np.split(_PROBE * entry, np.cumsum(sizes)[:-1])
-            c = c.reshape(steps, m) if with_c else np.zeros((steps, m))
-            found = self._planned(controller, x, u0, U.reshape(steps, m), c)
-            columns.append(np.concatenate([part.reshape(-1) for part in found]) / _PROBE)
-        return np.array(columns).T
 
     def matrix(self, plant: Mismatch) -> Array:
         """Return the step from one sampling instant to the next. Raises: ParameterError: the bodies have no hover."""
@@ -165,50 +116,40 @@ class Loop:
     def _step_matrix(self, before: tuple[Array, Array], after: tuple[Array, Array], late: int) -> Array:
         """Return the step of the loop from the plant's steps before and after the arrival of a delayed command."""
         m, ahead, age = self._m, int(self._next_tick), self._age
-        maps, law = self._plans, self._law if self._law is not None else np.zeros(0)
-        plans = [len(found) for found in maps]
         kept = ahead + max(age, late + 1)
         guessed = [len(self._lost)] * len(self._controllers)
-        sizes = [len(before[0]), len(self._A) - self._r, *[len(self._A)] * age, *[m] * kept, *plans, *guessed]
+        sizes = [len(before[0]), len(self._A) - self._r, *[len(self._A)] * age, *[m] * kept, *guessed]
         blocks = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
         motion, known_inputs, past = blocks[0], blocks[1], blocks[2 : 2 + age]
         rest = 2 + age + kept
-        commands, guesses = blocks[2 + age : rest], blocks[rest + len(plans) :]
+        commands, guesses = blocks[2 + age : rest], blocks[rest:]
         now = np.vstack([motion[: self._r], known_inputs])
-        issued, planned = np.empty((m, now.shape[1])), []
-        shared = self._aligned(blocks[rest : rest + len(plans)]) if maps else None
+        issued = np.empty((m, now.shape[1]))
         issued[self._gone[:, 0]] = self._fail_safe[self._gone[:, 0]] @ now
         for agent, controller in enumerate(self._controllers):
             x, guesses[agent] = self._estimate(agent, [now, *past], commands, guesses[agent])
-            if shared is None:
-                issued[controller.own] = law[controller.own] @ x
-            else:
-                planned.append(maps[agent] @ np.vstack([x, commands[0], shared]))
-                issued[controller.own] = planned[-1][: len(controller.own)]
+            issued[controller.own] = self._law[controller.own] @ x
         inputs = [issued, *commands]  # newest first
         # In force, now and before; the fail-safe needs no time for computing.
         acting = [np.where(self._gone, *pair) for pair in zip(inputs, inputs[ahead:], strict=False)]
         moved = after[0] @ (before[0] @ motion + before[1] @ acting[late + 1]) + after[1] @ acting[late]
         known_inputs = self._A[self._r :] @ now + self._B[self._r :] @ acting[0]
-        step: Array = np.vstack([moved, known_inputs, now, *past[:-1], *inputs[:-1], *planned, *guesses])
+        step: Array = np.vstack([moved, known_inputs, now, *past[:-1], *inputs[:-1], *guesses])
         return step
 
     def _estimate(
         self, agent: int, known: Sequence[Array], commands: Sequence[Array], guess: Array
     ) -> tuple[Array, Array]:
-        """Return an agent's estimate of the state of its plan, and what it assumes of UAVs without agents.
-
-        Given are states, of now and before, and commands, newest first, and that assumption one instant earlier.
-        """
+        """Return an agent's estimate of the state of its plan, and of UAVs without agents, from states and commands."""
         own, age, ahead = self._controllers[agent].own, self._age, int(self._next_tick)
         x, offset = known[age].copy(), np.zeros(0)
         x[self._lost] = guess
         for step in range(age + ahead):
             u = commands[age + ahead - 1 - step]
-            if step > ahead and self._law is not None:
+            if step > ahead:
                 # Later plans of the others have not been received: the shared control law replaces them.
                 u = np.where(np.isin(np.arange(self._m), own)[:, None], u, self._law @ x + offset)
-            elif step == ahead and self._law is not None:
+            elif step == ahead:
                 offset = u - self._law @ x
             u = np.where(self._gone, self._fail_safe @ x, u)
             x = self._A @ x + self._B @ u
@@ -217,18 +158,6 @@ class Loop:
             if step == 0:
                 guess = x[self._lost]
         return x, guess
-
-    def _aligned(self, announced: Sequence[Array]) -> Array:
-        """Return announced inputs and corrections of the team, one step on, as the controllers take them."""
-        steps, U, c = self._settings.horizon, [], []
-        for controller, plan_i in zip(self._controllers, announced, strict=True):
-            parts = plan_i.reshape(-1, steps, len(controller.own), plan_i.shape[1])
-            U.append(np.concatenate([parts[0, 1:], parts[0, -1:]]))
-            if len(parts) > 1:
-                c.append(np.concatenate([parts[1, 1:], np.zeros_like(parts[1, :1])]))
-        order = np.argsort(np.concatenate([controller.own for controller in self._controllers]))
-        found = [np.concatenate(part, axis=1)[:, order].reshape(steps * self._m, -1) for part in (U, c) if part]
-        return np.concatenate(found)
 
     def growth(self, plant: Mismatch) -> float:
         """Return the growth rate of the fastest growing mode, 1/s; infinite where the bodies have no hover."""

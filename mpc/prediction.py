@@ -26,12 +26,7 @@ class Linear:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prediction:
-    """The states and inputs over the horizon as affine functions of the decision v.
-
-        dx(k) = dX_free(k) + sum_{j < k} A^(k-1-j) B v(j),    u_own(k) = U_free(k) + v(k)
-
-    With motor lag the actual inputs are further states, and n counts them.
-    """
+    """dx(k) = dX_free(k) + sum_{j < k} A^(k-1-j) B v(j), u_own(k) = U_free(k) + v(k); n counts known motors."""
 
     effect: Array  # A^j B, (n, N_p, m_own)
     dX_free: Array  # state deviations from x0 with v = 0 at steps 0..N_p, (N_p + 1, n)
@@ -42,14 +37,9 @@ class Prediction:
 
 
 def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackLaw | None = None) -> Prediction:
-    """Predict with the owned inputs held at u0 and the others' as announced, as in the paper, or by a shared law.
+    """Predict with the owned inputs held at u0 and the others' as announced, (N_p, m), or by the law: (22)-(24), (35).
 
-    By the law u = u_rest + K (x - x_ref) + c. That prediction includes the others' feedback, so an agent does not
-    correct an error that they already correct.
-
-    Given are the zero-order hold about (x0, u0), the positions of the owned inputs in u, (m_own,), and all announced
-    inputs, (N_p, m), or the law over the horizon with the announced corrections, which replaces them. The decision is
-    the deviation of the owned inputs from u0. Source: equations.md (22)-(24), (35)-(36); paper (15)-(16), (22)-(24).
+    The decision is the deviation of the owned inputs from u0. Source: paper (15)-(16), (22)-(24).
     """
     at_x0 = U if law is None else law.uncorrected + law.c
     (n, _), steps, B_others = discrete.B.shape, len(at_x0), discrete.B.copy()
@@ -71,10 +61,7 @@ def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackL
 def follow(
     prediction: Prediction, A: Array, B: Array, u0: Array, own: Places, law: FeedbackLaw, Z: Array, U: Array
 ) -> None:
-    """Change the free response of a prediction by a law so that it is exact along states Z, (N_p + 1, n): (35a).
-
-    The owned ones of the inputs U, (N_p, m), lead there. A includes the others' feedback (`fed_back`).
-    """
+    """Make the free response exact along states Z, (N_p + 1, n), to which inputs U lead; A from `fed_back`: (35a)."""
     V = U[:, own] - u0[own]
     response = native.free_response if native.AVAILABLE else free_response
     caused = response(A, V @ B[:, own].T)
@@ -109,10 +96,7 @@ def free_response(A: Array, W: Array) -> Array:
 
 
 def stacked(effect: Array) -> Array:
-    """Return the prediction matrix of signals at steps 1..N_p, lower block-Toeplitz, (N_p s, N_p m): (25); paper (16).
-
-    Given is the effect of one decision on them 1, 2, .. steps later, (s, N_p, m).
-    """
+    """Return the prediction matrix of signals, (N_p s, N_p m), by the effect of a decision, (s, N_p, m): (25)."""
     s, steps, m = effect.shape
     matrix = np.zeros((steps, s, steps, m))
     for j in range(steps):

@@ -1,8 +1,4 @@
-"""The QP of one step: prediction, cost, bounds and constraint rows in terms of the scaled decision and the slacks.
-
-The prediction matrix is block-Toeplitz, so the Hessian's blocks along each diagonal are partial sums of the same
-products: the compiled kernels do O(N_p^2) blocks of work instead of O(N_p^3). Without them the matrices are multiplied.
-"""
+"""The QP of one step in the scaled decision and the slacks, by the compiled kernels, or by products of matrices."""
 
 from collections.abc import Collection
 from dataclasses import replace
@@ -14,12 +10,11 @@ from model.arrays import Array, padded
 from model.discretisation import Discrete
 from model.state import input_indices
 from mpc.cost import Cost, UserCosts
-from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw
 from mpc.prediction import Linear, Prediction, convolve, fed_back, follow, predict, stacked
 from mpc.qp import QP
 from mpc.regulation import CostToGo
-from mpc.rows import Rows
+from mpc.rows import Decision, Rows
 
 _NONE, _NO_GAIN = np.zeros(0, dtype=np.intp), np.zeros((0, 0))
 
@@ -35,8 +30,7 @@ class Program:
         self._weighted = np.flatnonzero(cost.Q)
         self._effort = cost.R[decision.own] * decision.scale
         self._no_terms = np.zeros(0), np.zeros((0, self._n))
-        # The newest prediction by the kernels, and its control law.
-        self._predicted: Prediction | None = None
+        self._predicted: Prediction | None = None  # the newest one by the kernels, and its control law
         self._law: FeedbackLaw | None = None
         self._addresses: dict[str, tuple[np.ndarray, int]] = {}
         self._renewed: set[str] = set()  # arrays that are others than in the QP before
@@ -81,10 +75,7 @@ class Program:
     def condense(
         self, linear: Linear, prediction: Prediction, y_ref: Array, law: FeedbackLaw | None, end: CostToGo | None
     ) -> QP:
-        """Return the QP of a prediction: equations.md (26)-(30), (36e), (48); paper (25)-(27).
-
-        With a cost-to-go, the inputs of the other agents' UAVs, which respond to the state, have their weight in it.
-        """
+        """Return the QP of a prediction: equations.md (26)-(30), (36e), (48); paper (25)-(27)."""
         terminal, responding, Q = self.decision.settings.weights.terminal, _NONE, self._Q
         if end is not None:
             terminal = 0.0  # the stage cost of the last state is part of the cost-to-go

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from model import flat
-from model.arrays import Array, Rows, continued, padded, rows
+from model.arrays import Array, continued, padded, rows
 from model.failure import failed_hover, failed_model
 from model.flat import Track
 from model.hover import Hover
@@ -29,8 +29,7 @@ T = TypeVar("T")
 # Instants before a change of the reference for which its law is kept: more than estimators look back.
 KEPT = 128
 _NO_CORRECTIONS = np.zeros((1, 0))
-# Regulators and previews by model, team and identities of what else they follow from, kept beside them: computed once
-# for all controllers of a process; the oldest are forgotten.
+# Results by model, team and identities of what else they follow from, which are kept beside them: the newest ones.
 _MOST_FOUND = 64
 _FOUND: WeakKeyDictionary[Model, dict[tuple[Any, ...], tuple[Any, tuple[object, ...]]]] = WeakKeyDictionary()
 
@@ -73,10 +72,8 @@ class Regulation:
         self._whole_track = track
         self._X_ref = X_ref if settings.preview and track is None else None
         self._follows_from = (hover, settings, X_ref, track)
-        # The newest change of the reference, and the preview before it.
-        self._ahead: tuple[Ahead, ...] = ()
+        self._ahead: tuple[Ahead, ...] = ()  # the newest change of the reference, and the preview before it
         self._preview_before: Preview | None = None
-        self._value_on_reference()
         self._preview: Preview | None = None
         self.regulator: Regulator | None = None  # None if the settings need none
         self._tracker: Tracker | None = None
@@ -96,12 +93,10 @@ class Regulation:
     def form(
         self, gone: Collection[int], off: Collection[int], released: Collection[int], *, since: int | None = None
     ) -> None:
-        """Set the UAVs, 0-based, without an agent, without motors, and of these those released from their rods.
+        """Set the UAVs, 0-based, without an agent, without motors, and of these the released ones: (45), (50), (51).
 
-        The shared control law depends on nothing else: it is the same in all agents. Along a reference, that of a new
-        team takes the work of several instants: if the present one is given, `advance` completes it.
-        If the remaining UAVs have no hover or cannot stabilise the team, the regulator ignores the lost agents, else
-        the failures, else both. Source: equations.md (40), (45), (50), (51).
+        Along a reference, if the present instant is given, `advance` completes the law. If the remaining UAVs cannot
+        stabilise the team, the regulator ignores the lost agents, else the failures, else both.
         """
         gone, off, released, none = frozenset(gone), frozenset(off), frozenset(released), frozenset[int]()
         for team in ((gone, off, released), (none, off, released), (gone, none, none)):
@@ -120,14 +115,10 @@ class Regulation:
         return True
 
     def head(self, X_ref: Array, ahead: Ahead) -> bool:
-        """Follow another reference from the present instant on; the law before it stays as it was.
-
-        Given are all reference states, (K, n), for UAVs without an agent, and the new part. Returns: as `advance`.
-        """
+        """Follow another reference, of states X_ref, (K, n), from the present instant on. Returns: as `advance`."""
         completed = self._recursion is not None and self.advance(self._recursion.ready)
         self._ahead, self._preview_before = (ahead,), self._preview
         self._X_ref = None if self._X_ref is None else ahead.X_ref
-        self._value_on_reference()
         if self._whole_track is not None and ahead.track is not None:
             self._whole_track = continued(self._whole_track, ahead.track, KEPT)
         self._whole_fail_safe = self._whole_fail_safe.following(X_ref, self._whole_track)
@@ -171,8 +162,8 @@ class Regulation:
     def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
         """Return the shared control law over the horizon; None with open-loop prediction: equations.md (35), (40).
 
-        Given are the state at its first step, (n,), with motor lag [x, actual inputs], (n + m,), reference states,
-        (N_p, n), announced corrections, (N_p, m), estimated forces (`Model`), and the instant of the first step.
+        Given are the state at its first step, (n,) or (n + m,), at instant `start`, references, (N_p, n), announced
+        corrections, (N_p, m), and estimated forces (`Model`).
         """
         if self.regulator is None or self._settings.prediction != "closed_loop":
             return None
@@ -218,15 +209,12 @@ class Regulation:
         return self.regulator.K
 
     def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
-        """Return the cost after the horizon, (36d); None if a multiple of the stage cost, or part of the law's weights.
-
-        Reference state, (n,), and instant are those of step N_p; the rest as in `law`.
-        """
+        """Return the cost after the horizon, (36d), if any; reference, (n,), and instant are those of step N_p."""
         if self.regulator is None or self._settings.terminal != "riccati" or self._track is not None:
             return None
         error, slope = self._error(x0, x_ref), np.zeros_like(x0)
         if self._preview is not None:
-            slope = self._preview.slope[_within(self._preview, instant, 1)][0]
+            slope = self._preview.slope[rows(instant - self._preview.first, 1, len(self._preview.slope))][0]
         if forces is not None:
             forces = self._model.at_rest(forces)
             error = error - self._shift(forces)
@@ -237,15 +225,14 @@ class Regulation:
         """Return the response to the reference ahead from instant `start` on, (steps, m); zero without preview."""
         if self._preview is None:
             return np.zeros((steps, self._model.system.m))
-        return self._preview.feedforward[_within(self._preview, start, steps)]
+        return self._preview.feedforward[rows(start - self._preview.first, steps, len(self._preview.slope))]
 
     def _error(self, x0: Array, x_ref: Array) -> Array:
         """Return the deviation of a state from reference states, (..., n); actual inputs deviate from hover."""
-        n = x_ref.shape[-1]
-        if len(x0) == n:
-            return x0 - x_ref
-        actual = np.broadcast_to(x0[n:] - self.hover.u, (*x_ref.shape[:-1], len(x0) - n))
-        return np.concatenate([x0[:n] - x_ref, actual], axis=-1)
+        if len(x0) > x_ref.shape[-1]:
+            actual = np.broadcast_to(self.hover.u, (*x_ref.shape[:-1], len(self.hover.u)))
+            x_ref = np.concatenate([x_ref, actual], axis=-1)
+        return x0 - x_ref
 
     def _shift(self, forces: Array) -> Array:
         """Return the deviation of the target from hover under forces, (n,); in it the actual inputs are the command."""
@@ -281,17 +268,13 @@ class Regulation:
         fixed = {uav: (partial(on_reference, uav), feedback) for uav, feedback in self._uncontrolled.items()}
         return Recursion(self._model, track, found, self.cost, self.user_costs, period_s, fixed, before, since)
 
-    def _value_on_reference(self) -> None:
-        """Evaluate the user's terms on the reference, (K, terms): no team changes them."""
-        known = () if self._X_ref is None else self._X_ref
-        self._on_reference = np.array([self.user_costs.at(x)[0] for x in known])
-
     def _foresee(self, found: Regulator) -> None:
         """Compute the response to the reference from its newest change on; that before stays as it was."""
         if self._X_ref is not None:
             # On the reference, the output error is zero; the user's terms are not.
             states, further = len(found.T), self.user_costs.about(self.hover.x)
-            pull = (np.sqrt(self.user_costs.weights) * self._on_reference) @ padded(further, states)
+            on_reference = np.array([self.user_costs.at(x)[0] for x in self._X_ref])
+            pull = (np.sqrt(self.user_costs.weights) * on_reference) @ padded(further, states)
             # The actual inputs of the reference are those of hover: their deviation from the last ones is zero.
             X_ref, first = padded(self._X_ref, states), self._ahead[0].first if self._ahead else 0
             seen = self._shared("preview", lambda: feedback.preview(found, X_ref, pull, first))
@@ -299,10 +282,7 @@ class Regulation:
             self._preview = seen if before is None else continued(before, seen, KEPT)
 
     def _shared(self, what: str, compute: Callable[[], T]) -> T:
-        """Return a result for this team, computed by the first controller of the reference that needs it.
-
-        Not for others: the number of BLAS threads, which decides the order of sums, may differ.
-        """
+        """Return a result for this team, computed by the first controller of the reference that needs it."""
         origin = self._follows_from if what == "regulator" else (*self._follows_from, *self._ahead)
         found, key = _FOUND.setdefault(self._whole, {}), (what, *map(id, origin), *self._team)
         if key not in found:
@@ -324,8 +304,3 @@ class Regulation:
             feedforward[regulator.controlled] = regulator.preview_gain @ p
             self._by_forces = feedforward, regulator.T @ p
         return self._by_forces
-
-
-def _within(preview: Preview, start: int, steps: int) -> Rows:
-    """Return the rows of instants of the maneuver; later ones are replaced by its last."""
-    return rows(start - preview.first, steps, len(preview.slope))

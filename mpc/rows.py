@@ -1,4 +1,4 @@
-"""All constraint rows of the QP, row_lower <= A z <= row_upper: rates, separation, tilt, the user's, rod tensions.
+"""The decision of one controller and all rows of its QP, row_lower <= A z <= row_upper.
 
 z is the scaled decision, then the slacks. A slack relaxes a lower bound with coefficient 1, an upper bound with -1.
 """
@@ -18,17 +18,49 @@ from model.dynamics import Symbols, motion
 from model.obstacles import Obstacle
 from model.parameters import System, payload_corners
 from model.rotations import euler_rates, rotation
-from mpc.decision import Decision
 from mpc.expressions import Expressions, read
 from mpc.prediction import Linear, Prediction, stacked
-from mpc.settings import Constraint
+from mpc.settings import Constraint, ControllerSettings
+
+
+class Decision:
+    """Positions, limits and scale of the owned inputs; owned UAVs are 0-based, ascending."""
+
+    def __init__(self, system: System, settings: ControllerSettings, owned: Sequence[int]) -> None:
+        self.system, self.settings, self.uavs = system, settings, tuple(owned)
+        self.own = state.input_indices(self.uavs)  # positions in u, (m_own,)
+        self.others = np.setdiff1d(np.arange(system.m), self.own)  # those of all other inputs, (m - m_own,)
+        self.shape = settings.horizon, len(self.own)
+        self.size = settings.horizon * len(self.own)
+        self.lower, self.upper = settings.lower(len(self.uavs)), settings.upper(len(self.uavs))  # bounds, (m_own,)
+        self.rate = settings.step(len(self.uavs))  # largest change over one sampling period, (m_own,)
+        # Half the range, (m_own,): unit of the decision in the QP, so that newtons and newton metres weigh alike.
+        self.scale = (self.upper - self.lower) / 2.0
+
+    def clip(self, inputs: Array) -> Array:
+        """Return owned inputs within their bounds, (..., m_own)."""
+        return np.minimum(np.maximum(inputs, self.lower), self.upper)
+
+    def inputs(self, z: Array) -> Array:
+        """Return the decision in SI units, (N_p, m_own), from the QP's variables: scaled inputs, then slacks."""
+        return np.asarray(z[: self.size].reshape(self.shape) * self.scale)
+
+    def bounds(self, U_free: Array, u0: Array) -> tuple[Array, Array]:
+        """Return the bounds on the scaled decision about U_free, (N_p m_own,) each, the first rate limit included.
+
+        Inputs in force outside their bounds return at once: the bounds are the actuators', the rates a preference.
+        """
+        lower, upper = self.lower - U_free, self.upper - U_free
+        first = u0[self.own] - U_free[0]
+        lower[0] = np.minimum(np.maximum(lower[0], first - self.rate), upper[0])
+        upper[0] = np.maximum(np.minimum(upper[0], first + self.rate), lower[0])
+        return (lower / self.scale).reshape(-1), (upper / self.scale).reshape(-1)
 
 
 class Rows:
-    """Rows of all constraints that are set, (28)-(30b); constant entries and bounds are here.
+    """Rows of all constraints that are set, (28)-(30b), with their constant entries and bounds.
 
-    One slack for all separations and one for all tilts, one for each soft constraint of the user, one for all rod
-    tensions. Constraints without owned inputs are left to their owners.
+    Slacks: all separations, all tilts, each soft constraint of the user, all tensions.
     """
 
     def __init__(self, decision: Decision) -> None:
@@ -66,10 +98,7 @@ class Rows:
         self.A[self._tensions, -1:] = -1.0
 
     def fill(self, linear: Linear, prediction: Prediction, free: Array, effect: Array) -> tuple[Array, Array, Array]:
-        """Return A, lower and upper of one step; the positions of the UAVs are the first of the weighted outputs.
-
-        Given are these without decision, (N_p, outputs), and the scaled decision's effect, (outputs, N_p, m_own).
-        """
+        """Return A, lower, upper of one step by outputs, (N_p, outputs), and effects on them: the UAVs' are first."""
         A, lower, upper = self.A.copy(), self.lower.copy(), self.upper.copy()
         size, N = self._decision.size, self._decision.system.N
         _, direction = separation_rows(linear.model.y[: 3 * N], self.pairs)
@@ -130,10 +159,7 @@ class Clearance:
         return np.array(distances) - self._margins[:, None], np.array(normals)
 
     def rows(self, x: Array, normals: Array, effect: Array, on_places: Array) -> Array:
-        """Return the effect of a decision on the distances at one state, (obstacles, points, size).
-
-        Given are gradients, (obstacles, points, 3), and effects on the state, (n, size), and on places, (3 N, size).
-        """
+        """Return the effect on the distances at one state, (obstacles, points, size), by that on state and places."""
         R, omegas = rotation(x[state.THETA0]), np.linalg.inv(euler_rates(x[state.THETA0])).T
         turned = np.array([np.cross(omega, self._corners) @ R.T for omega in omegas])
         # All agents correct the payload's distance: each its share of what they do together.
@@ -155,11 +181,7 @@ def pairs_of(N: int, owned: tuple[int, ...]) -> npt.NDArray[np.intp]:
 
 
 def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return pairwise distances, (pairs,), m, and rows with distance = row . positions, (pairs, 3 N): (29).
-
-    |r_i - r_j| is replaced by d' (r_i - r_j), d the present direction: a lower bound, so that keeping it
-    above the limit keeps the actual distance above it too. Given are positions, (3 N,), and pairs, (pairs, 2).
-    """
+    """Return pairwise distances, m, and rows with distance = row . positions, (pairs, 3 N), along the present: (29)."""
     r = positions.reshape(-1, 3)
     apart = r[pairs[:, 0]] - r[pairs[:, 1]]
     distances = np.sqrt((apart * apart).sum(axis=1))

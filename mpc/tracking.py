@@ -1,12 +1,8 @@
 """The shared control law along a flat reference: a time-varying linear-quadratic regulator, and the program about it.
 
-All agents compute the same gains once, by the Riccati recursion backwards from the regulator at hover. In deviations
-from the reference, with inputs u = u_ref + K(k) (x - x_ref) + feedforward + c, the team's cost is
-
-    constant + sum_k c(k)' M(k) c(k),    M(k) = R + B(k)' P(k+1) B(k).
-
-So an agent's optimum without constraints follows from the others' corrections alone, and is zero where theirs are. Only
-where the trajectory under it violates a constraint is a QP solved, about that trajectory.
+The team's cost is constant + sum_k c(k)' M(k) c(k), M(k) = R + B(k)' P(k+1) B(k), by the corrections c. So an agent's
+optimum without constraints follows from the others' corrections alone, and is zero where theirs are. Only where the
+trajectory under it violates a constraint is a QP solved, about that trajectory.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -21,11 +17,10 @@ from model.flat import Track
 from model.linearisation import Model
 from model.obstacles import Obstacle
 from mpc.cost import Cost, UserCosts
-from mpc.decision import Decision
 from mpc.feedback import FeedbackLaw, Gains, Regulator
 from mpc.prediction import Linear
 from mpc.qp import QP
-from mpc.rows import Clearance, Rows, separation_rows
+from mpc.rows import Clearance, Decision, Rows, separation_rows
 from mpc.settings import ControllerSettings
 
 INSTANTS = 16  # gains computed in a sampling period while the team flies: 8 ms of processor time for four UAVs
@@ -51,9 +46,8 @@ class Tracker:
 class Recursion:
     """Linear-quadratic regulator along a reference in the making, some instants at a time, backwards from its end.
 
-    States are deviations from the reference; the cost is blind to those off the manifold, as the expansion is. The
-    user's terms count as deviations from their values on the reference. The regulator is that of the team at hover;
-    until the instant `since` that of another team, `before`, holds, or this one from the start. Source: (70)-(72).
+    The user's terms count as deviations from their values on the reference. Until the instant `since` the regulator of
+    another team, `before`, holds, or this one from the start. Source: docs/equations.md (70)-(72).
     """
 
     def __init__(
@@ -75,10 +69,7 @@ class Recursion:
             self.ready += -(-max(self._last + 1 - since, 0) // INSTANTS)
 
     def meanwhile(self, off: Collection[int], horizon: int) -> Tracker:
-        """Return the regulator until this one is ready: the gains before, but not of UAVs that are off, 0-based.
-
-        What these do counts no more: a bob in the place of a released one swings freely.
-        """
+        """Return the regulator until this one is ready: the gains before, but not of and by UAVs off, 0-based."""
         gains = list(self._before)
         for k in range(self._since, min(self.ready - self._track.first + horizon, len(gains))):
             K, feedforward = gains[k].K.copy(), gains[k].feedforward.copy()
@@ -156,10 +147,9 @@ def rollout(
     model: Model, settings: ControllerSettings, z0: Array, law: FeedbackLaw, forces: Array | None = None,
     decision: Decision | None = None, before: Array | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return states, (N_p + 1, n), with motor lag (N_p + 1, n + m), and inputs, (N_p, m), under the control law.
+    """Return states, (N_p + 1, n or n + m), and inputs within bounds, (N_p, m), under the control law: (35a), (73).
 
-    Inputs include the law's corrections and are within bounds. Those of a decision are free, or also within rates if
-    the owned inputs before the first step are given, (m_own,). Source: equations.md (35a), (73).
+    Inputs of a decision are free, or also within rates if the owned inputs before the first step are given, (m_own,).
     """
     lower, upper = bounds = settings.lower(model.system.N), settings.upper(model.system.N)
     period_s, lag_s, at_x0 = settings.sampling_period_s, settings.motor_lag_s, law.uncorrected + law.c
@@ -194,10 +184,7 @@ class Course:
 
 
 class Along:
-    """Program of one controller about the trajectory of the shared control law along a reference.
-
-    The decision is the change of the owned corrections, scaled as the inputs; its unconstrained optimum is zero.
-    """
+    """Program about the trajectory of the law along a reference; the decision changes the owned corrections."""
 
     def __init__(self, decision: Decision, obstacles: Sequence[Obstacle] = ()) -> None:
         self._decision, self._rows, self._settings = decision, Rows(decision), decision.settings

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from model import integration, state
+from model import linearisation, state
 from model.arrays import Array
 from model.linearisation import Model
 from model.state import StateView
@@ -74,11 +74,11 @@ def test_calm_motion_has_the_bits_of_equal_steps() -> None:
 def test_work_is_bounded_and_the_error_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the shortest or the most steps do not suffice, the integration ends and its error exceeds the tolerance."""
     model, x, u = violent(0)
-    monkeypatch.setattr(integration, "MOST_STEPS", 50)
+    monkeypatch.setattr(linearisation, "MOST_STEPS", 50)
     _, error = model.integrate(x, u, PERIOD_S, 1, tolerance=DEFAULT.tolerance)
     assert error > DEFAULT.tolerance
     monkeypatch.undo()
-    monkeypatch.setattr(integration, "SHORTEST", 1.0)
+    monkeypatch.setattr(linearisation, "SHORTEST", 1.0)
     _, error = model.integrate(x, u, PERIOD_S, STEPS, tolerance=DEFAULT.tolerance)
     assert error > DEFAULT.tolerance
 

@@ -90,17 +90,6 @@ def test_weights_on_accelerations_serve_vehicles_of_any_size(size: float) -> Non
     assert growths[1] == pytest.approx(growths[0], rel=1e-6)
 
 
-def test_plans_of_the_paper_are_states_of_the_loop() -> None:
-    """With open-loop prediction the step contains the announced plans, and its first block follows the QP."""
-    settings = ControllerSettings(horizon=6)
-    loop = _loop(settings)
-    assert len(loop.matrix(Mismatch())) > SYSTEM.N * settings.horizon * 4
-    whole = _loop(SHARED.model_copy(update={"horizon": 6, "relaxation": 0.5}))
-    whole._plans = tuple(map(whole._plan_map, whole._controllers))
-    # The announced corrections decay, so the loop without them has the same slowest modes.
-    assert whole.growth(Mismatch(lag_s=0.02)) == pytest.approx(_loop().growth(Mismatch(lag_s=0.02)), abs=1e-6)
-
-
 @pytest.mark.parametrize("next_tick", [False, True])
 @pytest.mark.parametrize("follows", [False, True])
 @pytest.mark.parametrize("gone", [(1,), (0, 2), (0, 1, 3)])

@@ -12,10 +12,9 @@ from model.discretisation import Discrete
 from mpc.controller import Controller
 from mpc.feedback import FeedbackLaw
 from mpc.prediction import Prediction, free_response, predict, stacked
-from mpc.qp import QP, _residuals, residuals
+from mpc.qp import QP, _residuals, residuals, solve_clarabel, within_bounds
 from mpc.regulation import CostToGo
 from mpc.settings import Constraint, ControllerSettings, CostTerm, Separation, Tilt
-from mpc.solvers import solve_clarabel, within_bounds
 from tests.support import naive
 from tests.support.programs import random_qp
 from tests.support.systems import paper_setup, ring_setup, situation

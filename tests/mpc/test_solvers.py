@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from model.arrays import Array
-from mpc import solvers
-from mpc.qp import QP, RESIDUAL_TOLERANCE, residuals
+from mpc.qp import QP, RESIDUAL_TOLERANCE, residuals, solve, solve_clarabel, solve_daqp
 from mpc.settings import SolverName
-from mpc.solvers import solve, solve_clarabel, solve_daqp
 from tests.support.programs import collected, random_qp, without_solution
 
 # Relative to the largest entry: two solvers meeting the residual tolerance on well-conditioned programs.
@@ -86,7 +84,7 @@ def test_iteration_limit_hands_over(monkeypatch: pytest.MonkeyPatch) -> None:
     """DAQP cut short says "limit", and Clarabel's answer, flagged as fallback, is the optimum."""
     qp = collected(0.4)[-1]
     expected = solve_daqp(qp)
-    monkeypatch.setattr(solvers, "_ITERATIONS", 2)
+    monkeypatch.setattr("mpc.qp._ITERATIONS", 2)
     assert expected.iterations > 2
     assert solve_daqp(qp).status == "limit"
     answer = solve(qp, "daqp")

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mpc.decision import Decision
-from mpc.rows import Rows
+from mpc.rows import Decision, Rows
 from protocol.scenario.budget import estimate
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.schema import Scenario

@@ -22,7 +22,7 @@ from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.keys import Keys
-from websockets import Origin, Subprotocol
+from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
 from model.arrays import Array
@@ -123,19 +123,15 @@ def unpacked(frame: bytes) -> bytes:
 
 
 @contextmanager
-def connected_pages(address: str, count: int, *, origin: str | None = None, to: str = "") -> Iterator[list[Page]]:
-    """Connect as pages do, without drawing; disconnect without notice afterwards.
-
-    The header `Host` names the host of the address, the connection is to host `to`, if given.
-    """
+def connected_pages(address: str, count: int) -> Iterator[list[Page]]:
+    """Connect as pages do, without drawing; disconnect without notice afterwards."""
     connections: list[Page] = []
     parts = urlsplit(address)
     try:
         for _ in range(count):
             page = connect(
                 address.replace("http", "ws", 1),
-                sock=socket.create_connection((to or parts.hostname, parts.port)),
-                origin=None if origin is None else Origin(origin),
+                sock=socket.create_connection((parts.hostname, parts.port)),
                 subprotocols=[Subprotocol(f"viser-v{version('viser')}")],
                 max_size=None,
                 create_connection=Page,

@@ -51,10 +51,10 @@ def lagging(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
     return builder_of(tmp_path_factory.mktemp("lagging"), DARK, LATE, *LAW, *MOTORS)
 
 
-@pytest.fixture(scope="module", params=[(), MOTORS], ids=["ideal", "lagging"])
-def centralized(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
+@pytest.fixture(scope="module")
+def centralized(tmp_path_factory: pytest.TempPathFactory) -> SceneBuilder:
     """One agent that owns all UAVs."""
-    return builder_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]", *request.param)
+    return builder_of(tmp_path_factory.mktemp("centralized"), "agents.owned=[[1,2,3,4]]")
 
 
 def test_positions_at_hover(distributed: SceneBuilder) -> None:
@@ -137,17 +137,3 @@ def test_parts_are_where_the_scene_is(distributed: SceneBuilder, tick: int) -> N
     if tick:
         flown_I = moving["actual paths"].reshape(-1, 3)
         assert all(np.linalg.norm(flown_I - place_I, axis=1).min() < ROUNDING for place_I in scene.uavs_I)
-
-
-def test_contacts_with_the_ground(tmp_path: Path) -> None:
-    """The lower corners of a payload on the ground touch it; those of one that has been lifted do not."""
-    builder = builder_of(tmp_path, "plant.engine=mujoco", "plant.ground_m=-9.875")
-    first, last = builder.at(0), builder.at(builder.history.last)
-    np.testing.assert_allclose(first.contacts_I[:, 2], -9.875, atol=ROUNDING)
-    assert sorted(map(tuple, first.contacts_I[:, :2].tolist())) == [
-        (x, y) for x in (-0.25, 0.25) for y in (-0.25, 0.25)
-    ]
-    assert last.payload_I[2] < -10.1
-    assert last.contacts_I.shape == (0, 3)
-    # The drawn payload is as deep as the box that touches the ground.
-    assert payload_points(builder.setup.system, grounded=True)[:, 2].max() == pytest.approx(0.125)

@@ -19,8 +19,7 @@ from transport.flight.live import LiveRun
 from transport.log.run_log import LogTail
 from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
-from transport.viewer import html
-from transport.viewer.plots import Plots
+from transport.viewer.panel import Plots
 from transport.viewer.viewer import Viewer
 
 NEAR_M = 1e-6
@@ -45,53 +44,26 @@ def builder(recorded: Path) -> SceneBuilder:
     return SceneBuilder(setup, history)
 
 
-def plots(builder: SceneBuilder, tick: int, *, is_live: bool) -> list[Any]:
-    """Return the plots at a tick."""
-    found: list[Any] = []
+@pytest.mark.parametrize("tick", [0, 12, LAST])
+def test_plots_end_at_the_shown_tick(builder: SceneBuilder, tick: int) -> None:
+    """The time axis is fixed and ends at the shown tick, and no axis depends on a single value."""
+    plots: list[Any] = []
 
     def add_uplot(data: Any, series: Any, **options: Any) -> Any:
-        found.append(SimpleNamespace(data=data, series=series, **options))
-        return found[-1]
+        plots.append(SimpleNamespace(data=data, series=series, **options))
+        return plots[-1]
 
     gui: Any = SimpleNamespace(add_uplot=add_uplot)
-    Plots(gui, builder, is_live=is_live).show(tick)
-    return found
-
-
-@pytest.mark.parametrize("tick", [0, 12, LAST])
-def test_plots_of_a_recorded_run_show_all_of_it(builder: SceneBuilder, tick: int) -> None:
-    """At any instant the faded curves cover the whole run, the strong ones the past, within fixed axes."""
-    for plot in plots(builder, tick, is_live=False):
-        times_s, *curves = plot.data
-        faded, strong = np.split(np.array(curves), 2)
-        np.testing.assert_allclose(times_s, PERIOD_S * np.arange(LAST + 1))
-        assert plot.scales["x"]["range"] == [0.0, pytest.approx(LAST * PERIOD_S)]
-        assert np.isfinite(faded).all()
-        np.testing.assert_array_equal(np.isfinite(strong), [times_s <= tick * PERIOD_S] * len(strong))
-        low, high = plot.scales["y"]["range"]
-        assert low <= faded.min() < faded.max() + NEAR_M <= high + NEAR_M
-        assert high < 30.0  # not 100, the axis of no values
-
-
-@pytest.mark.parametrize("tick", [0, LAST])
-def test_plots_of_a_live_run_end_now(builder: SceneBuilder, tick: int) -> None:
-    """The time axis is fixed and ends at the shown tick, and no axis depends on a single value."""
-    for plot in plots(builder, tick, is_live=True):
+    Plots(gui, builder).show(tick)
+    assert len(plots) == 4
+    for plot in plots:
         assert plot.scales["x"] == {"time": False, "auto": False, "range": [-30.0, 0.0]}
-        assert plot.data[0][-1] == 0.0
-        assert plot.data[0][0] == pytest.approx(-tick * PERIOD_S)
+        times_s, *curves = plot.data
+        np.testing.assert_allclose(times_s, PERIOD_S * np.arange(-tick, 1), atol=NEAR_M)
+        assert len(plot.series) == 1 + len(curves)
+        assert np.isfinite(curves).all()
         low, high = (plot.scales["y"]["range"][end]["soft"] for end in ("min", "max"))
         assert low < high < 30.0
-
-
-def test_a_frame_says_how_far_it_is_behind(builder: SceneBuilder) -> None:
-    """More than a second behind an active run the panel says so; it says so by itself when no frame comes."""
-    scene = builder.at(10)
-    assert "296.2 s behind the run, which is at 296.70 s" in html.flight(scene, 900.0, 296.2, watched=True)
-    near = html.flight(scene, 900.0, 0.1, watched=False)
-    assert "behind" not in near
-    assert "no new frame" not in near
-    assert "no new frame for 5 s" in html.flight(scene, 900.0, 0.1, watched=True)
 
 
 @pytest.fixture

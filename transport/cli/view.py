@@ -45,8 +45,6 @@ def view(
             about = orjson.dumps({"address": viewer.address, "run": str(folder)}).decode()
             typer.echo(about if output is Format.json else viewer.address, file=result)
             result.flush()
-            if viewer.other_port:
-                typer.echo(viewer.other_port, err=True)
             typer.echo(f"showing {folder}; Ctrl-C ends it", err=True)
             viewer.show_until(has_parent_ended)
     except KeyboardInterrupt:

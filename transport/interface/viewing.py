@@ -1,7 +1,6 @@
 """The viewer of a run beside the user's own work: it is updated by a thread of this process."""
 
 import html
-import sys
 import threading
 
 from protocol.scenario.setup import Setup
@@ -18,8 +17,6 @@ class RunViewer(Viewer):
 
     def __init__(self, setup: Setup, log: RunLog, host: str, port: int) -> None:
         super().__init__(SceneBuilder.of(setup, log), host=host, port=port, notice=log.cut)
-        if self.other_port:
-            sys.stderr.write(f"{self.other_port}\n")
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self.show_until, args=(self._closed.is_set,), name="viewer", daemon=True)
         self._thread.start()

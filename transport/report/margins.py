@@ -54,7 +54,7 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
     loss and the disturbance estimate are not part of the analysis.
 
     Raises: ScenarioError: the controller is a class of the user, the agents that are gone are not some of several, or
-        the controllers share no control law.
+        plans are not the shared control law.
     Source: docs/equations.md (58).
     """
     absent, name = tuple(sorted(set(without))), setup.scenario.name
@@ -63,13 +63,15 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
         raise ScenarioError(name, "agents.controller", f"{expected}, got a class")
     if absent and not set(absent) < set(setup.agents):
         raise ScenarioError(name, "agents", f"expected some of {list(setup.agents)} gone, got {list(absent)}")
-    if absent and setup.settings.prediction != "closed_loop":
-        raise ScenarioError(name, "controller.prediction", "expected closed_loop where agents are gone, got open_loop")
+    settings = setup.settings
+    if (settings.prediction, settings.terminal, settings.discretisation) != ("closed_loop", "riccati", "exact"):
+        expected = "expected closed_loop, terminal riccati and discretisation exact, whose plans are a feedback"
+        raise ScenarioError(name, "controller.prediction", f"{expected}, got {settings.prediction}")
     gone = [uav for agent in absent for uav in setup.owned[agent - 1]]
     age = max(1, math.ceil(setup.scenario.links.delay_s / setup.settings.sampling_period_s - 1e-9))
     # Several threads are slower than one with matrices of this size.
     with threadpoolctl.threadpool_limits(1):
-        settings = setup.settings.model_copy(update={"linearisation": "present"})  # about hover both are the same
+        settings = settings.model_copy(update={"linearisation": "present"})  # about hover both are the same
         present = [setup.owned[agent - 1] for agent in setup.agents if agent not in absent]
         team = [Controller(setup.model, setup.hover, settings, owned, setup.X_ref) for owned in present]
         for controller in team if gone else ():

@@ -1,8 +1,7 @@
 """Drawing of a run: lines, meshes and labels in moving frames, which browser, Foxglove and figures show alike.
 
-Bodies are fixed in their frames, so that a browser, which applies the poses of a frame at once but the points of lines
-one drawing later, never tears them apart; lines that change lie in frames that move with the team or the payload. All
-frames are relative to the inertial one, z down; lengths in m.
+Bodies are fixed in their frames; lines that change lie in frames that move with the team or the payload, as a browser
+draws their points later than poses. All frames are relative to the inertial one, z down; lengths in m.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,20 +15,18 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from model.arrays import Array
-from model.parameters import System, payload_corners, payload_half_size
+from model.parameters import System, payload_half_size
 from protocol.scenario.setup import Setup
 from transport.scene.scene import Scene, SceneBuilder
 
 Colour = tuple[int, int, int]
 Pose = tuple[Array, Array]  # position, (3,), and rotation to the inertial frame, (3, 3)
 
-# For colour-blind readers (after Okabe and Ito 2008), with different lightness for print in grey. Beyond five UAVs the
-# colours repeat with another line style.
+# For colour-blind readers and print in grey (after Okabe and Ito 2008), repeated with other line styles.
 UAV_COLOURS = ("#004488", "#C24E00", "#009E73", "#E08BBC", "#7F5F00")
 _LINE_STYLES = ("-", "--", ":", "-.")
 
-# Ages of plans and their colours (docs/viewer.md), after that of a fresh one, which is at most `_FRESH_S` old; dark if
-# older than the oldest, or without any plan.
+# Ages of plans and their colours (docs/viewer.md), that of a fresh one first; dark if older, or without any plan.
 _FRESH_S, _AGES_S, _OLDEST_S = 0.1, (0.2, 0.5), 1.0
 _AGE_COLOURS = ((154, 154, 154), (230, 159, 0), (178, 24, 43))
 DARK: Colour = (17, 17, 17)
@@ -42,27 +39,18 @@ ROOT = "map"
 UPSIDE_DOWN: Pose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 
 _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150), (0, 0, 0)
-_CONTACT, _GROUND, _OBSTACLE = (178, 24, 43), (225, 222, 214), (196, 120, 60)
+_GROUND, _OBSTACLE = (225, 222, 214), (196, 120, 60)
 # Arm length, rotor radius, beam and body thickness of a drawn quadrotor, in parts of its span (rotor tip to rotor tip).
 _ARM, _ROTOR, _BEAM, _BODY = 0.31, 0.17, 0.02, 0.06
-# Its span, m, and at most this part of the smallest gap between UAVs, so that they do not overlap.
-_SPAN_M, _SPAN_OF_GAP = 0.9, 0.7
-# Thickness of the drawn payload, a plate through the attachments, and its least half width around the centre; length of
-# a thrust arrow at hover, and of its head; radius of the reference and of a contact; thickness of the ground, m.
-_PLATE_M, _CORE_M = 0.12, 0.15
-ARROW_M, _HEAD_M = 0.6, 0.05
-_GOAL_M, _CONTACT_M, _GROUND_M = 0.07, 0.03, 0.02
-# Distance of the plane below everything where there is no ground, m.
-_BELOW_M = 0.5
-# Half size from which an obstacle counts as endless, and how far beyond the maneuver it is drawn then, m.
-_ENDLESS_M, _BEYOND_M = 1e4, 1.0
-# Points of a flown and of a reference path, and tolerance of the former in parts of the maneuver's size: wide lines are
-# a third of the work of a browser without a graphics processor.
-_POINTS, _POINTS_REFERENCE, _TOLERANCE = 240, 120, 5e-4
-# Points of the reference to a target, and targets drawn with so many: the newest ones.
-_POINTS_TARGET, _DRAWN_TARGETS = 30, 20
-# Dashes of half a link; the gap in each is the share of lost plans. A trace is left at 100 % loss.
-_DASHES, _TRACE = 8, 0.15
+_SPAN_M, _SPAN_OF_GAP = 0.9, 0.7  # its span, m, and at most this part of the smallest gap between UAVs
+_PLATE_M, _CORE_M = 0.12, 0.15  # thickness of the drawn payload, and its least half width, m
+ARROW_M, _HEAD_M = 0.6, 0.05  # length of a thrust arrow at hover, and of its head, m
+_GOAL_M, _GROUND_M = 0.07, 0.02  # radius of the reference, and thickness of the ground, m
+_BELOW_M = 0.5  # distance of the plane below everything where there is no ground, m
+_ENDLESS_M, _BEYOND_M = 1e4, 1.0  # half size of an endless obstacle, and how far beyond the maneuver it is drawn, m
+_POINTS, _POINTS_REFERENCE = 160, 120  # of a flown and of a reference path
+_POINTS_TARGET, _DRAWN_TARGETS = 30, 20  # points of the reference to a target, and targets drawn with them
+_DASHES, _TRACE = 8, 0.15  # dashes of half a link, whose gaps are the share of lost plans, and what is left of them
 _SQUARE = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
 
 
@@ -104,22 +92,13 @@ Part = Lines | Mesh | Label
 
 
 class Drawing:
-    """Drawing of one run.
-
-    Attributes:
-        fixed: Parts that stay as they are in their frames.
-        low, high: Corners of the box around the maneuver, (3,), inertial frame, with the UAVs' arrows and names.
-        start_I: Position of the payload at the start of the reference, (3,), inertial frame.
-        team_I: Middle of the UAVs at this start, (3,), m.
-        size: Diagonal of this box.
-        floor: z of the ground, or of a plane below everything, inertial frame.
-        span: Span of a drawn quadrotor.
-    """
+    """Drawing of one run: parts that stay as they are in their frames, `fixed`, and those of a scene."""
 
     def __init__(self, builder: SceneBuilder) -> None:
         self._builder, self._setup = builder, builder.setup
         self._N = self._setup.system.N
         payload_I, uavs_I = self._reference()
+        # Start of payload and of the middle of the UAVs, (3,); box around the maneuver and arrows; its diagonal.
         self.start_I, self.team_I = payload_I[0], uavs_I[0].mean(axis=0)
         everything = np.vstack([payload_I, uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * ARROW_M])])
         self.low, self.high = everything.min(axis=0), everything.max(axis=0)
@@ -164,13 +143,10 @@ class Drawing:
                 rod_I = scene.uavs_I[i] - scene.attachments_I[i]
                 turn, _ = Rotation.align_vectors(rod_I[None], [[0.0, 0.0, -1.0]])
                 poses[f"rod{i + 1}"] = scene.attachments_I[i], turn.as_matrix()
-        return poses | {f"contact{k + 1}": (corner_I, level) for k, corner_I in enumerate(scene.contacts_I)}
+        return poses
 
     def moving(self, scene: Scene, *, flown: bool = True) -> Iterator[Lines]:
-        """Yield the lines of a scene, the same names for each; with `flown` the actual paths too.
-
-        A new target also changes the lines of the reference among the fixed parts, once.
-        """
+        """Yield the lines of a scene, with `flown` the actual paths too, after a new target those of the reference."""
         targets = len(self._builder.setup.maneuver.targets)
         if targets != self._targets:
             self._targets, self.fixed = targets, tuple(self._fixed())
@@ -194,7 +170,7 @@ class Drawing:
         """Return the actual paths until a scene."""
         payload_I, uavs_I = self._builder.paths(scene.tick, _POINTS)
         paths = [(_FLOWN, payload_I), *((uav_colour(i), uavs_I[:, i]) for i in range(self._N))]
-        drawn = [(colour, _segments(_simplified(path, _TOLERANCE * self.size))) for colour, path in paths]
+        drawn = [(colour, _segments(path)) for colour, path in paths]
         return _lines("actual paths", INERTIAL, "actual paths", 2.0, drawn)
 
     def _arrows(self, scene: Scene) -> Iterator[tuple[Colour, Array]]:
@@ -235,8 +211,6 @@ class Drawing:
             middle, width = np.round((self.low + self.high)[:2] / 2.0), np.ceil(0.7 * self.size)
             below = self._ground_m + np.array([1.0, 2.0]) * _GROUND_M  # below the grid of the viewer
             yield _solid("ground", INERTIAL, _prism(middle + width * _SQUARE, *below), _GROUND)
-            for k in range(len(payload_corners(system))):
-                yield _solid("contact", f"contact{k + 1}", _ball(_CONTACT_M), _CONTACT)
 
     def _uav(self, frame: str, colour: Colour) -> Iterator[Mesh]:
         """Yield body, beams and rotors of a quadrotor; its front rotors are dark."""
@@ -264,10 +238,7 @@ def uav_colour(i: int) -> Colour:
 
 
 def age_colour(age_s: float | None, period_s: float) -> Colour:
-    """Return the colour of a link by the age of the newest plan, s; None for no plan.
-
-    A plan that is one sampling period old is fresh: on a perfect network there is no newer one.
-    """
+    """Return the colour of a link by the age of the newest plan, s, fresh until one period; None for no plan."""
     if age_s is None or age_s > _OLDEST_S:
         return DARK
     ages_s = min(period_s, _FRESH_S), *_AGES_S
@@ -291,10 +262,7 @@ def obstacles(setup: Setup, low: Array, high: Array) -> Iterator[Mesh]:
 
 
 def payload_points(system: System, *, grounded: bool = False) -> Array:
-    """Return the corners of a plate with all attachments on its top, (V, 3), payload frame.
-
-    Where there is a ground, the plate is as thick as the box that touches it.
-    """
+    """Return the corners of a plate below all attachments, (V, 3), payload frame; on a ground it is the box there."""
     flat = np.vstack([[uav.rho[:2] for uav in system.uavs], _CORE_M * _SQUARE])
     height = float(np.mean([uav.rho[2] for uav in system.uavs]))
     return _prism(flat, height, float(payload_half_size(system)[2]) if grounded else height + _PLATE_M)
@@ -309,22 +277,6 @@ def tree(poses: Mapping[str, Pose]) -> Iterator[tuple[str, str, Pose]]:
 def quaternion(R: Array) -> Array:
     """Return the quaternion (w, x, y, z) of a rotation matrix, (4,)."""
     return np.asarray(np.roll(Rotation.from_matrix(R).as_quat(), 1))
-
-
-def _simplified(path: Array, tolerance_m: float) -> Array:
-    """Return a path, (k, 3), with fewer points, about as near to the original as the tolerance.
-
-    Every second point that is near enough to the line between its neighbours is removed, until none is.
-    """
-    while True:
-        before, middle, after = path[:-2:2], path[1:-1:2], path[2::2]
-        along = after - before
-        squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-12)
-        share = np.clip(np.einsum("ij,ij->i", middle - before, along) / squared, 0.0, 1.0)
-        near = np.linalg.norm(middle - before - share[:, None] * along, axis=1) <= tolerance_m
-        if not near.any():
-            return path
-        path = np.delete(path, 1 + 2 * np.flatnonzero(near), axis=0)
 
 
 def _segments(path: Array) -> Array:

@@ -22,33 +22,22 @@ from protocol.wire.messages import (
 
 # Kinds of messages that a history keeps.
 KINDS = frozenset(kind.kind for kind in (PlantState, Plan, StepReport, LinkChange, Target, Roster, FaultNote, Control))
-# Time before the shown tick over which losses are counted, s.
-LOSS_WINDOW_S = 1.0
+LOSS_WINDOW_S = 1.0  # before the shown tick, over which losses are counted
 
 
 class RunHistory:
-    """Messages of one run; grows while a live run is read.
-
-    Attributes:
-        plant_states: Plant states by tick; a tick can be shown once its plant state is here.
-        plans, reports: Plans and reports of steps by agent and tick.
-        first, last: Ticks from and until which can be shown, 0 and -1 if there is none.
-        changes, targets: Link changes and targets in the order of their numbers, without duplicates.
-        begun, setup: The run without them, and with them.
-        control: The coordinator's message about the end of the run, once it has ended.
-        events: Sentences about faults, links and roster, each with its tick.
-    """
+    """Messages of one run; grows while a live run is read."""
 
     def __init__(self, setup: Setup) -> None:
-        self.begun = self.setup = self._shown = setup
-        self.targets: list[Target] = []
-        self.plant_states: dict[int, PlantState] = {}
-        self.plans: dict[tuple[int, int], Plan] = {}
+        self.begun = self.setup = self._shown = setup  # without targets, and with them
+        self.plant_states: dict[int, PlantState] = {}  # by tick, which can be shown once its plant state is here
+        self.first, self.last = 0, -1  # ticks from and until which can be shown
+        self.plans: dict[tuple[int, int], Plan] = {}  # by agent and tick, as the reports of steps
         self.reports: dict[tuple[int, int], StepReport] = {}
-        self.first, self.last = 0, -1
-        self.changes: list[LinkChange] = []
-        self.control: Control | None = None
-        self.events: list[tuple[int, str]] = []
+        self.changes: list[LinkChange] = []  # in the order of their numbers, as the targets
+        self.targets: list[Target] = []
+        self.control: Control | None = None  # the coordinator's message about the end
+        self.events: list[tuple[int, str]] = []  # ticks and sentences about faults, links and roster
         self._rosters: list[Roster] = []
 
     def add(self, messages: Iterable[Message]) -> None:

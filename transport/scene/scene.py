@@ -9,9 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.announced import AnnouncedInputs
-from model import motors
 from model.arrays import Array
-from model.parameters import payload_corners
 from model.rotations import rotation
 from model.state import INPUTS, StateView
 from mpc.feedback import FeedbackError, FeedbackLaw
@@ -23,11 +21,6 @@ from protocol.scenario.stage_cost import StageCost
 from protocol.wire.messages import StepReport
 from transport.log.run_log import LogError, RunLog
 from transport.scene.history import LinkHistory, LinkState, RunHistory
-
-# Ticks after which a command no longer acts on the actual inputs.
-_FORGOTTEN = 100
-# A corner this near to the ground is drawn as touching it, m.
-_TOUCHING_M = 2e-3
 
 
 class PredictedPaths(NamedTuple):
@@ -52,7 +45,6 @@ class Scene:
     R_uavs: Array  # body to inertial frames, (N, 3, 3)
     attachments_I: Array  # of the rods to the payload, (N, 3)
     thrusts_I: Array  # forces, (N, 3), N
-    contacts_I: Array  # corners of the payload's box that touch the ground, (k, 3)
     predictions: tuple[PredictedPaths, ...]  # of the agents that made a plan at this tick
     links: tuple[LinkState, ...]  # between agents
     members: frozenset[int]  # agents on the roster
@@ -65,15 +57,11 @@ class Scene:
 
 
 class SceneBuilder:
-    """Builder of the scenes of one run, whose history may grow.
-
-    Attributes:
-        start_I: Positions of the UAVs at the start of the reference, (N, 3), inertial frame, m.
-        hover_N: Mean thrust of a UAV at hover, N.
-    """
+    """Builder of the scenes of one run, whose history may grow."""
 
     def __init__(self, setup: Setup, history: RunHistory) -> None:
         self.history, self.link_history = history, LinkHistory(history)
+        # Positions of the UAVs at the start of the reference, (N, 3), m, and mean thrust of a UAV at hover, N.
         self.start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N].reshape(-1, 3)
         self.hover_N = float(np.mean(setup.hover.u[::INPUTS]))
         self._cost = StageCost(setup)
@@ -87,10 +75,7 @@ class SceneBuilder:
 
     @classmethod
     def of(cls, setup: Setup, log: RunLog) -> "SceneBuilder":
-        """Return the builder for a recorded run.
-
-        Raises: LogError: the log holds no readable plant state.
-        """
+        """Return the builder for a recorded run. Raises: LogError: the log holds no readable plant state."""
         history = RunHistory(setup)
         history.add(entry.message for entry in log.messages)
         if history.last < 0:
@@ -116,7 +101,6 @@ class SceneBuilder:
             R_uavs=R_uavs,
             attachments_I=np.array([view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]),
             thrusts_I=-plant_state.u[::INPUTS, None] * R_uavs[:, :, 2],
-            contacts_I=self._contacts(view.r0_I, R_payload),
             predictions=self._predictions(tick),
             links=self.link_history.states(tick),
             members=frozenset(setup.agents if roster is None else roster.agents),
@@ -136,20 +120,8 @@ class SceneBuilder:
         error_I = StateView(plant_state.x).r0_I - setup.maneuver.path(time_s)[0][0]
         return float(np.linalg.norm(error_I)), self._cost.at(tick, y, y_ref, plant_state.u)
 
-    def _contacts(self, r0_I: Array, R_payload: Array) -> Array:
-        """Return the corners of the payload's box on the ground, (k, 3), m; none without a ground."""
-        ground_m = self.setup.scenario.plant.ground_m
-        if ground_m is None:
-            return np.zeros((0, 3))
-        corners_I = r0_I + payload_corners(self.setup.system) @ R_payload.T
-        touching: Array = corners_I[corners_I[:, 2] > ground_m - _TOUCHING_M]
-        return touching
-
     def paths(self, tick: int, points: int) -> tuple[Array, Array]:
-        """Return the flown paths until a tick, with about so many points.
-
-        Returns: Payload (k, 3) and UAVs (k, N, 3), inertial frame, m.
-        """
+        """Return the flown paths of payload, (k, 3), and UAVs, (k, N, 3), m, until a tick, by some points."""
         ticks = sorted(k for k in self.history.plant_states if k < tick)
         positions = np.array([self._position(k) for k in [*ticks[:: max(1, len(ticks) // points)], tick]])
         return positions[:, 0], positions[:, 1:]
@@ -173,14 +145,9 @@ class SceneBuilder:
         return tuple(predictions)
 
     def _predicted_states(self, agent: int, tick: int) -> Array | None:
-        """Return the states an agent predicted with its plan of a tick, k: the trajectory of the nonlinear model.
+        """Return the states that an agent predicted with its plan of a tick, (N_p + 1, n): equations.md (32), (35).
 
-        With closed-loop prediction every agent applies the shared control law with its announced corrections, otherwise
-        its announced inputs.
-
-        Returns: States at ticks k..k + N_p, (N_p + 1, n); None if the agent made no plan at k, or an agent or UAV was
-            off the roster.
-        Source: docs/equations.md (32), (35).
+        None without a plan of that tick, and while an agent or UAV is off the roster.
         """
         history, setup = self.history, self.history.setup_at(tick)
         own, plant_state, roster = history.plans.get((agent, tick)), history.plant_states[tick], history.roster(tick)
@@ -192,7 +159,7 @@ class SceneBuilder:
         announced.add(own)
         x, z0, forces = plant_state.x, plant_state.x, np.zeros(3 + 3 * setup.system.N)
         if setup.settings.motor_lag_s > 0.0:
-            z0 = np.concatenate([x, self._actual_inputs(tick)])
+            z0 = np.concatenate([x, plant_state.u])  # as if the motors had followed
         if report is not None:
             forces[:3] = report.force
             for peer, age in zip(report.peers, report.plan_ages, strict=True):
@@ -230,15 +197,3 @@ class SceneBuilder:
             found.head(setup.X_ref, setup.ahead)
             self._newest = setup.ahead, found
         return self._newest[1]
-
-    def _actual_inputs(self, tick: int) -> Array:
-        """Return the actual inputs at a tick as its agents estimate them: by the lag from the commands before, (m,)."""
-        settings, system = self.setup.settings, self.setup.system
-        gains = None if system.rate_gains is None else tuple(system.rate_gains.tolist())
-        # What is left of deviations from commands after a period.
-        left = motors.shares(settings.motor_lag_s, settings.sampling_period_s, gains, system.N)[2]
-        a: Array = self.setup.hover.u
-        for k in range(max(0, tick - _FORGOTTEN), tick):
-            if (before := self.history.plant_states.get(k)) is not None:
-                a = before.u + left[0] * (a - before.u) + left[1] * (motors.commanded_states(before.x) - before.u)
-        return a

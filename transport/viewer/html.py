@@ -1,7 +1,6 @@
 """HTML of the panel: notice, tables of payload and agents, events and legend."""
 
-import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
@@ -10,73 +9,45 @@ from model.arrays import Array
 from transport.scene.drawing import DARK, Colour, age_colour, uav_colour
 from transport.scene.scene import Scene
 
-_TABLE = "font-size:12px;width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums"
+_TABLE = "font-size:12px;border-collapse:collapse;font-variant-numeric:tabular-nums;margin:4px 8px"
 _CELL = "padding:1px 4px;white-space:nowrap"
 _ALARM = "color:#b2182b"
 # Ages in the legend, s.
 _AGES = ((0.0, "fresh"), (0.2, "0.2 s"), (0.5, "0.5 s"))
 _SHOWN_EVENTS = 5
-# A payload this near to a target is at it, in gusts too, m.
-_AT_M = 0.2
-# Smallest delay behind an active run that is shown, s.
-_BEHIND_S = 1.0
-# A sentence that the browser shows by itself once this table has not been replaced for 5 s.
-_STALE = (
-    "<style>@keyframes late {to {max-height: 4em}}</style>"
-    f'<div style="{_ALARM};font-size:12px;margin:2px 12px;max-height:0;overflow:hidden;animation:late 0s 5s forwards">'
-    "<b>no new frame for 5 s: run, viewer or browser is busy</b></div>"
-)
-# An image of one pixel.
-_PIXEL = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"
 
 
-def image(source: str = _PIXEL, onload: str = "") -> str:
-    """Return an invisible image, which a page asks the server for, and a script that runs once it is loaded."""
-    return f'<img src="{source}" alt="" style="display:none" onload="{escape(onload)}">'
-
-
-def tab_title(name: str) -> str:
-    """Return an image that names the tab of the browser; viser has no call for that."""
-    return image(onload=f"document.title = {json.dumps(f'transport: {name}')}")
+def image(source: str) -> str:
+    """Return an invisible image, which a page asks the server for."""
+    return f'<img src="{source}" alt="" style="display:none">'
 
 
 def notice(text: str, *, warning: bool) -> str:
     """Return a sentence in a box; nothing for an empty one."""
-    if not text:
-        return ""
     colours = "#fff3cd;border:1px solid #d9a400" if warning else "#eef3f8;border:1px solid #b9c9da"
-    return (
-        f'<div style="background:{colours};color:#222;border-radius:4px;padding:6px 8px;margin:4px 12px;'
-        f'font-size:12px">{escape(text)}</div>'
-    )
+    style = f"background:{colours};color:#222;border-radius:4px;padding:6px 8px;margin:4px 12px;font-size:12px"
+    return f'<div style="{style}">{escape(text)}</div>' if text else ""
 
 
-def flight(scene: Scene, duration_s: float, behind_s: float, *, watched: bool) -> str:
-    """Return a table of time, phase, cost, attitude and position error of the payload.
-
-    It says how far the scene is behind an active run, and, if watched, later on that no further table has come.
-    """
+def flight(scene: Scene, duration_s: float) -> str:
+    """Return a table of time, phase, cost, attitude and position error of the payload."""
     roll, pitch, yaw = scene.attitude_deg
-    rows = {"time": f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}"}
-    if behind_s > _BEHIND_S:
-        ahead = f"{behind_s:.1f} s behind the run, which is at {scene.time_s + behind_s:.2f} s"
-        rows[""] = f'<b style="{_ALARM}">{ahead}</b>'
-    rows["stage cost"] = f"{scene.cost:.5f}"
-    rows["payload"] = f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg"
-    rows["payload error"] = f"{scene.error_m:.3f} m"
+    rows = {
+        "time": f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}",
+        "stage cost": f"{scene.cost:.5f}",
+        "payload": f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg",
+        "payload error": f"{scene.error_m:.3f} m",
+    }
     if scene.fail_safe:
         rows["fail-safe"] = ", ".join(f"UAV{uav}" for uav in scene.fail_safe)
-    cells = "".join(_row(_cell(name, "color:#666"), _cell(text)) for name, text in rows.items())
-    return f'<table style="{_TABLE};margin:4px 8px;width:auto">{cells}</table>{_STALE if watched else ""}'
+    return _table(_row(_cell(name, "color:#666"), _cell(text)) for name, text in rows.items())
 
 
 def target(place_I: Array, arrives_s: float, scene: Scene) -> str:
     """Return where the payload of a scene is sent, (3,), m, when its reference arrives, s, and how far it is."""
-    away_m = float(np.linalg.norm(scene.payload_I - place_I))
-    place, left_s = "target ({:g}, {:g}, {:g}) m".format(*place_I.tolist()), arrives_s - scene.time_s
-    when = f"arrives at t = {arrives_s:.1f} s, in {left_s:.1f} s" if left_s > 0.0 else f"since t = {arrives_s:.1f} s"
-    what = f"<b>at {place}</b>" if left_s <= 0.0 and away_m < _AT_M else f"to {place}"
-    return _small(f"{what}: {when}; {away_m:.2f} m away")
+    place, away_m = "({:g}, {:g}, {:g}) m".format(*place_I.tolist()), float(np.linalg.norm(scene.payload_I - place_I))
+    when = f"arrives at t = {arrives_s:.1f} s" if arrives_s > scene.time_s else f"since t = {arrives_s:.1f} s"
+    return _small(f"target {place}: {when}; {away_m:.2f} m away")
 
 
 def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str:
@@ -84,14 +55,11 @@ def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str
     numbers = range(1, len(owned) + 1)
     peers = numbers if len(owned) > 1 else ()
     titles = ["agent", "step", "measured", *(f"from {peer}" for peer in peers)]
-    rows = _row(*(_cell(title, "color:#666;text-align:right") for title in titles))
+    rows = [_row(*(_cell(title, "color:#666;text-align:right") for title in titles))]
     for agent, uavs, report in zip(numbers, owned, scene.reports, strict=True):
-        name = f"{_coloured('&#9632;', uav_colour(uavs[0]))} {agent}"
-        if (numbered := ",".join(str(uav + 1) for uav in uavs)) != str(agent):
-            name += f" (UAV {numbered})"
+        name = _cell(f"{_coloured('&#9632;', uav_colour(uavs[0]))} {agent}")
         if report is None or agent not in scene.members:
-            why = "no step" if agent in scene.members else "off the roster"
-            rows += _row(_cell(name), _cell(why, _ALARM, span=9))
+            rows.append(_row(name, _cell("no step" if agent in scene.members else "off the roster", _ALARM, span=9)))
             continue
         step = f"{float(report.times_ms[-1]):.1f}"
         if report.status != "solved":
@@ -99,12 +67,9 @@ def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str
         ages = dict(zip(report.peers, report.plan_ages, strict=True))
         used = ("" if peer == agent else _age(ages.get(peer, -1), period_s, usual=1) for peer in peers)
         cells = (step, _age(report.measurement_age, period_s, usual=0), *used)
-        rows += _row(_cell(name), *(_cell(cell, "text-align:right") for cell in cells))
-    units = "step time in ms; age of the measurement and of each plan used, in s"
-    return (
-        f'<div style="overflow-x:auto;margin:4px 8px"><table style="{_TABLE}">{rows}</table>'
-        f'<div style="font-size:11px;color:#666;padding:2px 4px">{units}</div></div>'
-    )
+        rows.append(_row(name, *(_cell(cell, "text-align:right") for cell in cells)))
+    units = _small("step time in ms; age of the measurement and of each plan used, in s")
+    return f'<div style="overflow-x:auto">{_table(rows)}</div>{units}'
 
 
 def events(entries: Sequence[tuple[int, str]], tick: int, period_s: float) -> str:
@@ -131,6 +96,10 @@ def _age(ticks: int, period_s: float, usual: int) -> str:
         return "-"
     text = f"{ticks * period_s:.2f}"
     return text if ticks <= usual else _coloured(f"<b>{text}</b>", age_colour(ticks * period_s, period_s))
+
+
+def _table(rows: Iterable[str]) -> str:
+    return f'<table style="{_TABLE}">{"".join(rows)}</table>'
 
 
 def _row(*cells: str) -> str:

@@ -11,22 +11,17 @@ from transport.scene.scene import Scene
 # Camera offsets in parts of the size of the maneuver, and of the team; vertical field of view, rad. Links and predicted
 # paths lie in the plane of the UAVs, so both look from well above; from +y, x is to the right as in the figures.
 _VIEW, _VIEW_TEAM, _FOV = np.array([0.5, 1.1, -0.6]), np.array([0.9, 1.9, -2.2]), 0.75
-# The camera follows a team that has moved by this, m, and stays while a user turns it by this part of its distance.
-_MOVED_M, _TURNED = 0.01, 1e-3
+# A camera that has been turned by this part of its distance since the last frame is being turned.
+_TURNED = 1e-3
 
 
 class View3D:
-    """3D view of one run.
-
-    Attributes:
-        shown: The scene in the current frame.
-        outdated: Whether the current frame lacks something: a layer that was hidden, or a new page.
-    """
+    """3D view of one run."""
 
     def __init__(self, server: Any, drawing: Drawing, *, follows: bool) -> None:
         self._server, self._drawing = server, drawing
-        self.shown: Scene | None = None
-        self.outdated = True
+        self.shown: Scene | None = None  # in the current frame
+        self.outdated = True  # whether that lacks something: a layer that was hidden, or a new page
         self._frames: dict[str, Any] = {}
         self._nodes: dict[str, Any] = {}
         self._layers: dict[str, list[Any]] = {name: [] for name in ("", *LAYERS)}
@@ -34,8 +29,8 @@ class View3D:
         self._add_surroundings()
         for part in drawing.fixed:
             self._add(part)
-        # Where the team was when the camera of each browser was moved last, and that camera relative to what it sees.
-        self._follows, self._seen_I, self._offset = follows, dict[int, Array](), dict[int, Array]()
+        # Whether cameras move with the team, where it was in the frame before, and from where each camera saw it.
+        self._follows, self._team_I, self._offset = follows, drawing.team_I, dict[int, Array]()
 
     @property
     def payload_I(self) -> Array:
@@ -65,37 +60,30 @@ class View3D:
         for node in (self._grid, self._axes):
             if node.position[2] != self._drawing.floor:  # a target is below everything before
                 node.position = (*node.position[:2], self._drawing.floor)
+        moved, self._team_I = scene.uavs_I.mean(axis=0) - self._team_I, scene.uavs_I.mean(axis=0)
         if self._follows:
-            self._move_cameras(scene.uavs_I.mean(axis=0))
+            self._server.initial_camera.look_at = self._server.initial_camera.look_at + moved
+            self._server.initial_camera.position = self._server.initial_camera.position + moved
+            for number, client in self._server.get_clients().items():
+                offset = client.camera.position - client.camera.look_at
+                turned = np.linalg.norm(offset - self._offset.get(number, offset))
+                self._offset[number] = offset
+                if turned <= _TURNED * np.linalg.norm(offset):  # not while a user turns it
+                    _turn(client, client.camera.look_at + moved, client.camera.position + moved)
 
     def look_at(self, *, team: bool) -> None:
         """Turn the camera of every browser to the team, or else to the maneuver."""
         view = self._overview
         if team and self.shown is not None:
-            centre_I = self.shown.uavs_I.mean(axis=0)
             size = max(float(np.linalg.norm(np.ptp(self.shown.uavs_I, axis=0))), 1.0)
-            view = centre_I, centre_I + _VIEW_TEAM * size
+            view = self._team_I, self._team_I + _VIEW_TEAM * size
         for number, client in self._server.get_clients().items():
             _turn(client, *view)
-            self._seen_I[number], self._offset[number] = view[0], view[1] - view[0]
+            self._offset[number] = view[1] - view[0]
 
     def follow(self, wanted: bool) -> None:
         """Move the cameras with the team from the shown scene on, or leave them."""
         self._follows = wanted
-        if self.shown is not None:
-            self._seen_I = dict.fromkeys(self._server.get_clients(), self.shown.uavs_I.mean(axis=0))
-
-    def _move_cameras(self, centre_I: Array) -> None:
-        """Move the cameras with the team, from where the users have turned them, and not while they turn them."""
-        for number, client in self._server.get_clients().items():
-            moved, camera = centre_I - self._seen_I.get(number, self._drawing.team_I), client.camera
-            offset = camera.position - camera.look_at
-            turned = np.linalg.norm(offset - self._offset.get(number, offset)) > _TURNED * np.linalg.norm(offset)
-            self._offset[number] = offset
-            if turned or np.linalg.norm(moved) >= _MOVED_M:
-                self._seen_I[number] = centre_I
-                if not turned:
-                    _turn(client, camera.look_at + moved, camera.position + moved)
 
     def _frame(self, name: str) -> Any:
         """Return the node of a frame, hidden until it has a pose."""

@@ -22,57 +22,38 @@ from transport.scene.drawing import Drawing
 from transport.scene.history import KINDS, RunHistory
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
-from transport.viewer.panel import Panel
-from transport.viewer.playback import Playback
+from transport.viewer.panel import Panel, Playback
 from transport.viewer.server import Page, start_server
 from transport.viewer.view3d import View3D
 
 LOG = "run.mcap"
-# Shortest time between two frames, s: of a recorded or paced run, and of a live run without pacing, which needs the
-# processors itself.
-_FRAME_S, _FRAME_UNPACED_S = 0.1, 0.5
+_FRAME_S, _FRAME_UNPACED_S = 0.1, 0.5  # shortest time between frames; a run without pacing needs the processors itself
 # A page shows a frame before it gets the next, so that it is never behind by more than one; one that has shown none for
 # this long, such as that of a hidden tab, is no longer waited for, s.
 _PATIENCE_S = 2.0
-# Priority of the viewer of a live run: the run gets the processors first, but requests are still sent in time.
-_NICE = 10
+_NICE = 10  # of the viewer of a live run: the run gets the processors first, but requests are still sent in time
 
 
 class Viewer:
-    """Viewer of one run, on the first free port from `port` on, or on any for 0.
+    """Viewer of one run, on the first free port from `port` on, or on any for 0; its URL for browsers is `address`.
 
     A live run has a log that is read as it grows, and takes requests. A notice, such as what a log lacks, is on top of
-    the panel.
-
-    Attributes:
-        notice: The sentence on top of the panel.
-        address: URL for browsers; that of a live run, which a page can change, has a secret path.
-        other_port: Sentence that the port is another than the requested one; empty if it is not.
-
-    Raises: ViewerError: viser is not installed, or no port is free.
+    the panel. Raises: ViewerError: viser is not installed, or no port is free.
     """
 
     def __init__(
-        self,
-        builder: SceneBuilder,
-        *,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        notice: str = "",
-        tail: LogTail | None = None,
-        live: LiveRun | None = None,
-    ) -> None:
+        self, builder: SceneBuilder, *, host: str = "127.0.0.1", port: int = 8080, notice: str = "",
+        tail: LogTail | None = None, live: LiveRun | None = None,
+    ) -> None:  # fmt: skip
         self._builder, self._tail, self._is_over = builder, tail, live is None
-        self._server, self._guard, self.address = start_server(host, port, secret=live is not None)
-        self._frame, got = 0, self._server.get_port()
-        self.other_port = "" if port in (0, got) else f"port {port} is taken; the viewer listens on port {got}"
+        self._server, self._guard, self.address = start_server(host, port)
+        self._frame = 0
         self.playback = Playback(builder.setup.settings.sampling_period_s, follows=live is not None)
         self.view3d = View3D(self._server, Drawing(builder), follows=live is not None)
         commands = None if live is None else Commands(live, self._show_result)
         self._panel = Panel(self._server, builder, self.playback, self.view3d, commands)
         self._paced = builder.setup.scenario.clock.speed > 0.0
-        running = "live" if self._paced else f"live, without pacing: a frame every {_FRAME_UNPACED_S:g} s"
-        self._set_notice(notice or ("" if live is None else running), warning=bool(notice))
+        self._set_notice(notice or ("" if live is None else "live"), warning=bool(notice))
         self._server.on_client_connect(self._add_page)
         self._server.on_client_disconnect(self._remove_page)
         self._updated_s = time.monotonic()
@@ -103,10 +84,10 @@ class Viewer:
             self._panel.close_controls()
             reason = f", {control.reason}" if control.reason else ""
             self._set_notice(f"the run has ended: {control.outcome}{reason}", warning=bool(reason))
-        pages = list(self._guard.pages.values())
         if not self._is_over and not self.clients():
             return  # a browser that connects gets the newest frame
         self._panel.show_playback()
+        pages = list(self._guard.pages.values())
         if any(page.shown < page.sent and now_s - page.progress_s < _PATIENCE_S for page in pages):
             return
         if self.view3d.outdated or self.shown is None or history.nearest(tick) != self.shown.tick:
@@ -162,11 +143,7 @@ class Viewer:
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
-    """Return the viewer of the run in a folder, live or recorded, that listens on the first free port from `port` on.
-
-    Raises: ViewerError, LogError: it cannot listen, or there is nothing to show; ScenarioError: the folder's scenario
-        cannot be read.
-    """
+    """Return the viewer of the run in a folder, live or recorded. Raises: ViewerError, LogError, ScenarioError."""
     running = read_live_run(folder)
     if running is not None:
         os.nice(_NICE)
