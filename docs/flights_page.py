@@ -1,4 +1,4 @@
-"""Renew the tables of fast flight, a gap and the paper's claims in docs/results.md, and that of docs/vehicles.md.
+"""Renew the tables of fast flight, a gap and the paper's claims in docs/results.md.
 
 Part of `make figures`, ten minutes on two cores; arguments name some of the tables. Seeds draw noise, delays, losses
 and gusts.
@@ -61,27 +61,6 @@ def least(name: str) -> Cell:
     return cell(name, "{:.1f}", 100.0, np.min)
 
 
-# The sensors of a small autopilot with satellite navigation, and what the agents' Kalman filters have to cope with.
-SENSORS = (
-    "plant.sensors=vehicle",
-    "controller.estimator=kalman",
-    "plant.noise={position_m=0.01,velocity_mps=0.02,attitude_rad=0.0087,rate_rads=0.0175,specific_force_mps2=0.3}",
-)
-HEAVY = (*LATE, ESTIMATE, "plant.payload_mass_factor=1.2", "plant.wind.gust_mps=[1.0,1.0,1.0]")
-ESTIMATED: Mapping[str, tuple[str, ...]] = {
-    "perfect network": (),
-    "200 ms delay, 30 % loss": LATE,
-    "the same, payload 20 % heavier, gusts of 1 m/s, forces estimated": HEAVY,
-    "200 ms delay, 30 % loss, forces estimated": (*LATE, ESTIMATE),
-    "the same network, 30 ms of motor lag that no agent knows": (*LATE, "plant.motors.lag_s=0.03"),
-    "the same network, positions 100 ms old": (*LATE, "plant.noise.delay.position_s=0.1"),
-    "the same network, agent 3 ends at 7 s": (*LATE, *events((7.0, "kill", "agent3"))),
-    "the same network, agent 3 ends at 7 s, returns at 9 s": (
-        *LATE,
-        *events((7.0, "kill", "agent3"), (9.0, "restart", "agent3")),
-    ),
-}
-
 # The map of the claims: weights on attitude (that on positions is 1), terminal weights, horizons.
 ATTITUDES, TERMINALS, HORIZONS = (0.5, 1.0, 5.0), (10.0, 50.0, 100.0), (6, 8, 10, 14)
 KINDS = (("centralized", 0.05), ("paper", 0.05), ("paper", 0.04))
@@ -108,20 +87,6 @@ def ratios(index: int, *results: Flown) -> str:
 
 
 PAGES = {
-    "vehicles.md": (
-        listed(
-            "estimated",
-            "`precise`, 3 seeds",
-            {text: Run("precise", (*SENSORS, *settings), seeds=3) for text, settings in ESTIMATED.items()},
-            {
-                "completed": completed,
-                "payload error rms, cm": cell("payload_rms_m", "{:.2f}", 100.0, np.max),
-                "attitude, deg": cell("attitude_max_deg", "{:.2f}", of=np.max),
-                "estimate's error rms, cm": cell("position_rms_m", "{:.2f}", 100.0, np.max),
-                "NEES of 6": cell("nees", "{:.2f}"),
-            },
-        ),
-    ),
     "results.md": (
         Table(
             "claims",
