@@ -115,7 +115,8 @@ def export(
     for sentence in _lost(log):
         typer.echo(f"warning: {sentence}", err=True)
     content = [{"file": str(target), "rows": count} for target, count in written.items()]
-    show(output, {"files": content}, *(f" {target}  {count} rows" for target, count in written.items()))
+    units = {target: "ticks" if target in scenes.values() else "rows" for target in written}
+    show(output, {"files": content}, *(f" {target}  {count} {units[target]}" for target, count in written.items()))
 
 
 def _export_tables(

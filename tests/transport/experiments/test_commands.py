@@ -18,7 +18,7 @@ from transport.flight import memory
 DONE, USAGE, SCENARIO, LOST, CASES = 0, 2, 3, 4, 7
 
 REFUSED = [
-    (("latency", "--delay", "-0.1"), SCENARIO, "links.delay_s=-0.1: expected a number >= 0.0, got -0.1"),
+    (("latency", "--delay", "-0.1"), SCENARIO, "links.delay_s=-0.1: expected greater than or equal to 0, got -0.1"),
     (("latency", "--jobs", "0"), USAGE, "--jobs"),
     (("latency", "--seeds", "0"), USAGE, "--seeds"),
     (("kill", "--scenario", "paper", "--scenario", "paper"), USAGE, "--scenario: expected each value once"),
