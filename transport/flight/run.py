@@ -36,7 +36,7 @@ from transport.flight.harness import Child, Harness, check_ports, free_ports, ke
 from transport.flight.header import checked, run_header
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
-from transport.flight.run_files import RunError, create, own_keys
+from transport.flight.run_files import RunError, create, existing, own_keys
 from transport.flight.signals import collected_signals
 from transport.log.writer import LogWriter
 
@@ -147,6 +147,8 @@ def simulate(
     """
     scenario = setup.scenario
     names = process_names(scenario)
+    if folder.exists():  # told before a first compilation
+        raise existing(folder)
     with ExitStack() as stack:
         check_usable()
         classes = checked(setup, external)

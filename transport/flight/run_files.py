@@ -34,6 +34,11 @@ def new_folder(parent: Path, name: str) -> Path:
     return folder
 
 
+def existing(folder: Path) -> RunError:
+    """Return the error of a run folder that exists."""
+    return RunError(f"expected a folder that does not exist yet, got {folder}", EXIT_USAGE)
+
+
 def create(folder: Path, setup: Setup) -> str:
     """Create the run folder with the resolved scenario; return its text, or raise RunError."""
     text = tomli_w.dumps(setup.scenario.tree())
@@ -43,7 +48,7 @@ def create(folder: Path, setup: Setup) -> str:
         (folder / "scenario.toml").write_text(text, encoding="utf-8")
         write_delays(setup.samples_s, folder)
     except FileExistsError as error:
-        raise RunError(f"expected a folder that does not exist yet, got {folder}", EXIT_USAGE) from error
+        raise existing(folder) from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RunError(f"cannot create the folder {str(folder)!r} ({reason})", EXIT_USAGE) from error
