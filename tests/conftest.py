@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import hypothesis
 import pytest
+import scipy.linalg  # noqa: F401 - only libraries that are loaded can be limited
 import threadpoolctl
 
 # Ignored in jobs in the background of a shell, and inherited by the processes that tests interrupt.

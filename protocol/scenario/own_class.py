@@ -66,9 +66,7 @@ def own_class(name: str) -> Any:
     found = getattr(module, attribute, None)
     if not callable(found):
         where = getattr(module, "__file__", None) or module_name
-        raise OwnClassError(
-            f"expected a class {attribute!r} in {where}, got {'none' if found is None else type(found).__name__}"
-        )
+        raise OwnClassError(f"expected a class {attribute!r} in {where}, got {type(found).__name__}")
     return found
 
 
