@@ -16,8 +16,8 @@ NEW = ("scenario", "new")
 RESILIENT = SCENARIOS / "resilient.toml"
 
 REFUSED = [
-    (("--uavs", "1"), USAGE, "invalid value for '--uavs': Input should be greater than or equal to 2"),
-    (("--uavs", "257"), USAGE, "invalid value for '--uavs': Input should be less than or equal to 256"),
+    (("--uavs", "1"), USAGE, "invalid value for '--uavs': expected greater than or equal to 2, got '1'"),
+    (("--uavs", "257"), USAGE, "invalid value for '--uavs': expected less than or equal to 256, got '257'"),
     (("--uavs", "3", "--groups", "4"), USAGE, "group: expected 1 to 3 UAVs per agent, got 4"),
     (("--uavs", "3", "--groups", "0"), USAGE, "invalid value for '--groups'"),
     (("--uavs", "3", "--load", "inf"), USAGE, "load_kg: expected a number > 0, got inf"),

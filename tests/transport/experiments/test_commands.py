@@ -22,7 +22,7 @@ REFUSED = [
     (("latency", "--jobs", "0"), USAGE, "--jobs"),
     (("latency", "--seeds", "0"), USAGE, "--seeds"),
     (("kill", "--scenario", "paper", "--scenario", "paper"), USAGE, "--scenario: expected each value once"),
-    (("loss", "--burst", "0.5"), USAGE, "invalid value for '--burst': Input should be greater than or equal to 1"),
+    (("loss", "--burst", "0.5"), USAGE, "invalid value for '--burst': expected greater than or equal to 1, got '0.5'"),
     (("paper", "--gust", "-1"), USAGE, "--gust: expected a speed >= 0 m/s, got -1"),
     (
         ("paper", "--set", "agents.owned=[[1],[2,3,4]]"),
