@@ -90,8 +90,9 @@ class LazyGroup(TyperGroup):
             context = getattr(error, "ctx", None)
             path = "transport" if context is None else context.command_path
             text = " ".join(error.format_message().split()).rstrip(".")
-            if hasattr(error.__cause__, "errors"):  # pydantic's, without the given value
-                given = repr(error.__cause__.errors()[0]["input"])
+            problems: list[Any] = getattr(error.__cause__, "errors", list)()  # pydantic's, without the given value
+            if problems:
+                given = repr(problems[0]["input"])
                 text = text.replace("Input should be", "expected").replace("Value error, ", "")
                 text += f", got {given}" * (given not in text)
             typer.echo(f"transport: {text[:1].lower()}{text[1:]} ({path} --help)", err=True)
