@@ -70,5 +70,5 @@ def test_a_failing_class_among_processes(tmp_path: Path) -> None:
     assert sum(what.format("stop", "cannot stop", 12) in text for text in events) == 1
     refused = command("validate", "paper", *settings("agents.controller=mine:Other"), cwd=tmp_path)
     assert refused.returncode == EXIT_SCENARIO
-    expected = f"expected a class 'Other' in {tmp_path}/mine.py, got none"
+    expected = f"expected a class 'Other' in {tmp_path}/mine.py, got NoneType"
     assert refused.stderr == f"transport: --set agents.controller=mine:Other: {expected}\n"
