@@ -102,10 +102,10 @@ class MujocoEngine:
             if self._cables:
                 R = _matrix(joint.qpos[3:])
                 along_P = uav.rho + R0.T @ (view.r0_I - joint.qpos[:3])
-                towards_P = view.v0_P + np.cross(view.omega0_P, uav.rho) - R0.T @ joint.qvel[:3]
+                towards_P = view.v0_P + _cross(view.omega0_P, uav.rho) - R0.T @ joint.qvel[:3]
                 length = np.linalg.norm(along_P)
                 e_P = along_P / length
-                Omega_P = np.cross(e_P, towards_P) / length
+                Omega_P = _cross(e_P, towards_P) / length
                 view.omega_B[i] = joint.qvel[3:]
             else:
                 rod = data.joint(f"rod{i}")
@@ -140,7 +140,16 @@ def _quaternion(R: Array) -> Array:
 
 
 def _matrix(quaternion: Array) -> Array:
-    return np.asarray(Rotation.from_quat(quaternion, scalar_first=True).as_matrix())
+    found = np.empty(9)
+    mujoco.mju_quat2Mat(found, quaternion)
+    return found.reshape(3, 3)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross product of two vectors, (3,), at a tenth of the time of numpy.cross."""
+    found = np.empty(3)
+    mujoco.mju_cross(found, a, b)
+    return found
 
 
 def mjcf(system: System, section: PlantSection) -> str:

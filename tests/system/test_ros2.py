@@ -119,13 +119,14 @@ def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
         _, errors = run.communicate(timeout=120)
         assert run.returncode == 0, errors
         assert started[1].wait(60) == 0
+        x = np.array([state.x for state in read_log(log).of(PlantState)])
+        assert wait_for(lambda: poses[-1].pose.position.x == x[TICKS - 1, 0])  # through the router and our threads
     finally:
         for subscriber in kept:
             subscriber.close()
         for process in started:
             process.kill()
             process.communicate()
-    x = np.array([state.x for state in read_log(log).of(PlantState)])
     alone = transport.fly("resilient", {"clock.speed": 1.0}, phases=PHASES, progress=False)
     assert x.tobytes() == np.array([state.x for state in alone.log.of(PlantState)]).tobytes()
     ticks = {tuple(row): tick for tick, row in enumerate(x[:, :3].tolist())}
