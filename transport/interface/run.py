@@ -117,7 +117,8 @@ class Run:
     def save(self, folder: "str | PathLike[str]", *, figures: bool = True) -> Path:
         """Write the run folder that `transport run` writes, to a folder that does not exist yet; return its path.
 
-        Raises: RunError: the folder exists or cannot be created. LogError: the log cannot be written.
+        Raises: RunError, or OSError for a recorded run: the folder exists or cannot be created. LogError: the log
+            cannot be written.
         """
         target = Path(folder)
         if self.folder is not None:

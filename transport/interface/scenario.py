@@ -89,7 +89,7 @@ class Scenario(Section):
     The source is a scenario file, the name of one that comes with the package, or another scenario; changes are those
     of `fly`. With `allow_large` runs may exceed the limits on ticks, memory and log of `transport validate`.
 
-    Raises: ScenarioError: naming file or setting, field, expected, got. ArgumentError: an argument of the wrong kind.
+    Raises: ScenarioError: naming file or setting, field, expected, got. ArgumentError: an argument is refused.
     """
 
     _path: Path
