@@ -131,7 +131,7 @@ def network(setup: Setup) -> Finding:
     median = statistics.median(times_ms)
     found = f"Zenoh {metadata.version('eclipse-zenoh')}: a round trip takes {median:.2f} ms"
     found += f" (longest of {_ROUND_TRIPS}: {max(times_ms):.1f} ms)"
-    return judged(found, median > _LONGEST_MS, "the host is busy: see load and cores below")
+    return judged(found, median > _LONGEST_MS, "the host is busy: see cores below")
 
 
 def step(setup: Setup) -> Finding:
@@ -180,7 +180,7 @@ def wake_up(_: Setup) -> Finding:
         late_ms.append(1e3 * (time.monotonic() - begun) - 1.0)
     found = f"after 1 ms of sleep late by {statistics.median(late_ms):.2f} ms"
     found += f" (longest of {_NAPS}: {max(late_ms):.2f} ms)"
-    return judged(found, max(late_ms) > _LATE_MS, "the host is busy or saves power: see load, governor and priority")
+    return judged(found, max(late_ms) > _LATE_MS, "the host is busy or saves power: see cores, governor and priority")
 
 
 def cores(setup: Setup) -> Finding:
