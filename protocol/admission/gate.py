@@ -137,7 +137,7 @@ class Gate:
         self.bundle = None
 
     def announce(self, name: str, incarnation: int) -> None:
-        """Refuse messages of earlier incarnations of a process from now on: the token of this one has appeared."""
+        """Refuse messages of other incarnations of a process from now on: the token of this one has appeared."""
         self._incarnations[name] = max(incarnation, self._incarnations.get(name, 0))
 
     def refuse(self, sender: str, error: MessageError) -> None:
@@ -188,8 +188,10 @@ class Gate:
 
     def _check_incarnation(self, message: Message) -> None:
         announced = self._incarnations.get(message.sender, message.incarnation)
-        # A message of a new start may come before its token, and relayed plans come another way than tokens.
-        if message.incarnation < announced and (self.bundle is None or not message.sender.startswith(AGENT)):
+        if message.incarnation > announced and isinstance(message, Plan) and message.negotiation > 0:
+            return  # the first proposal of a new start, which may overtake its token
+        # Relayed plans come another way than the token of their agent's start.
+        if message.incarnation != announced and (self.bundle is None or not message.sender.startswith(AGENT)):
             text = f"{message.kind} of incarnation {message.incarnation}, expected {announced}"
             raise MessageError("wrong_incarnation", text)
 

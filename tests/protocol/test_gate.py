@@ -115,7 +115,7 @@ def test_order(first: Message, again: dict[str, Any], reason: str) -> None:
 
 
 def test_proposals_have_their_own_order() -> None:
-    """A proposal comes alone, and may overtake the plan of the tick before, which is relayed; its number falls."""
+    """A proposal comes alone, and may overtake the plan of the tick before, which is relayed, or its token."""
     receiver = Receiver("agent1", NEGOTIATED)
     last = Outbox("coordinator", 0)
 
@@ -132,6 +132,8 @@ def test_proposals_have_their_own_order() -> None:
     assert not receiver.hear(plan(0, negotiation=1))
     assert not receiver.hear(plan(1))  # alone: the coordinator could not relay it
     assert [reason for _, reason in receiver.reasons()] == ["replayed", "wrong_sender"]
+    receiver.gate.announce("agent2", 1)
+    assert receiver.hear(plan(1, negotiation=2, incarnation=2))
 
 
 def test_an_announced_start_ends_the_one_before() -> None:
