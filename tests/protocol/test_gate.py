@@ -90,11 +90,7 @@ def test_each_check_has_its_reason(key: str, message: bytes, sender: str, reason
         (direct(5), {"sequence": 99, "shared": False}, "past"),  # under the other key
         (direct(5), {"sequence": 99, "incarnation": 0, "tick": 6, "start_tick": 7}, "wrong_incarnation"),
         (direct(5), {"tick": 6, "start_tick": 7}, ""),  # where ticks grow, numbers need not
-        (
-            direct(5),
-            {"sequence": 99, "incarnation": 2, "tick": 6, "start_tick": 7},
-            "",
-        ),  # a new start, before its token
+        (direct(5), {"sequence": 99, "incarnation": 2, "tick": 6, "start_tick": 7}, "wrong_incarnation"),
         (runs.tick(5), {}, "replayed"),
         (runs.tick(5), {"sequence": 99, "tick": 6}, ""),
         (runs.roster(), {"sequence": 99}, "past"),
