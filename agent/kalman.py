@@ -451,7 +451,7 @@ class KalmanFilter:
         return replace(before, P=(P + P.T) / 2.0, surprise=surprise)
 
     def moved(self, x: Array, dx: Array) -> Array:
-        """Return a state moved along the manifold. Source: docs/equations.md (62)."""
+        """Return a state, (n,), SI, moved along the manifold by dx, (n,), with |e_i| = 1. Source: equations.md (62)."""
         x = x + dx
         e, Omega = self._rods(x)
         e /= np.sqrt(np.einsum("ij,ij->i", e, e))[:, None]

@@ -88,7 +88,10 @@ class Controller:
         return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
-        """Linearise about (x0, u0), with motor lag about the actual inputs: equations.md (15), (37), (40), (55)."""
+        """Linearise about x0, (n,), and u0, (m,), SI, under forces, (3 + 3 N,), N: equations.md (15), (37), (40), (55).
+
+        With motor lag x0 ends with the actual inputs, (n + m,), and the expansion is about these.
+        """
         u_target = self.cost.u_target
         if forces is not None and self.settings.weights.penalised_input == "deviation":
             u_target = u_target + self.regulation.target.M_u @ self.model.at_rest(forces)

@@ -30,7 +30,7 @@ class Cost:
         self.u_target = hover.u if weights.penalised_input == "deviation" else np.zeros_like(hover.u)
 
     def stage(self, y: Array, y_ref: Array, u: Array) -> float:
-        """Return (y - y_ref)' Q (y - y_ref) + (u - u_target)' R (u - u_target): equations.md (21); paper (17)."""
+        """Return the cost of y and y_ref, (p,), and u, (m,), SI, at one instant: equations.md (21); paper (17)."""
         error, effort = y - y_ref, u - self.u_target
         return float(error @ (self.Q * error) + effort @ (self.R * effort))
 

@@ -172,7 +172,7 @@ def test_commands_in_text_exist(document: Path) -> None:
     every = tuple(every_command(root()))
     for span in CODE_SPAN.findall(prose(document)):
         words = span.split()
-        if words[0] == "transport" and len(words) > 1 and not words[1].isupper():  # capitals are placeholders
+        if words[0] == "transport" and len(words) > 1 and not words[1].isupper():  # capitals stand for a value
             found, names, _ = command_of(words[1:])
             assert names or words[1].startswith("--"), f"{document.name}: {span}"
             known = options_of(found)

@@ -99,7 +99,7 @@ def start_server(host: str, port: int) -> tuple["viser.ViserServer", Guard, str]
     require_viser()
     import viser
 
-    # A page may go, or the viewer end, at any moment; then nobody needs what is sent to it.
+    # A page may go, or the viewer end, at any moment; what is sent to it then is not needed.
     warnings.filterwarnings("ignore", _CLOSED, UserWarning)
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
