@@ -37,8 +37,13 @@ def zero_order_hold(
     """
     if not native.AVAILABLE:
         return _zero_order_hold(linear, period_s)
-    bounds, is_known = (_THETA_MAX, _THETA_POSSIBLE, remainder), known is not None
-    theta, A, B, f_d = native.zero_order_hold(linear.pattern, linear.values, linear.f, period_s, bounds, is_known)
+    at, sizes = native.at, (*linear.pattern.shapes[1], linear.pattern.shapes[2][1])
+    A, B, f_d = np.empty((sizes[0], sizes[0])), np.empty(sizes[:2]), np.empty(sizes[0])
+    theta = native.KERNELS.zero_order_hold(
+        *sizes, *linear.pattern.addresses, at(linear.values), at(linear.f), period_s, _THETA_MAX, _THETA_POSSIBLE,
+        remainder, known is not None, at(A), at(B), at(f_d),
+        native.work("hold", native.KERNELS.zero_order_hold_work(*sizes)),
+    )  # fmt: skip
     _check_growth(theta, period_s)
     return Discrete(A=A, B=B, f_d=f_d) if known is None else Discrete(A=known.A, B=known.B, f_d=f_d)
 

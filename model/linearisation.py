@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from model import native
-from model.arrays import Array
+from model.arrays import Array, frozen
 from model.compiled import Compiled, functions, library
-from model.factors import NAMES, Pattern, of_matrices
 from model.parameters import System
 from model.state import input_indices
 
 SHORTEST = 2.0**-12  # step, relative to the equal steps: 2.4 us of 10 ms
 MOST_STEPS = 20_000  # tried in one integration: about a second
 _BLOCK = 64  # equal steps in one call, so that memory does not grow with their number
+NAMES = ("X", "U", "P", "V_x", "V_u", "C")  # of the factors of a linearisation, in the order of their entries
 Held = Sequence[Array]  # inputs, parameters, forces
 
 
@@ -66,6 +66,48 @@ class Integrator:
         return x, largest
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pattern:
+    """Places of the entries of sparse factors, one list of rows after the other: A_c = X + P V_x, B_c = U + P V_u.
+
+    X and U hold the payload's acceleration; V_x and V_u, six rows, are its own derivatives; P is its effect.
+    """
+
+    shapes: tuple[tuple[int, int], ...]  # of the factors, in the order of `NAMES`
+    begin: npt.NDArray[np.intp]  # first entry of each row, and the end of the last, (rows of all + 1,)
+    index: npt.NDArray[np.intp]  # column of each entry
+
+    @staticmethod
+    def of(factors: Sequence[Array]) -> "Pattern":
+        """Return the pattern of the entries of factors that are not zero."""
+        begin = np.cumsum([0, *np.concatenate([np.count_nonzero(factor, axis=1) for factor in factors])], dtype=np.intp)
+        index = np.concatenate([np.nonzero(factor)[1] for factor in factors])
+        frozen(begin, index)
+        return Pattern(shapes=tuple((len(factor), factor.shape[1]) for factor in factors), begin=begin, index=index)
+
+    @cached_property
+    def first_rows(self) -> list[int]:
+        """First row of each factor, counted through all."""
+        return np.cumsum([0, *(rows for rows, _ in self.shapes)]).tolist()  # type: ignore[no-any-return]
+
+    @cached_property
+    def addresses(self) -> tuple[int, int]:
+        """Addresses of `begin` and `index`, for the compiled kernels."""
+        return native.at(self.begin), native.at(self.index)
+
+    def dense(self, values: Array, name: str) -> Array:
+        """Return a factor, with entries from those of all, as a matrix."""
+        which = NAMES.index(name)
+        begin = self.begin[self.first_rows[which] : self.first_rows[which + 1] + 1]
+        found, entries = np.zeros(self.shapes[which]), slice(begin[0], begin[-1])
+        found[np.repeat(np.arange(len(found)), np.diff(begin)), self.index[entries]] = values[entries]
+        return found
+
+    def numbered(self, name: str) -> Array:
+        """Return a factor with the numbers of its entries among those of all, from 1, as a matrix."""
+        return self.dense(np.arange(1.0, len(self.index) + 1.0), name)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Linearisation:
     """The first-order expansion about (x0, u0), any; A_c and B_c are kept as factors: equations.md (15), (15b)."""
@@ -77,9 +119,11 @@ class Linearisation:
 
     @staticmethod
     def of(f: Array, A_c: Array, B_c: Array, y: Array, C: Array) -> "Linearisation":
-        """Return an expansion whose factors are not known."""
-        pattern, values = of_matrices(A_c, B_c, C)
-        return Linearisation(f=f, y=y, pattern=pattern, values=values)
+        """Return an expansion whose factors are not known: X = A_c, U = B_c, no P and V."""
+        n, m = B_c.shape
+        factors = [A_c, B_c, np.zeros((n, 0)), np.zeros((0, n)), np.zeros((0, m)), C]
+        pattern = Pattern.of([np.ones_like(factor) for factor in factors])
+        return Linearisation(f=f, y=y, pattern=pattern, values=np.concatenate([each.reshape(-1) for each in factors]))
 
     @cached_property
     def A_c(self) -> Array:
@@ -118,12 +162,10 @@ class Model:
         self._several_outputs: dict[int, Compiled] = {}
         held = found["sense"].sparsity_out(1)
         self._sensed = np.array(held.row()), np.array(held.get_triplet()[1])
-        # Places of the entries of the factors, which the function returns transposed.
-        factors = [found["linearise"].sparsity_out(2 + i) for i in range(len(NAMES))]
-        shapes = [(factor.size2(), factor.size1()) for factor in factors]
-        columns = [row for factor in factors for row in factor.row()]
-        self._pattern = Pattern.of(shapes, [factor.colind() for factor in factors], columns)
-        self._without_effect = np.concatenate([self._pattern.columns(name, self._off) for name in ("U", "V_u")])
+        places = [found["linearise"].sparsity_out(2 + i) for i in range(len(NAMES))]  # of transposed factors
+        self._pattern = Pattern.of([ca.DM(factor, 1).full().T for factor in places])
+        without_effect = np.hstack([self._pattern.numbered(name)[:, self._off].reshape(-1) for name in ("U", "V_u")])
+        self._without_effect = without_effect[without_effect > 0.0].astype(np.intp) - 1
         self._no_forces = np.zeros(3 + 3 * system.N)
 
     def _acting(self, forces: Array | None) -> tuple[Array, Array]:

@@ -11,11 +11,11 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
-from model.arrays import Array
-from model.factors import rate_places, with_lag
-from model.linearisation import Linearisation, Model
-from model.state import INPUTS, PAYLOAD, PER_UAV
+from model.arrays import Array, padded
+from model.linearisation import NAMES, Linearisation, Model, Pattern
+from model.state import INPUTS, OMEGA, PAYLOAD, PER_UAV
 
 
 def decay(lag_s: float, duration_s: float) -> float:
@@ -60,6 +60,12 @@ def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: i
     return np.tile(found, uavs)
 
 
+def rate_places(m: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return the positions of body rates as inputs, in u of m inputs, and of the rates themselves, in x."""
+    uavs, axes = np.divmod(np.arange(3 * m // INPUTS), 3)
+    return INPUTS * uavs + 1 + axes, PAYLOAD + PER_UAV * uavs + OMEGA.start + axes
+
+
 def commanded_states(x: Array) -> Array:
     """Return the body rate that each input commands, (4 N,), zero for thrusts; of a state, (n,)."""
     rates = np.zeros((len(x) - PAYLOAD) // PER_UAV * INPUTS)
@@ -101,9 +107,33 @@ def stepper(
     return lambda z, u: integrate(model, z, u, duration_s, 1, lag_s, forces)[0]
 
 
+@lru_cache(64)
+def _with_lag(pattern: Pattern, rates: bool) -> tuple[Pattern, npt.NDArray[np.intp]]:
+    """Return the pattern of a system [x, a] with motors, and the order of its entries, -1/lag and 1/lag, (m,) each.
+
+        X = [[X, U], [0, -1/lag]],    U = [[0], [1/lag]],    P = [[P], [0]],    V_x = [V_x, V_u],    V_u = 0
+
+    With commanded body rates the row of a' also is that of the body rate, with -1/lag on itself.
+    """
+    X, U, P, V_x, V_u, C = map(pattern.numbered, NAMES)
+    n, m = U.shape
+    follow, command = (np.diag(len(pattern.index) + 1.0 + np.arange(part * m, (part + 1) * m)) for part in (0, 1))
+    moved = np.zeros((m, n))
+    if rates:
+        inputs, states = rate_places(m)
+        moved[inputs] = X[states]
+    below = np.zeros((m, P.shape[1]))
+    factors = [
+        np.block([[X, U], [moved, follow]]), np.vstack([np.zeros((n, m)), command]), np.vstack([P, below]),
+        np.hstack([V_x, V_u]), 0.0 * V_u, padded(C, n + m),
+    ]  # fmt: skip
+    order = np.concatenate([factor[factor > 0.0] for factor in factors]).astype(np.intp) - 1
+    return Pattern.of(factors), order
+
+
 def lagged(linear: Linearisation, a: Array, u: Array, lag_s: float, rates: bool = False) -> Linearisation:
     """Return the expansion of motion and motors in z = [x, a] and the command u from that about x, a: (55), (58a)."""
-    pattern, order = with_lag(linear.pattern, rates)
+    pattern, order = _with_lag(linear.pattern, rates)
     rate = np.full(len(a), 1.0 / lag_s)
     on_itself, moving = -rate, (u - a) / lag_s
     if rates:

@@ -63,8 +63,11 @@ def follow(
 ) -> None:
     """Make the free response exact along states Z, (N_p + 1, n), to which inputs U lead; A from `fed_back`: (35a)."""
     V = U[:, own] - u0[own]
-    response = native.free_response if native.AVAILABLE else free_response
-    caused = response(A, V @ B[:, own].T)
+    drive, caused = V @ B[:, own].T, np.empty(Z.shape)
+    if native.AVAILABLE:
+        native.KERNELS.free_response(len(V), len(A), *map(native.at, (A, drive, caused)))
+    else:
+        caused = free_response(A, drive)
     prediction.dX_free[:] = Z - Z[0] - caused
     prediction.dU_free[:] = prediction.dX_free[:-1] @ law.K.T
     prediction.U_all[:] = law.uncorrected + law.c + prediction.dU_free

@@ -93,9 +93,11 @@ class Solution:
 
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
     """Return the Karush-Kuhn-Tucker residuals; arguments as in `Solution`. Source: docs/equations.md (28)."""
-    if native.AVAILABLE:
-        return Residuals(*native.residuals(qp.A.shape, qp.addresses, z, bound_multipliers, row_multipliers))
-    return _residuals(qp, z, bound_multipliers, row_multipliers)
+    if not native.AVAILABLE:
+        return _residuals(qp, z, bound_multipliers, row_multipliers)
+    (rows, n), found, answer = qp.A.shape, np.empty(3), map(native.at, (z, bound_multipliers, row_multipliers))
+    native.KERNELS.residuals(n, rows, *qp.addresses, *answer, native.at(found), native.work("residuals", n))
+    return Residuals(*found.tolist())
 
 
 def _residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
@@ -144,8 +146,11 @@ def within_bounds(qp: QP) -> Solution | None:
     """
     if not native.AVAILABLE:
         return None
-    guesses, z, multipliers, found = native.solve_within_bounds(qp.A.shape, qp.addresses, MOST_GUESSES)
-    if guesses <= 0 or (passed := Residuals(*found)).worst > RESIDUAL_TOLERANCE:
+    (rows, n), z, multipliers, found = qp.A.shape, np.empty_like(qp.g), np.empty_like(qp.g), np.empty(3)
+    work = native.work("within_bounds", native.KERNELS.within_bounds_work(n, rows))
+    answer = map(native.at, (z, multipliers, found))
+    guesses = native.KERNELS.solve_within_bounds(n, rows, *qp.addresses, MOST_GUESSES, *answer, work)
+    if guesses <= 0 or (passed := Residuals(*found.tolist())).worst > RESIDUAL_TOLERANCE:
         return None
     return Solution(
         status="solved", z=z, bound_multipliers=multipliers, row_multipliers=np.zeros(len(qp.A)),
