@@ -17,53 +17,7 @@ from model.state import input_indices
 
 SHORTEST = 2.0**-12  # step, relative to the equal steps: 2.4 us of 10 ms
 MOST_STEPS = 20_000  # tried in one integration: about a second
-_BLOCK = 64  # equal steps in one call, so that memory does not grow with their number
 NAMES = ("X", "U", "P", "V_x", "V_u", "C")  # of the factors of a linearisation, in the order of their entries
-Held = Sequence[Array]  # inputs, parameters, forces
-
-
-class Integrator:
-    """Integrator of one model by its compiled `step` (`model.compiled`)."""
-
-    def __init__(self, step: ca.Function) -> None:
-        self._step, self._single = step, Compiled(step)
-        self._blocks: dict[int, Compiled] = {}
-
-    def integrate(self, x: Array, held: Held, duration_s: float, steps: int, tolerance: float) -> tuple[Array, float]:
-        """Return the state at the end of an interval, and the largest local error estimate of the steps taken.
-
-        Arguments as in `Model.integrate`. Source: docs/equations.md (13b), (13c).
-        """
-        length_s, end, largest = duration_s / steps, x, 0.0
-        for begin in range(0, steps, _BLOCK):
-            count = min(_BLOCK, steps - begin)
-            if count not in self._blocks:
-                x_s, *held_s = (ca.MX.sym(f"argument{i}", self._step.size1_in(i)) for i in range(self._step.n_in()))
-                states, errors = self._step.mapaccum(count)(x_s, *[ca.repmat(each, 1, count) for each in held_s])
-                results = [states[:, -1], ca.mmax(ca.fabs(errors))]  # the last state, the largest error
-                self._blocks[count] = Compiled(ca.Function("integrate", [x_s, *held_s], results))
-            flat = self._blocks[count].flat(end, *held, length_s)
-            end, error = flat[:-1], float(flat[-1])
-            if not error <= tolerance and tolerance < math.inf:
-                return self._halved(steps, x, held, length_s, tolerance)
-            largest = max(largest, error)
-        return end, largest
-
-    def _halved(self, steps: int, x: Array, held: Held, length_s: float, tolerance: float) -> tuple[Array, float]:
-        """Return the state after steps, each halved until its local error estimate is within the tolerance."""
-        ahead_s, largest, tried = [length_s] * steps, 0.0, 0  # steps still to take, the next one last
-        while ahead_s:
-            h = ahead_s.pop()
-            end, estimate = self._single(x, *held, h)
-            error = float(np.abs(estimate).max())
-            tried += 1
-            if not error <= tolerance and tried < MOST_STEPS and h > SHORTEST * length_s:
-                ahead_s += [h / 2.0, h / 2.0]
-                continue
-            x, largest = end, error if math.isnan(error) else max(largest, error)
-            if not np.isfinite(x).all():
-                break
-        return x, largest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,7 +112,7 @@ class Model:
         self._p = system.vector()
         found = functions(system.N, system.commands_rates)
         self._compiled = {name: Compiled(function) for name, function in found.items()}
-        self._integrator, self._outputs_of = Integrator(found["step"]), found["outputs"]
+        self._outputs_of = found["outputs"]
         self._several_outputs: dict[int, Compiled] = {}
         held = found["sense"].sparsity_out(1)
         self._sensed = np.array(held.row()), np.array(held.get_triplet()[1])
@@ -250,7 +204,19 @@ class Model:
         are projected back after each. Source: docs/equations.md (13b), (13c).
         """
         x, *held = self._arguments(x, u, forces)
-        return self._integrator.integrate(x, held, duration_s, steps, tolerance)
+        equal_s, is_limited, largest, tried = duration_s / steps, tolerance < math.inf, 0.0, 0
+        ahead_s = [equal_s] * steps  # still to take, the next one last
+        while ahead_s:
+            h = ahead_s.pop()
+            flat, tried = self._compiled["step"].flat(x, *held, h), tried + 1
+            error = float(np.abs(flat[len(x) :]).max())
+            if is_limited and not error <= tolerance and tried < MOST_STEPS and h > SHORTEST * equal_s:
+                ahead_s += [h / 2.0, h / 2.0]
+                continue
+            x, largest = flat[: len(x)], error if math.isnan(error) else max(largest, error)
+            if is_limited and not np.isfinite(x).all():
+                break
+        return x, largest
 
     def stepper(self, duration_s: float, forces: Array | None = None) -> Callable[[Array, Array], Array]:
         """Return the map from state and input to the state after one step of `integrate`, without its error."""
