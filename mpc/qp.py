@@ -4,8 +4,7 @@ minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A 
 """
 
 import math
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import clarabel
@@ -31,7 +30,7 @@ _CLARABEL: dict[str, Status] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class QP:
     """The data of one program; equalities are rows with equal bounds, missing bounds are infinite."""
 
@@ -43,16 +42,11 @@ class QP:
     row_lower: Array  # bounds on A z, (r,)
     row_upper: Array
 
-    @cached_property
+    @property
     def addresses(self) -> list[int]:
-        """Addresses of the data for the compiled kernels; row-major copies are kept where needed."""
-        data = (self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper)
-        self.__dict__["_row_major"] = rows = [np.ascontiguousarray(array) for array in data]
-        return [native.at(array) for array in rows]
-
-    def __getstate__(self) -> dict[str, Array]:
-        """Return the data for copies, which have addresses of their own."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        """Addresses of the data, row by row, for the compiled kernels."""
+        data = self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper
+        return [native.at(array) for array in data]
 
     def objective(self, z: Array) -> float:
         """Return 1/2 z' H z + g' z."""
