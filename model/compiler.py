@@ -54,7 +54,7 @@ def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            made = Path(folder) / path.name
+            made = str(Path(folder) / path.name)
             command = [compiler, *_COMMON, *flags, "-o", made, "-x", "c", "-", "-lm"]
             subprocess.run(command, input=source, check=True, capture_output=True, timeout=_TIMEOUT_S)
             os.replace(made, path)  # other processes see it in full or not at all

@@ -14,7 +14,7 @@ from model.linearisation import Linearisation, Model
 from model.motors import lagged
 from model.parameters import ParameterError, System
 from mpc.controller import Controller
-from mpc.feedback import tangent, with_motors
+from mpc.feedback import tangent
 
 GROWTH = 0.02  # fastest that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them
 _DECAY = 1e-3  # slowest that is one, 1/s: undamped modes have zero, and rounding moves them
@@ -63,12 +63,11 @@ class Loop:
         self._system, at_rest = first.model.system, first.regulation.hover
         self.period_s, self.known_lag_s = first.settings.sampling_period_s, first.settings.motor_lag_s
         model = first.model.linearise(at_rest.x, at_rest.u)
-        T = tangent(at_rest.x)
-        self._r = T.shape[1]  # coordinates of the motion; those of the actual inputs follow
+        self._T = T = tangent(at_rest.x, motors=self.known_lag_s > 0.0)
+        self._r = self._system.n - 2 * self._system.N  # coordinates of the motion; those of the actual inputs follow
         if self.known_lag_s > 0.0:
             model = lagged(model, at_rest.u, at_rest.u, self.known_lag_s, self._system.commands_rates)
-            T = with_motors(T, ())
-        self._T, discrete = T, zero_order_hold(model, self.period_s)
+        discrete = zero_order_hold(model, self.period_s)
         self._A, self._B = T.T @ discrete.A @ T, T.T @ discrete.B
         # Projections of states in tangent coordinates on what the agents measure at once.
         seen = [np.r_[(slice(0, state.PAYLOAD), *map(state.uav_slice, each.owned))] for each in controllers]
@@ -85,9 +84,9 @@ class Loop:
     def matrix(self, plant: Mismatch) -> Array:
         """Return the step from one sampling instant to the next. Raises: ParameterError: the bodies have no hover."""
         actual = hover(plant.system(self._system))
-        motion = Model(plant.system(self._system)).linearise(actual.x, actual.u)
+        linear = Model(plant.system(self._system)).linearise(actual.x, actual.u)
         T, period_s, m, r = self._T[: self._system.n, : self._r], self.period_s, self._system.m, self._r
-        F, G = T.T @ motion.A_c @ T, plant.gain * (T.T @ motion.B_c)
+        F, G = T.T @ linear.A_c @ T, plant.gain * (T.T @ linear.B_c)
         # Thrust and moments by state and by command, (57).
         by_state, by_command = np.zeros((m, self._system.n)), np.eye(m)
         if self._system.rate_gains is not None:
@@ -105,11 +104,11 @@ class Loop:
             G = np.vstack([np.zeros((r, m)), by_command / (unit * plant.lag_s)[:, None]])
         periods, part_s = divmod(plant.delay_s, period_s)
         # The plant's steps before and after the arrival of a delayed command.
-        before, after, late = _held(F, G, part_s), _held(F, G, period_s - part_s), round(periods)
+        earlier, later, late = _held(F, G, part_s), _held(F, G, period_s - part_s), round(periods)
         ahead, age = int(self._next_tick), self._age
         kept = ahead + max(age, late + 1)
         guessed = [len(self._lost)] * len(self._controllers)
-        sizes = [len(before[0]), len(self._A) - r, *[len(self._A)] * age, *[m] * kept, *guessed]
+        sizes = [len(earlier[0]), len(self._A) - r, *[len(self._A)] * age, *[m] * kept, *guessed]
         blocks = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
         motion, known_inputs, past = blocks[0], blocks[1], blocks[2 : 2 + age]
         commands, guesses = blocks[2 + age : 2 + age + kept], blocks[2 + age + kept :]
@@ -122,7 +121,7 @@ class Loop:
         inputs = [issued, *commands]  # newest first
         # In force, now and before; the fail-safe needs no time for computing.
         acting = [np.where(self._gone, *pair) for pair in zip(inputs, inputs[ahead:], strict=False)]
-        moved = after[0] @ (before[0] @ motion + before[1] @ acting[late + 1]) + after[1] @ acting[late]
+        moved = later[0] @ (earlier[0] @ motion + earlier[1] @ acting[late + 1]) + later[1] @ acting[late]
         known_inputs = self._A[r:] @ now + self._B[r:] @ acting[0]
         return np.vstack([moved, known_inputs, now, *past[:-1], *inputs[:-1], *guesses])
 

@@ -5,7 +5,7 @@ optimum without constraints follows from the others' corrections alone, and is z
 trajectory under it violates a constraint is a QP solved, about that trajectory.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from model.flat import Track
 from model.linearisation import Model
 from model.obstacles import Obstacle
 from mpc.cost import Cost, UserCosts
+from mpc.fail_safe import FailSafe
 from mpc.feedback import FeedbackLaw, Gains, Regulator
 from mpc.prediction import Linear
 from mpc.qp import QP
@@ -24,8 +25,6 @@ from mpc.rows import Clearance, Decision, Rows, separation_rows
 from mpc.settings import ControllerSettings
 
 INSTANTS = 16  # gains computed in a sampling period while the team flies: 8 ms of processor time for four UAVs
-# Inputs on the reference at an instant, (4,), and feedback from the state, (4, n), of UAVs by their 0-based numbers.
-Uncontrolled = Mapping[int, tuple[Callable[[int], Array], Array]]
 _STEPS = 2  # integration steps per sampling period of the difference of reference and model
 _ROUNDING = 1e-9  # from this share of the range of inputs on, or of m or rad, a constraint counts as violated
 
@@ -47,16 +46,17 @@ class Recursion:
     """Linear-quadratic regulator along a reference in the making, some instants at a time, backwards from its end.
 
     The user's terms count as deviations from their values on the reference. Until the instant `since` the regulator of
-    another team, `before`, holds, or this one from the start. Source: docs/equations.md (70)-(72).
+    another team, `before`, holds, or this one from the start. UAVs without an agent, by 0-based numbers, follow the
+    fail-safe and its feedback from the state, (4, n). Source: docs/equations.md (70)-(72).
     """
 
     def __init__(
         self, model: Model, track: Track, regulator: Regulator, cost: Cost, terms: UserCosts, period_s: float,
-        uncontrolled: Uncontrolled | None = None, before: Tracker | None = None, since: int = 0,
+        uncontrolled: Mapping[int, Array], fail_safe: FailSafe, before: Tracker | None, since: int,
     ) -> None:  # fmt: skip
         self._model, self._track, self._regulator, self._cost, self._terms = model, track, regulator, cost, terms
         since -= track.first  # instants are rows from here on
-        self._period_s, self._uncontrolled, self._since = period_s, uncontrolled or {}, since
+        self._period_s, self._uncontrolled, self._fail_safe, self._since = period_s, uncontrolled, fail_safe, since
         self._found: list[Gains] = []  # from the end on
         self._P, self._p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(model.system.n)
         self._before: Sequence[Gains] = []
@@ -76,9 +76,9 @@ class Recursion:
             K[state.input_indices(sorted(off))] = 0.0
             for uav in off:
                 K[:, state.uav_slice(uav)] = 0.0
-            for uav, (on_reference, feedback) in self._uncontrolled.items():
+            for uav, feedback in self._uncontrolled.items():
                 at = state.input_slice(uav)
-                K[at], feedforward[at] = feedback, on_reference(k) - self._track.U[k, at]
+                K[at], feedforward[at] = feedback, self._on_reference(uav, k) - self._track.U[k, at]
             frozen(K, feedforward)
             gains[k] = replace(gains[k], K=K, feedforward=feedforward)
         return Tracker(gains=gains, first=self._track.first)
@@ -92,6 +92,10 @@ class Recursion:
         self._reach(self._last + 1)
         return Tracker(gains=[*self._before[: self._since], *reversed(self._found)], first=self._track.first)
 
+    def _on_reference(self, uav: int, k: int) -> Array:
+        """Return the inputs of a UAV without an agent on the reference, (4,)."""
+        return self._fail_safe.inputs(uav, self._track.X[k], self._track.first + k)
+
     def _reach(self, count: int) -> None:
         """Compute gains up to a number of them."""
         for k in range(self._last - len(self._found), max(self._last - count, self._since - 1), -1):
@@ -104,9 +108,8 @@ class Recursion:
         R = cost.R[controlled]
         x, u = track.X[k], track.U[k].copy()
         fixed = np.zeros((m, n))
-        for uav, (on_reference, feedback) in self._uncontrolled.items():
-            fixed[state.input_slice(uav)] = feedback
-            u[state.input_slice(uav)] = on_reference(k)
+        for uav, feedback in self._uncontrolled.items():
+            fixed[state.input_slice(uav)], u[state.input_slice(uav)] = feedback, self._on_reference(uav, k)
         across = _across(x)
         discrete = zero_order_hold(model.linearise(track.X_middle[k], track.U[k]), self._period_s)
         at = model.linearise(x, track.U[k])
