@@ -11,9 +11,8 @@ Functions: norm, dot, cross, sin, cos, tan, sqrt, exp, fabs, fmin, fmax; the con
 import ast
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -35,43 +34,35 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(ca, name) for name in
 _FUNCTIONS["norm"] = lambda a: ca.sqrt(ca.sumsqr(a) + _NORM_FLOOR)
 
 
-@dataclass(frozen=True, slots=True)
-class Relation:
+class Relation(NamedTuple):
     """One constraint as an expression that must be <= 0 or = 0."""
 
-    text: str  # as written
     value: ca.SX  # scalar expression over the symbols it was read with
     on: Literal["state", "input"]  # never both, as in paper (18)-(19)
-    kind: Literal["inequality", "equality"]  # value <= 0, value = 0
+    is_equality: bool
 
 
 def read(text: str, symbols: Symbols) -> Relation:
     """Read a constraint: two sides and one of <=, >=, ==. Raises: SettingsError: not readable, or mixed."""
     what = f"constraint {text!r}"
-    tree = _parsed(text, what)
-    if not (isinstance(tree, ast.Compare) and len(tree.ops) == 1):
-        raise SettingsError(f"{what}: expected two sides and one of <=, >=, ==")
-    comparison, sides = tree.ops[0], [tree.left, tree.comparators[0]]
-    if isinstance(comparison, ast.GtE):
-        sides.reverse()
-    elif not isinstance(comparison, ast.LtE | ast.Eq):
-        raise SettingsError(f"{what}: expected one of <=, >=, ==")
+    match _parsed(text, what):
+        case ast.Compare(left=left, ops=[ast.LtE() | ast.GtE() | ast.Eq() as comparison], comparators=[right]):
+            sides = (right, left) if isinstance(comparison, ast.GtE) else (left, right)
+        case _:
+            raise SettingsError(f"{what}: expected two sides and one of <=, >=, ==")
     value = _scalar(ast.BinOp(sides[0], ast.Sub(), sides[1]), symbols, what)
     on_state, on_input = bool(ca.depends_on(value, symbols.x)), bool(ca.depends_on(value, symbols.u))
     if on_state == on_input:
         raise SettingsError(f"{what}: expected states or inputs, got {'both' if on_state else 'neither'}")
-    kind: Literal["inequality", "equality"] = "equality" if isinstance(comparison, ast.Eq) else "inequality"
-    return Relation(text, value, "state" if on_state else "input", kind)
+    return Relation(value, "state" if on_state else "input", isinstance(comparison, ast.Eq))
 
 
 def read_term(text: str, symbols: Symbols) -> ca.SX:
     """Read a cost term, a scalar expression of states alone. Raises: SettingsError: not readable, or another."""
     what = f"cost {text!r}"
     value = _scalar(_parsed(text, what), symbols, what)
-    if ca.depends_on(value, symbols.u):
-        raise SettingsError(f"{what}: expected states, got inputs; their weights are controller.weights")
-    if not ca.depends_on(value, symbols.x):
-        raise SettingsError(f"{what}: expected states, got none")
+    if ca.depends_on(value, symbols.u) or not ca.depends_on(value, symbols.x):
+        raise SettingsError(f"{what}: expected states alone; weights of inputs are controller.weights")
     return value
 
 
@@ -136,7 +127,7 @@ def _names(symbols: Symbols) -> dict[str, Any]:
 
 def _evaluate(node: ast.AST, names: dict[str, Any], what: str) -> Any:
     value = _value(node, names, what)
-    if isinstance(value, int | float | ca.DM) and not np.isfinite(np.asarray(value, dtype=np.float64)).all():
+    if not isinstance(value, ca.SX) and not np.isfinite(np.asarray(value, dtype=np.float64)).all():
         raise SettingsError(f"{what}: {ast.unparse(node)!r} is not a finite number")
     return value
 
@@ -145,11 +136,10 @@ def _value(node: ast.AST, names: dict[str, Any], what: str) -> Any:
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return number
-        case ast.Name(id=name) if name in names:
-            return names[name]
         case ast.Name(id=name):
-            known = ", ".join(sorted(names))
-            raise SettingsError(f"{what}: unknown name {name!r}; known: {known}")
+            if name not in names:
+                raise SettingsError(f"{what}: unknown name {name!r}; known: {', '.join(sorted(names))}")
+            return names[name]
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
             return _OPERATORS[type(op)](_evaluate(operand, names, what))
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:

@@ -5,7 +5,6 @@ z is the scaled decision, then the slacks. A slack relaxes a lower bound with co
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import casadi as ca
@@ -73,14 +72,14 @@ class Rows:
         # Positions in x of the limited roll and pitch angles.
         self.angles = np.array([start + axis for start in starts for axis in (0, 1)], dtype=np.intp)
         self._on_state, self._on_input = compile_constraints(settings.constraint, decision.system)
-        self._kept = self._on_input.expressions.depends[:, decision.own].any(axis=1)
+        self._kept = self._on_input.depends[:, decision.own].any(axis=1)
         self.on_tensions = tension_margins(decision)  # positive where a rod tension is too small
         soft = np.flatnonzero(~np.isnan(self._on_state.penalty))
         own_slacks = [separation.penalty] * min(1, len(self.pairs)) if separation else []
         own_slacks += [tilt.penalty] if tilt else []
-        last = [tension.penalty] if tension else []
-        self.penalties = np.concatenate([own_slacks, self._on_state.penalty[soft], last])  # weights of all slacks
-        each, half, columns = len(self._on_state.expressions), steps * len(self.angles), size + len(own_slacks)
+        on_tension = [tension.penalty] if tension else []
+        self.penalties = np.concatenate([own_slacks, self._on_state.penalty[soft], on_tension])  # of all slacks
+        each, half, columns = len(self._on_state), steps * len(self.angles), size + len(own_slacks)
         user = [steps * each, steps * int(self._kept.sum()), steps * len(self.on_tensions)]
         ends = np.cumsum([size - len(decision.own), steps * len(self.pairs), half, half, *user]).tolist()
         parts = list(map(slice, [0, *ends[:-1]], ends))
@@ -88,7 +87,8 @@ class Rows:
         # Constant entries, zero where a step's are written, and bounds, infinite there.
         self.A = np.zeros((ends[-1], size + len(self.penalties)))
         self.lower, self.upper = np.full(len(self.A), -np.inf), np.full(len(self.A), np.inf)
-        self.A[rate, :size] = rate_rows(*decision.shape) * np.tile(decision.scale, steps)
+        differences = np.eye(rate.stop, size, len(decision.own)) - np.eye(rate.stop, size)  # of decisions: (28a)
+        self.A[rate, :size] = differences * np.tile(decision.scale, steps)
         self.upper[rate] = np.tile(decision.rate, steps - 1)
         self.lower[rate] = -self.upper[rate]
         self.A[self._apart, size : size + 1] = 1.0
@@ -113,15 +113,15 @@ class Rows:
     def fill_user(self, linear: Linear, prediction: Prediction, A: Array, lower: Array, upper: Array) -> None:
         """Write the rows of the user's constraints and of rod tensions."""
         size, own, u0, scale = self._decision.size, self._decision.own, linear.u0, self._decision.scale
-        if len(self._on_state.expressions):
-            value, slope = self._on_state.expressions.at(linear.x0)
+        if len(self._on_state):
+            value, slope = self._on_state.at(linear.x0)
             n = slope.shape[1]  # motors, which may be further states, are not in the expressions
             effect = (slope @ prediction.effect[:n].reshape(n, -1)).reshape(-1, *self._decision.shape)
             A[self._states, :size] = stacked(effect * scale)
             values = value + prediction.dX_free[1:, :n] @ slope.T
             lower[self._states], upper[self._states] = _bounds(self._on_state.equality, values)
         if self._kept.any():
-            value, slope = (part[self._kept] for part in self._on_input.expressions.at(u0))
+            value, slope = (part[self._kept] for part in self._on_input.at(u0))
             A[self._inputs, :size] = np.kron(np.eye(self._decision.settings.horizon), slope[:, own] * scale)
             values = value + (prediction.U_all - u0) @ slope.T
             lower[self._inputs], upper[self._inputs] = _bounds(self._on_input.equality[self._kept], values)
@@ -169,11 +169,6 @@ class Clearance:
         return np.asarray(np.einsum("opi,pis->ops", normals, on_points))
 
 
-def rate_rows(steps: int, m: int) -> Array:
-    """Return the differences of successive decisions, ((steps - 1) m, steps m). Source: docs/equations.md (28a)."""
-    return np.eye((steps - 1) * m, steps * m, m) - np.eye((steps - 1) * m, steps * m)
-
-
 def pairs_of(N: int, owned: tuple[int, ...]) -> npt.NDArray[np.intp]:
     """Return the pairs of UAVs, 0-based, with at least one owned UAV, (pairs, 2); the others' agents keep the rest."""
     pairs = [pair for pair in combinations(range(N), 2) if pair[0] in owned or pair[1] in owned]
@@ -194,30 +189,24 @@ def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Arra
     return distances, rows.reshape(len(pairs), len(positions))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UserConstraints:
-    """The user's constraints on states or on inputs, in the order given, inequalities and equalities mixed."""
+class UserConstraints(Expressions):
+    """The user's constraints on states or on inputs, in the order given: at most zero, or zero."""
 
-    expressions: Expressions  # at most zero, or zero
-    equality: npt.NDArray[np.bool_]  # which are equalities, (c,)
-    penalty: Array  # weight of the slack of a soft constraint, nan for a hard one, (c,)
+    def __init__(self, constraints: Sequence[Constraint], system: System, on: str) -> None:
+        symbols = Symbols.of(system.N, system.commands_rates)
+        read_all = [(constraint, read(constraint.expression, symbols)) for constraint in constraints]
+        chosen = [(constraint, relation) for constraint, relation in read_all if relation.on == on]
+        variable = symbols.x if on == "state" else symbols.u
+        super().__init__([relation.value for _, relation in chosen], variable, symbols.p, system.vector())
+        self.equality = np.array([relation.is_equality for _, relation in chosen], dtype=bool)  # (c,)
+        # Weight of the slack of a soft constraint, nan for a hard one, (c,).
+        penalty = np.array([constraint.penalty if constraint.soft else np.nan for constraint, _ in chosen])
+        self.penalty = np.where(self.equality | (on == "input"), np.nan, penalty)
 
 
 def compile_constraints(constraints: Sequence[Constraint], system: System) -> tuple[UserConstraints, UserConstraints]:
     """Read the user's constraints on states and on inputs. Raises: SettingsError: one cannot be read."""
-    symbols = Symbols.of(system.N, system.commands_rates)
-    relations = [(read(constraint.expression, symbols), constraint) for constraint in constraints]
-
-    def compiled(on: str, variable: ca.SX) -> UserConstraints:
-        chosen = [(relation, constraint) for relation, constraint in relations if relation.on == on]
-        soft = [c.soft and on == "state" and relation.kind == "inequality" for relation, c in chosen]
-        return UserConstraints(
-            expressions=Expressions([relation.value for relation, _ in chosen], variable, symbols.p, system.vector()),
-            equality=np.array([relation.kind == "equality" for relation, _ in chosen], dtype=bool),
-            penalty=np.array([c.penalty if s else np.nan for s, (_, c) in zip(soft, chosen, strict=True)]),
-        )
-
-    return compiled("state", symbols.x), compiled("input", symbols.u)
+    return UserConstraints(constraints, system, "state"), UserConstraints(constraints, system, "input")
 
 
 def tension_margins(decision: Decision) -> Expressions:

@@ -241,8 +241,8 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("controller.cost=[{expression='v0[0] -',weight=1}]", "cost 'v0[0] -': cannot be read"),
     ("controller.cost=[{expression='v0',weight=1}]", "expected a scalar, got shape (3, 1)"),
     ("controller.cost=[{expression='r0[2] <= 1',weight=1}]", "'r0[2] <= 1' is not allowed"),
-    ("controller.cost=[{expression='thrust1',weight=1}]", "expected states, got inputs"),
-    ("controller.cost=[{expression='2 * pi',weight=1}]", "expected states, got none"),
+    ("controller.cost=[{expression='thrust1',weight=1}]", "expected states alone"),
+    ("controller.cost=[{expression='2 * pi',weight=1}]", "expected states alone"),
     (
         "controller.cost=[{expression='1 / v0[0]',weight=1}]",
         "cost '1 / v0[0]': expected a finite value and slope at hover, got inf",
