@@ -17,10 +17,10 @@ class Linear:
     """Linearisation of one step and its steady-state input."""
 
     x0: Array  # state of the linearisation, (n,)
+    z0: Array  # the same, with motor lag followed by the actual inputs, (n + m,)
     u0: Array  # input from which the inputs deviate, (m,)
     model: Linearisation
     u_target: Array  # input without cost, (m,)
-    actual: Array | None = None  # with motor lag the actual inputs, (m,)
     forces: Array | None = None  # estimated external forces, (3 + 3 N,)
 
 

@@ -182,7 +182,7 @@ class Course:
     along: Sequence[Gains]  # its expansion
     linear: Linear  # of the step
     Z: Array  # states at steps 0..N_p, (N_p + 1, n)
-    U: Array  # inputs, the owned ones without limits, (N_p, m)
+    U_all: Array  # inputs, the owned ones without limits, (N_p, m)
     within: bool  # whether no constraint is violated
 
 
@@ -209,7 +209,7 @@ class Along:
         changes = np.diff(np.vstack([linear.u0[own], U[:, own]]), axis=0)
         over = [low - U[:, own], U[:, own] - high, np.abs(changes) - rate]
         within = all((part <= _ROUNDING * (high - low)).all() for part in over) and self._keeps(model, Z, U)
-        return Course(law=law, along=along, linear=linear, Z=Z, U=U, within=within)
+        return Course(law=law, along=along, linear=linear, Z=Z, U_all=U, within=within)
 
     def program(self, model: Model, course: Course) -> QP:
         """Return the QP of a course: without rows if it violates no constraint. Source: docs/equations.md (74)."""
@@ -236,7 +236,7 @@ class Along:
             all_inputs[own, m * k : m * (k + 1)] += np.diag(scale)
             inputs[k] = all_inputs[own]
             if len(rows.on_tensions):
-                slack_N[k], slope = rows.on_tensions.at(np.concatenate([course.Z[k], course.U[k]]))
+                slack_N[k], slope = rows.on_tensions.at(np.concatenate([course.Z[k], course.U_all[k]]))
                 loosened.append(slope @ np.vstack([effect, all_inputs]))
             effect = along[k].A_closed @ effect
             effect[:, m * k : m * (k + 1)] += along[k].B[:, own] * scale
@@ -245,7 +245,7 @@ class Along:
         places, C = model.outputs_along(Z)[:, : 3 * N], [model.linearise(x, u0).C[: 3 * N] for x in Z]
         far, directions = zip(*(separation_rows(at, rows.pairs) for at in places), strict=True)
         apart = np.array([d @ C_k @ effect for d, C_k, effect in zip(directions, C, states, strict=True)])
-        nominal, angles = course.U[:, own], Z[:, rows.angles].reshape(-1)
+        nominal, angles = course.U_all[:, own], Z[:, rows.angles].reshape(-1)
         (low, high), each = decision.bounds(nominal, u0), np.tile(scale, steps)
         changed, rate = np.diff(nominal, axis=0).reshape(-1), np.tile(decision.rate, steps - 1)
         tilted, tilt = np.array(states)[:, rows.angles], last - 1 - int(len(loosened) > 0)
@@ -276,7 +276,7 @@ class Along:
         """Return owned inputs and corrections of a plan, (N_p, m_own) each, by a solution and its weight w."""
         own = self._decision.own
         if course.within and (w == 1.0 or np.array_equal(course.law.c[:, own], announced.c[:, own])):
-            return self._decision.clip(course.U[:, own]), course.law.c[:, own]
+            return self._decision.clip(course.U_all[:, own]), course.law.c[:, own]
         c = announced.c.copy()
         c[:, own] = w * (course.law.c[:, own] + self._decision.inputs(z)) + (1.0 - w) * announced.c[:, own]
         law = replace(course.law, c=c)
