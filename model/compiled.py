@@ -76,20 +76,14 @@ class Compiled:
 
 
 def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
-    """Return the CasADi functions of a system of N UAVs, compiled as far as they are on disk.
+    """Return the CasADi functions of N UAVs, with thrust and moments or body rates as inputs; compiled if on disk.
 
-    With `rates` the inputs are thrust and commanded body rates.
-
-    derivative  (x, u, p, F) -> x'
-    tensions    (x, u, p, F) -> rod tensions
-    velocities  (x, p) -> velocities of the centres of mass
-    outputs     (x, p) -> y
-    linearise   (x, u, p, F) -> x', y, and, sparse and transposed, the parts of `model.linearisation.Linearisation`
-    step        (x, u, p, F, h) -> x after h seconds of constant u and F by one Dormand-Prince step and projection
-                of the rods, and the local error estimate before projection
-    sense       (x, u, p, F) -> measurements y of the UAVs' own sensors, and their derivatives in parts, those by
-                (x, F) with the payload's acceleration held, sparse, by that acceleration, and its own by (x, F)
-    sensed      (x, u, p, F) -> the measurements alone
+    derivative, tensions, sensed (x, u, p, F) and velocities, outputs (x, p) return what they say; further ones are
+    linearise (x, u, p, F) -> x', y, and, sparse and transposed, the factors of `model.linearisation.Pattern`
+    step (x, u, p, F, h) -> x after h seconds of constant u and F by one Dormand-Prince step and projection of the rods,
+        and the local error estimate before projection
+    sense (x, u, p, F) -> measurements y of the UAVs' own sensors, and their derivatives in parts: those by (x, F) with
+        the payload's acceleration held, sparse, by that acceleration, and its own by (x, F)
     """
     return _loaded(N, rates, _library(N, rates))
 

@@ -1,7 +1,4 @@
-"""Zero-order hold of x' = f + A_c dx + B_c du: a Taylor series applied to [A_c B_c f], with A_c in factors.
-
-Its length follows from the remainder bound; long periods are halved until it is short, then doubled back.
-"""
+"""Zero-order hold of x' = f + A_c dx + B_c du: a Taylor series applied to [A_c B_c f], with A_c in factors."""
 
 from dataclasses import dataclass
 
@@ -31,10 +28,7 @@ class Discrete:
 def zero_order_hold(
     linear: Linearisation, period_s: float, known: Discrete | None = None, *, remainder: float = _REMAINDER
 ) -> Discrete:
-    """Discretise with the input held over the sampling period, s, exact but for rounding: equations.md (16)-(17).
-
-    Known is the same for another f: A and B are then taken from it. Raises: ShapeError: A_c or exp(A_c) is not finite.
-    """
+    """Discretise exactly: (16)-(17); A and B of a known one, for another f, stay. Raises: ShapeError: not finite."""
     if not native.AVAILABLE:
         return _zero_order_hold(linear, period_s)
     at, sizes = native.at, (*linear.pattern.shapes[1], linear.pattern.shapes[2][1])

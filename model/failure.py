@@ -1,7 +1,4 @@
-"""Motor-off and released UAVs in state and parameters of the whole team: docs/equations.md (50), (51).
-
-A motor-off UAV has no inputs. A released one, also motor-off, is replaced by a bob that hangs at its attachment.
-"""
+"""UAVs without motors, and of these released ones, with bobs in their place: docs/equations.md (50), (51)."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -33,10 +30,7 @@ def failed_model(system: System, off: Collection[int], released: Collection[int]
 def failed_hover(
     system: System, off: Collection[int], released: Collection[int], thrusts: Mapping[int, float] | None = None
 ) -> Hover:
-    """Return the hover of a team with UAVs off, upright on their rods, and given thrusts of others, N.
-
-    Raises: ParameterError: the others cannot hold the payload.
-    """
+    """Return the hover with UAVs off, upright, and given thrusts of others, N. Raises: ParameterError: none."""
     rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
     rods[sorted(released)] *= -1.0
     given = {**(thrusts or {}), **dict.fromkeys(off, 0.0)}

@@ -1,7 +1,4 @@
-"""References that a team can fly: states and inputs that carry the level payload along a smooth path exactly.
-
-By derivatives of the path: differential flatness (Sreenath, Kumar 2013; Mellinger, Kumar 2011).
-"""
+"""References that a team can fly, by differential flatness (Sreenath, Kumar 2013; Mellinger, Kumar 2011)."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -113,9 +110,8 @@ def track(system: System, hover: Hover, by_instant: Array, first: int = 0, relea
 def flight(system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()) -> Flight:
     """Return the motion of a team whose level payload follows a path: equations.md (66)-(68).
 
-    Given are jets of position, m, and of length and width of the team, relative to hover, (7, k, 5), or (7, k, 3).
-    Forces, of each instant or constant, are external ones and further mass of the payload, (4 + 3 N,), and may be
-    complex. Bobs hang in the place of released UAVs, 0-based, in system and hover too.
+    Given are jets of position, m, and of length and width of the team, relative to hover, (7, k, 5), or (7, k, 3),
+    forces and further mass of the payload, (4 + 3 N,) or of each instant, also complex, and released UAVs, now bobs.
     """
     N, k = system.N, path.shape[1]
     path, formation = path[..., :3], path[..., 3:]

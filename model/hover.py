@@ -24,12 +24,10 @@ class Hover:
 
 
 def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int, float] | None = None) -> Hover:
-    """Return the equilibrium with rod directions, (N, 3), payload frame, straight down by default.
+    """Return the equilibrium with rod directions, (N, 3), payload frame, straight down by default: (18)-(19), (51).
 
-    Rod tensions are of least norm. Given thrusts, N, by 0-based numbers, fix those of these UAVs' vertical rods.
-
+    Rod tensions are of least norm; given thrusts, N, by 0-based numbers, fix those of vertical rods.
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
-    Source: docs/equations.md (18)-(19), (51).
     """
     N = system.N
     e = np.tile([0.0, 0.0, 1.0], (N, 1)) if rods_P is None else np.array(rods_P, dtype=np.float64)

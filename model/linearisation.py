@@ -22,10 +22,7 @@ NAMES = ("X", "U", "P", "V_x", "V_u", "C")  # of the factors of a linearisation,
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pattern:
-    """Places of the entries of sparse factors, one list of rows after the other: A_c = X + P V_x, B_c = U + P V_u.
-
-    X and U hold the payload's acceleration; V_x and V_u, six rows, are its own derivatives; P is its effect.
-    """
+    """Places of the entries of the sparse factors A_c = X + P V_x, B_c = U + P V_u, and of C, row by row."""
 
     shapes: tuple[tuple[int, int], ...]  # of the factors, in the order of `NAMES`
     begin: npt.NDArray[np.intp]  # first entry of each row, and the end of the last, (rows of all + 1,)
@@ -98,11 +95,10 @@ class Linearisation:
 
 
 class Model:
-    """The equations of motion of one system, evaluated numerically.
+    """The equations of motion of one system, evaluated numerically, with UAVs off and released, 0-based.
 
     External forces are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs, (3 + 3 N,), inertial frame, N;
-    the payload's mass beyond the known one, kg, may follow. Inputs of UAVs off, 0-based, and forces on released ones
-    have no effect.
+    the payload's mass beyond the known one, kg, may follow. Inputs of UAVs off and forces on released ones do nothing.
     """
 
     def __init__(self, system: System, off: Collection[int] = (), released: Collection[int] = ()) -> None:

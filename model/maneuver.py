@@ -165,10 +165,7 @@ class Maneuver:
         return r, v
 
     def jets(self, t_s: Array) -> Array:
-        """Return the jets of a smooth path and a changing formation at times t_s, (k,): (`ORDERS`, k, 3 or 5): (65).
-
-        Raises: ParameterError: a phase is not smooth.
-        """
+        """Return jets of the path at t_s, (`ORDERS`, k, 3), 5 with formation: (65). Raises: ParameterError."""
         for phase in self.phases:
             if self._curve(phase) is None and (phase.displacement_I.any() or phase.way is not None):
                 expected = "expected a smooth path, that of profile 'smooth'"

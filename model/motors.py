@@ -42,11 +42,8 @@ def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, 
 
 @lru_cache
 def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: int) -> Array:
-    """Return what is left of deviations from held commands, (3, 2, 4 uavs): equations.md (54), (58a).
-
-    By row: in the two held inputs and in the actual ones at the end. By column: of actual inputs and of body rates.
-    """
-    found = np.zeros((3, 2, 4))
+    """Return shares left of deviations of actual inputs and rates, in two held inputs and at the end: (54), (58a)."""
+    found = np.zeros((3, 2, 4))  # the two inputs and the end; actual inputs and body rates; inputs of a UAV
     found[:, 0] = np.array([*_deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
     for axis, gain in enumerate(gains or (), start=1):
         M = np.array([[gain - 1.0 / lag_s, -gain], [gain, -gain]])
@@ -77,10 +74,7 @@ def commanded_states(x: Array) -> Array:
 def integrate(
     model: Model, z: Array, u: Array, duration_s: float, steps: int, lag_s: float, forces: Array | None = None
 ) -> tuple[Array, float]:
-    """Return the state after `duration_s` of constant commands, order 4, and the largest local error: (54), (58a).
-
-    States z are x, (n,), without lag, and [x, a], (n + m,), with lag; the rest as in `Model.integrate`.
-    """
+    """Return x or, with lag, [x, a] after constant commands, order 4, and the largest local error: (54), (58a)."""
     if lag_s == 0.0:
         return model.integrate(z, u, duration_s, steps, forces=forces)
     x, a, worst, step_s = z[: model.system.n], z[model.system.n :], 0.0, duration_s / steps

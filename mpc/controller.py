@@ -43,8 +43,7 @@ class StepResult:
 class Controller:
     """Model predictive control of the owned UAVs, given the announced inputs of the others.
 
-    The reference is X_ref, (K, n), for the preview, or a flat track, which the shared control law follows, keeping
-    clear of obstacles. Raises: SettingsError: a constraint that cannot be read.
+    The preview follows X_ref, (K, n), the control law a flat track, clear of obstacles. Raises: SettingsError.
     """
 
     def __init__(
@@ -89,10 +88,7 @@ class Controller:
         return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
-        """Linearise about x0 and u0, (m,), SI, under forces, (3 + 3 N,), N: equations.md (15), (37), (40), (55).
-
-        x0 is the state, (n,), with motor lag [x, actual inputs], (n + m,): then the expansion is about these inputs.
-        """
+        """Linearise about x0, (n,), or [x, actual inputs], (n + m,), and u0, (m,), SI: (15), (37), (40), (55)."""
         u_target = self.cost.u_target
         if forces is not None and self.settings.weights.penalised_input == "deviation":
             u_target = u_target + self.regulation.target.M_u @ self.model.at_rest(forces)
@@ -158,10 +154,7 @@ class Controller:
         self, solution: Solution, prediction: Prediction | Course, U: Array, law: FeedbackLaw | None,
         ticks_since_start: int | None = None,
     ) -> StepResult:  # fmt: skip
-        """Return the plan to announce: w U* + (1 - w) U_previous, or the previous plan after a failure: (30a), (36a).
-
-        With a shared control law only the corrections are mixed. Soon after the start of an agent w is larger.
-        """
+        """Return w U* + (1 - w) U_previous, or that of corrections; the previous plan after a failure: (30a), (36a)."""
         w, decision, solved = self._relaxation, self._decision, solution.status == "solved"
         if ticks_since_start is not None:
             w = max(w, 1.0 / (ticks_since_start + 1))

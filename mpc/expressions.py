@@ -1,11 +1,7 @@
 """The user's constraints and cost terms as text: "r0[2] <= -2", "norm(r1 - r3) >= 0.8", "thrust1 <= 30"; "e1[0]".
 
-The text is part of the scenario. It is read into a CasADi expression by walking its syntax tree; only the names below,
-numbers, arithmetic and one comparison are allowed.
-
-States: r0, v0, Theta0, omega0 (payload), and for UAV i: ri, ei, Omegai, Thetai, omegai. Inputs: thrusti, taui, or
-with commanded body rates thrusti, ratei.
-Functions: norm, dot, cross, sin, cos, tan, sqrt, exp, fabs, fmin, fmax; the constant pi.
+Allowed are numbers, pi, arithmetic, norm, dot, cross, sin, cos, tan, sqrt, exp, fabs, fmin, fmax, and for UAV i
+r0, v0, Theta0, omega0, ri, ei, Omegai, Thetai, omegai, or thrusti and taui, with commanded body rates ratei.
 """
 
 import ast

@@ -20,10 +20,9 @@ _STEEPEST = 0.2  # largest roll or pitch that it asks for, rad
 
 
 class FailSafe:
-    """The fail-safes of all UAVs.
+    """The fail-safes of all UAVs: hover thrusts of u_hover, (4 N,), or the inputs of a flat track.
 
-    They hold the thrusts of u_hover, (4 N,), or with a flat track its inputs. X_ref, (K, n), the last one held, is for
-    UAVs that measure their position and velocity and follow it; None for UAVs that keep level.
+    They follow X_ref, (K, n), the last one held, by measured position and velocity; without it they keep level.
     """
 
     def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None, track: Track | None = None) -> None:

@@ -84,12 +84,10 @@ def regulator(
     model: Model, hover: Hover, cost: Cost, period_s: float, uncontrolled: Mapping[int, Array] | None = None,
     further: Array | None = None, off: Collection[int] = (), released: Collection[int] = (), motor_lag_s: float = 0.0,
 ) -> Regulator:  # fmt: skip
-    """Return the linear-quadratic regulator of the team about hover: equations.md (33)-(34), (45), (55).
+    """Return the linear-quadratic regulator of the team about hover, with motor lag of [x, a]: (33)-(34), (45), (55).
 
     UAVs without an agent, by 0-based numbers, follow a feedback of their own, (4, n). Further terms of the cost are
-    roots of weights times slopes at hover, (t, n). With motor lag inputs are states.
-
-    Raises: FeedbackError: the recursion does not converge, or its feedback does not stabilise the team.
+    roots of weights times slopes at hover, (t, n). Raises: FeedbackError: no feedback, or none that is stable.
     """
     linear = model.linearise(hover.x, hover.u)
     T = tangent(hover.x, off, released, motors=motor_lag_s > 0.0)
@@ -146,10 +144,7 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
 
 
 def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = (), motors: bool = False) -> Array:
-    """Return an orthonormal basis of the directions of x, (n, n - 2 N), less those of attitudes off, UAVs released.
-
-    With motors the actual inputs, but of UAVs that are off, are further states and directions.
-    """
+    """Return an orthonormal basis of directions of x, (n, n - 2 N), or [x, a], but of UAVs off and released."""
     uavs, out = state.StateView(x).e_P, np.zeros(len(x), dtype=bool)
     basis, each = np.zeros((len(x), len(x) - 2 * len(uavs))), state.PER_UAV - 2
     basis[: state.PAYLOAD, : state.PAYLOAD] = np.eye(state.PAYLOAD)
@@ -181,7 +176,7 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> 
 
         d(k) = A xi_ref(k) - xi_ref(k+1),   p(k) = A_closed' (p(k+1) + P d(k)) + pull(k)
 
-    Given are the reference states from the `first` instant on, (K, n), and half the slope of the cost there, (K, n).
+    X_ref are states from the `first` instant on, (K, n), pull half the slope of the cost there, (K, n).
     """
     T, P, A_closed = regulator.T, regulator.P, regulator.A_closed
     # Relative to the last instant, which is at rest, so that the attitudes at hover are no deviation.
@@ -223,10 +218,7 @@ def target(
     model: Model, hover: Hover, cost: Cost, uncontrolled: Mapping[int, Array] | None = None, off: Collection[int] = (),
     released: Collection[int] = (),
 ) -> Target:  # fmt: skip
-    """Return the steady state about hover with least output error, then least input effort, the rest as at hover: (40).
-
-    Arguments as those of `regulator`.
-    """
+    """Return the steady state with least output error, then least input effort, the rest as at hover: (40)."""
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)
     T = tangent(hover.x, off, released)

@@ -47,11 +47,10 @@ class Mismatch:
 
 
 class Loop:
-    """The sampled loop of a team about hover, as a function of the plant.
+    """The sampled loop of a team about hover, as a function of the plant, with a controller per agent.
 
-    There is a controller per agent, whose plans are the shared control law. With `next_tick` inputs act one sampling
-    period after the measurement; `age` are the periods until an agent knows another agent's state, >= 1. UAVs without
-    an agent, by 0-based numbers, follow a fail-safe, (4, n), on the present state, unmeasured.
+    With `next_tick` inputs act one sampling period after the measurement; `age` are the periods until an agent knows
+    another agent's state, >= 1. UAVs without an agent, by 0-based numbers, follow a fail-safe, (4, n), unmeasured.
     """
 
     def __init__(
@@ -74,7 +73,8 @@ class Loop:
         self._measured = [T[rows].T @ T[rows] for rows in seen]
         self._law = first.regulation.gain(0) @ T
         lost = np.zeros(len(self._T), dtype=bool)
-        self._gone, self._fail_safe = np.zeros((self._system.m, 1), dtype=bool), np.zeros((self._system.m, len(self._A)))
+        m = self._system.m
+        self._gone, self._fail_safe = np.zeros((m, 1), dtype=bool), np.zeros((m, len(self._A)))
         for uav, gain in (uncontrolled or {}).items():
             lost[state.uav_slice(uav)], self._gone[state.input_slice(uav)] = True, True
             lost[state.uav_slice(uav)][state.THETA][2] = False  # its heading matters to no other state

@@ -37,10 +37,7 @@ class Prediction:
 
 
 def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackLaw | None = None) -> Prediction:
-    """Predict with the owned inputs held at u0 and the others' as announced, (N_p, m), or by the law: (22)-(24), (35).
-
-    The decision is the deviation of the owned inputs from u0. Source: paper (15)-(16), (22)-(24).
-    """
+    """Predict for owned inputs u0 + v, the others as announced, (N_p, m), or by the law: (22)-(24), (35)."""
     at_x0 = U if law is None else law.uncorrected + law.c
     (n, _), steps, B_others = discrete.B.shape, len(at_x0), discrete.B.copy()
     B_others[:, own] = 0.0

@@ -134,10 +134,7 @@ def unsolved(n: int, rows: int, solver: str) -> Solution:
 
 
 def within_bounds(qp: QP) -> Solution | None:
-    """Return the solution with the bounds alone if it is that of the whole QP, which has mostly no active row.
-
-    Primal-dual active-set method (Hintermueller, Ito, Kunisch 2003). None if it cycles, or without compiled kernels.
-    """
+    """Return the solution of a QP in which no row is active, else None (Hintermueller, Ito, Kunisch 2003)."""
     if not native.AVAILABLE:
         return None
     (rows, n), z, multipliers, found = qp.A.shape, np.empty_like(qp.g), np.empty_like(qp.g), np.empty(3)

@@ -63,7 +63,6 @@ class Regulation:
     """The shared control law and cost-to-go of one maneuver, for the UAVs that have agents.
 
     The reference, X_ref, (K, n), for the preview, or a flat track, is that at instants 0..K-1; the last one is held.
-
     Raises: FeedbackError: the settings need a regulator and none stabilises the team.
     """
 

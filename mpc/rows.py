@@ -1,7 +1,4 @@
-"""The decision of one controller and all rows of its QP, row_lower <= A z <= row_upper.
-
-z is the scaled decision, then the slacks. A slack relaxes a lower bound with coefficient 1, an upper bound with -1.
-"""
+"""The decision of one controller and all rows of its QP, row_lower <= A z <= row_upper; z: decision, then slacks."""
 
 import math
 from collections.abc import Sequence
@@ -45,22 +42,16 @@ class Decision:
         return np.asarray(z[: self.size].reshape(self.shape) * self.scale)
 
     def bounds(self, U_free: Array, u0: Array) -> tuple[Array, Array]:
-        """Return the bounds on the scaled decision about U_free, (N_p m_own,) each, the first rate limit included.
-
-        Inputs in force outside their bounds return at once: the bounds are the actuators', the rates a preference.
-        """
+        """Return bounds on the scaled decision about U_free, (N_p m_own,) each, with the first rate limit."""
         lower, upper = self.lower - U_free, self.upper - U_free
-        first = u0[self.own] - U_free[0]
+        first = u0[self.own] - U_free[0]  # inputs outside their bounds return at once: rates are a preference
         lower[0] = np.minimum(np.maximum(lower[0], first - self.rate), upper[0])
         upper[0] = np.maximum(np.minimum(upper[0], first + self.rate), lower[0])
         return (lower / self.scale).reshape(-1), (upper / self.scale).reshape(-1)
 
 
 class Rows:
-    """Rows of all constraints that are set, (28)-(30b), with their constant entries and bounds.
-
-    Slacks: all separations, all tilts, each soft constraint of the user, all tensions.
-    """
+    """Rows of all constraints, (28)-(30b); slacks: separations, tilts, each soft constraint of the user, tensions."""
 
     def __init__(self, decision: Decision) -> None:
         self._decision, settings, steps, size = decision, decision.settings, decision.settings.horizon, decision.size

@@ -1,7 +1,4 @@
-"""Settings of a controller, and the base of all sections of a scenario.
-
-A field has its key, type, range, default and meaning here alone; docs/keys.md, labels and options are made from them.
-"""
+"""Settings of a controller, and the base of all sections: the only place of key, type, range, default and meaning."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
