@@ -63,14 +63,6 @@ def rate_places(m: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     return INPUTS * uavs + 1 + axes, PAYLOAD + PER_UAV * uavs + OMEGA.start + axes
 
 
-def commanded_states(x: Array) -> Array:
-    """Return the body rate that each input commands, (4 N,), zero for thrusts; of a state, (n,)."""
-    rates = np.zeros((len(x) - PAYLOAD) // PER_UAV * INPUTS)
-    inputs, states = rate_places(len(rates))
-    rates[inputs] = x[states]
-    return rates
-
-
 def integrate(
     model: Model, z: Array, u: Array, duration_s: float, steps: int, lag_s: float, forces: Array | None = None
 ) -> tuple[Array, float]:
@@ -78,15 +70,14 @@ def integrate(
     if lag_s == 0.0:
         return model.integrate(z, u, duration_s, steps, forces=forces)
     x, a, worst, step_s = z[: model.system.n], z[model.system.n :], 0.0, duration_s / steps
-    gains = model.system.rate_gains
+    gains, (inputs, states), rates = model.system.rate_gains, rate_places(len(u)), np.zeros_like(u)
     for _ in range(steps):
         if gains is None:
-            halves, a = held(a, u, lag_s, step_s)
+            (first, second), a = held(a, u, lag_s, step_s)
         else:
-            of = shares(lag_s, step_s, tuple(gains.tolist()), model.system.N)
-            first, second, a = u + of[:, 0] * (a - u) + of[:, 1] * (commanded_states(x) - u)
-            halves = first, second
-        for half in halves:
+            of, rates[inputs] = shares(lag_s, step_s, tuple(gains.tolist()), model.system.N), x[states]
+            first, second, a = u + of[:, 0] * (a - u) + of[:, 1] * (rates - u)
+        for half in (first, second):
             x, error = model.integrate(x, half, step_s / 2.0, 1, forces=forces)
             worst = max(worst, error)
     return np.concatenate([x, a]), worst

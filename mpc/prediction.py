@@ -41,7 +41,7 @@ def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackL
     at_x0 = U if law is None else law.uncorrected + law.c
     (n, _), steps, B_others = discrete.B.shape, len(at_x0), discrete.B.copy()
     B_others[:, own] = 0.0
-    A = discrete.A if law is None else fed_back(discrete, own, law.K)
+    A = discrete.A if law is None else discrete.A + B_others @ law.K
     dX = free_response(A, discrete.f_d + (at_x0 - u0) @ B_others.T)
     effect = np.empty((n, steps, len(own)))
     effect[:, 0] = discrete.B[:, own]
@@ -58,7 +58,7 @@ def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackL
 def follow(
     prediction: Prediction, A: Array, B: Array, u0: Array, own: Places, law: FeedbackLaw, Z: Array, U: Array
 ) -> None:
-    """Make the free response exact along states Z, (N_p + 1, n), to which inputs U lead; A from `fed_back`: (35a)."""
+    """Make the free response exact along states Z, (N_p + 1, n), of inputs U; A: with the others' feedback: (35a)."""
     V = U[:, own] - u0[own]
     drive, caused = V @ B[:, own].T, np.empty(Z.shape)
     if native.AVAILABLE:
@@ -69,13 +69,6 @@ def follow(
     prediction.dU_free[:] = prediction.dX_free[:-1] @ law.K.T
     prediction.U_all[:] = law.uncorrected + law.c + prediction.dU_free
     prediction.U_all[:, own] = prediction.U_free[:] = u0[own]
-
-
-def fed_back(discrete: Discrete, own: Places, K: Array) -> Array:
-    """Return the state matrix with the feedback K, (m, n), of the others' inputs, (n, n)."""
-    B_others = discrete.B.copy()
-    B_others[:, own] = 0.0
-    return discrete.A + B_others @ K
 
 
 def convolve(effect: Array, v: Array) -> Array:

@@ -12,7 +12,7 @@ from model.discretisation import Discrete
 from model.state import input_indices
 from mpc.cost import Cost, UserCosts
 from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear, Prediction, convolve, fed_back, follow, predict, stacked
+from mpc.prediction import Linear, Prediction, convolve, follow, predict, stacked
 from mpc.qp import QP
 from mpc.regulation import CostToGo
 from mpc.rows import Decision, Rows
@@ -69,7 +69,9 @@ class Program:
             self._fed_back = None
         else:
             if self._fed_back is None or is_new:
-                self._fed_back = fed_back(discrete, own, law.K)
+                B_others = discrete.B.copy()
+                B_others[:, own] = 0.0
+                self._fed_back = discrete.A + B_others @ law.K
             follow(found, self._fed_back, discrete.B, u0, own, law, *along)
         return found
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, product
 
 import casadi as ca
 import numpy as np
@@ -12,7 +12,7 @@ from model import state
 from model.arrays import Array
 from model.dynamics import Symbols, motion
 from model.obstacles import Obstacle
-from model.parameters import System, payload_corners
+from model.parameters import System, payload_half_size
 from model.rotations import euler_rates, rotation
 from mpc.expressions import Expressions, read
 from mpc.prediction import Linear, Prediction, stacked
@@ -54,17 +54,22 @@ class Rows:
     """Rows of all constraints, (28)-(30b); slacks: separations, tilts, each soft constraint of the user, tensions."""
 
     def __init__(self, decision: Decision) -> None:
-        self._decision, settings, steps, size = decision, decision.settings, decision.settings.horizon, decision.size
-        separation, tilt, tension = settings.separation, settings.tilt, settings.tension
+        self._decision, system, settings, (steps, _) = decision, decision.system, decision.settings, decision.shape
+        size, separation, tilt, tension = decision.size, settings.separation, settings.tilt, settings.tension
         self.minimum_m = separation.minimum_m if separation else 0.0  # smallest distance of these pairs
-        self.pairs = pairs_of(decision.system.N, decision.uavs)[: None if separation else 0]
+        self.pairs = pairs_of(system.N, decision.uavs)[: None if separation else 0]
         self.limit = math.radians(tilt.limit_deg) if tilt else 0.0  # largest angle, rad
         starts = [state.uav_slice(uav).start + state.THETA.start for uav in decision.uavs if tilt]
         # Positions in x of the limited roll and pitch angles.
         self.angles = np.array([start + axis for start in starts for axis in (0, 1)], dtype=np.intp)
-        self._on_state, self._on_input = compile_constraints(settings.constraint, decision.system)
+        self._on_state, self._on_input = compile_constraints(settings.constraint, system)
         self._kept = self._on_input.depends[:, decision.own].any(axis=1)
-        self.on_tensions = tension_margins(decision)  # positive where a rod tension is too small
+        symbols, margins = Symbols.of(system.N, system.commands_rates), list[ca.SX]()
+        if tension:  # minimum_N less the rod tensions of the owned UAVs: (30b)
+            pulls = ca.substitute(motion(symbols).tensions, symbols.F, ca.SX.zeros(symbols.F.numel()))
+            margins = [tension.minimum_N - pulls[uav] for uav in decision.uavs]
+        # Of states and inputs, positive where a tension is too small.
+        self.on_tensions = Expressions(margins, ca.vertcat(symbols.x, symbols.u), symbols.p, system.vector())
         soft = np.flatnonzero(~np.isnan(self._on_state.penalty))
         own_slacks = [separation.penalty] * min(1, len(self.pairs)) if separation else []
         own_slacks += [tilt.penalty] if tilt else []
@@ -136,7 +141,7 @@ class Clearance:
 
     def __init__(self, decision: Decision, obstacles: Sequence[Obstacle]) -> None:
         self._obstacles, self._own = obstacles, list(decision.uavs)
-        self._corners = payload_corners(decision.system)
+        self._corners = np.array(list(product((-1.0, 1.0), repeat=3))) * payload_half_size(decision.system)
         margins = [[obstacle.margin_m] * len(self._own) + [obstacle.load_margin_m] * 8 for obstacle in obstacles]
         self._margins = np.array(margins).reshape(len(obstacles), -1)
         self.penalties = np.array([obstacle.penalty for obstacle in obstacles])  # weight of the slack of each
@@ -198,16 +203,6 @@ class UserConstraints(Expressions):
 def compile_constraints(constraints: Sequence[Constraint], system: System) -> tuple[UserConstraints, UserConstraints]:
     """Read the user's constraints on states and on inputs. Raises: SettingsError: one cannot be read."""
     return UserConstraints(constraints, system, "state"), UserConstraints(constraints, system, "input")
-
-
-def tension_margins(decision: Decision) -> Expressions:
-    """Return minimum_N less the rod tensions of the owned UAVs, of states and inputs: (30b); none if unlimited."""
-    symbols, section = Symbols.of(decision.system.N, decision.system.commands_rates), decision.settings.tension
-    margins: list[ca.SX] = []
-    if section is not None:
-        tensions = ca.substitute(motion(symbols).tensions, symbols.F, ca.SX.zeros(symbols.F.numel()))
-        margins = [section.minimum_N - tensions[uav] for uav in decision.uavs]
-    return Expressions(margins, ca.vertcat(symbols.x, symbols.u), symbols.p, decision.system.vector())
 
 
 def _bounds(equality: npt.NDArray[np.bool_], values: Array) -> tuple[Array, Array]:
