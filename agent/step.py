@@ -20,8 +20,9 @@ from model import motors
 from model.arrays import Array, ShapeError
 from model.discretisation import Discrete
 from model.state import input_indices
-from mpc.controller import Controller, Linear, StepResult
+from mpc.controller import Controller, StepResult
 from mpc.feedback import FeedbackLaw
+from mpc.prediction import Linear
 from mpc.regulation import CostToGo
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, Message, Note, Plan, StepReport

@@ -11,7 +11,7 @@ from agent.estimator import WINDOW, StateEstimator
 from agent.kalman import KalmanFilter
 from model import state
 from model.arrays import Array
-from model.failure import motor_off_state, released_state
+from model.hover import motor_off_state, released_state
 from model.state import input_indices
 from mpc.controller import Controller
 from mpc.prediction import Prediction

@@ -122,7 +122,6 @@ def library(N: int, rates: bool = False) -> Any:
 
 
 def _library(N: int, rates: bool) -> Path | None:
-    """Return the file of the functions compiled for this processor; None if there is none."""
     path = _file(N, rates)
     return path if compiler.enabled() and compiler.intact(path) else None
 
@@ -201,6 +200,5 @@ def _step(s: Symbols, f: ca.Function) -> ca.Function:
 
 
 def _weighted(h: ca.MX, coefficients: Sequence[float], slopes: Sequence[ca.MX]) -> ca.MX:
-    """Return h times the weighted sum of slopes."""
     terms = [b * slope for b, slope in zip(coefficients, slopes, strict=True) if b]
     return h * sum(terms[1:], start=terms[0]) if terms else ca.MX(0)

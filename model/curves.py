@@ -63,7 +63,6 @@ class Curve:
         return float(np.linalg.norm(self._shape(s)[1], axis=-1).max())
 
     def _shape(self, s: Array) -> Array:
-        """Return the jets of p(s)."""
         if self.kind == "spline":
             values = [self._spline(s[0], order) / factorial(order) for order in range(len(s))]
             return jets.composed(np.array(values), s)

@@ -43,7 +43,6 @@ def zero_order_hold(
 
 
 def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
-    """Return the same by the exponential of the augmented matrix."""
     from scipy.linalg import expm  # 0.3 s at start, only without compiled kernels
 
     n, m = linear.B_c.shape

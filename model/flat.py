@@ -75,7 +75,7 @@ class FlatReference:
 
     def states(self, t_s: Array) -> Array:
         """Return x_ref at times t_s, (k,), s: (k, 12 + 12 N), SI: equations.md (66)-(68)."""
-        return self.flight(t_s).x
+        return flight(self._system, self._hover, self.maneuver.jets(t_s)).x
 
     def followed(self, t_s: Array) -> tuple[Array, Array]:
         """Return outputs and states, which controllers follow, at times t_s, (k, 4 N + 9) and (k, 12 + 12 N)."""
@@ -87,10 +87,6 @@ class FlatReference:
         places = view.r0_I[:, None] + rho - lengths[:, None] * view.e_P
         parts = [places.reshape(len(x), -1), view.Theta0, view.omega_B[:, :, 2], path[0, :, :3], path[1, :, :3]]
         return np.hstack(parts), x
-
-    def flight(self, t_s: Array) -> Flight:
-        """Return the motion of the team at times t_s, (k,), s."""
-        return flight(self._system, self._hover, self.maneuver.jets(t_s))
 
     def track(self, instants: int, period_s: float, first: int = 0) -> Track:
         """Return what controllers follow over a number of instants from the first on, one period apart, s."""

@@ -1,5 +1,6 @@
 """The numerical model of one system: derivative, outputs, exact linearisation, integration."""
 
+import ctypes
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from model import native
 from model.arrays import Array, frozen
 from model.compiled import Compiled, functions, library
+from model.hover import with_released
 from model.parameters import System
 from model.state import input_indices
 
@@ -102,10 +104,10 @@ class Model:
     """
 
     def __init__(self, system: System, off: Collection[int] = (), released: Collection[int] = ()) -> None:
-        self.system, self.released = system, frozenset(released)
+        self.system, self.released = with_released(system, released), frozenset(released)
         self._off = input_indices(sorted(off))
         self._unforced = np.array([3 + 3 * uav + axis for uav in sorted(released) for axis in range(3)], dtype=np.intp)
-        self._p = system.vector()
+        self._p = self.system.vector()
         found = functions(system.N, system.commands_rates)
         self._compiled = {name: Compiled(function) for name, function in found.items()}
         self._outputs_of = found["outputs"]
@@ -223,14 +225,26 @@ class Model:
         self, x: Array, at_x: Array, K: Array, bounds: tuple[Array, Array], duration_s: float, forces: Array | None
     ) -> tuple[Array, Array] | None:
         """Return states and inputs under u = at_x + K (x(k) - x) within bounds, in one call; None if not compiled."""
-        if self._native is None or len(self._off):
+        if self._kernel is None or len(self._off):
             return None
-        return self._native.rollout(x, at_x, K, bounds, self._acting(forces), duration_s)
+        Z, U, at, (step, held, rooms) = np.empty((len(at_x) + 1, len(x))), np.empty(at_x.shape), native.at, self._kernel
+        acting = self._acting(forces)
+        Z[0], held[0], rooms[0][2:4] = x, duration_s, [at(array) for array in acting]
+        arrays = (*rooms, K, at_x, *bounds, Z, U)
+        native.KERNELS.rollout(len(U), len(x), len(K), step, *map(at, arrays))
+        return Z, U
 
     @cached_property
-    def _native(self) -> native.Step | None:
+    def _kernel(self) -> tuple[int | None, Array, list[npt.NDArray[np.intp]]] | None:
+        """The compiled step as the kernels call it: its address, the duration, s, and rooms for its arguments."""
         found = library(self.system.N, self.system.commands_rates) if native.AVAILABLE else None
-        return None if found is None else native.Step(found)
+        if found is None:
+            return None
+        sizes, duration_s = (ctypes.c_longlong * 4)(), np.zeros(1)
+        found.step_work(*(ctypes.byref(sizes, 8 * i) for i in range(4)))
+        rooms = [np.zeros(size + 8, dtype=np.intp) for size in sizes]
+        rooms[0][4] = native.at(duration_s)
+        return ctypes.cast(found.step, ctypes.c_void_p).value, duration_s, rooms
 
 
 def _zeroed(vector: Array, entries: npt.NDArray[np.intp]) -> Array:

@@ -201,7 +201,6 @@ class Maneuver:
         return found
 
     def _curve(self, phase: Phase) -> Curve | None:
-        """Return the curve of a smooth phase."""
         if phase.curve is not None or self.profile != "smooth" or phase.kind != "move" or phase.way is not None:
             return phase.curve
         size_I = tuple(phase.displacement_I.tolist())

@@ -6,7 +6,6 @@ the rate command that would give the present angular acceleration at once, omega
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
@@ -81,15 +80,6 @@ def integrate(
             x, error = model.integrate(x, half, step_s / 2.0, 1, forces=forces)
             worst = max(worst, error)
     return np.concatenate([x, a]), worst
-
-
-def stepper(
-    model: Model, duration_s: float, lag_s: float, forces: Array | None = None
-) -> Callable[[Array, Array], Array]:
-    """Return the map from state and command to what `integrate` returns after one step, for many of them in turn."""
-    if lag_s == 0.0:
-        return model.stepper(duration_s, forces)
-    return lambda z, u: integrate(model, z, u, duration_s, 1, lag_s, forces)[0]
 
 
 @lru_cache(64)

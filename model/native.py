@@ -48,29 +48,6 @@ class Problem(ctypes.Structure):
     )
 
 
-class Step:
-    """The compiled step of a model as the kernels call it: an address, and room for arguments."""
-
-    def __init__(self, library: Any) -> None:
-        sizes = (ctypes.c_longlong * 4)()
-        library.step_work(*(ctypes.byref(sizes, 8 * i) for i in range(4)))
-        self._duration_s = np.zeros(1)
-        self._rooms = [np.zeros(size + 8, dtype=np.intp) for size in sizes]
-        self._rooms[0][4] = at(self._duration_s)
-        self._addresses = [ctypes.cast(library.step, _address).value, *map(at, self._rooms)]
-
-    def rollout(
-        self, x0: Array, at_x0: Array, K: Array, bounds: tuple[Array, Array], held: tuple[Array, Array],
-        duration_s: float,
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """Return states and inputs over steps of a duration, with parameters and forces held; see `mpc.tracking`."""
-        Z, U = np.empty((len(at_x0) + 1, len(x0))), np.empty(at_x0.shape)
-        Z[0], self._duration_s[0], self._rooms[0][2:4] = x0, duration_s, [at(array) for array in held]
-        of = at(K), at(at_x0), at(bounds[0]), at(bounds[1])
-        KERNELS.rollout(len(U), len(x0), len(K), *self._addresses, *of, at(Z), at(U))
-        return Z, U
-
-
 def at(array: npt.NDArray[Any]) -> int:
     """Return the address of a row-major array of float64 or indices, 0 for an empty one."""
     if array.size == 0:

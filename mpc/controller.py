@@ -8,7 +8,6 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from model.discretisation import Discrete, euler, zero_order_hold
-from model.failure import failed_model
 from model.flat import Track
 from model.hover import Hover
 from model.linearisation import Linearisation, Model
@@ -24,8 +23,6 @@ from mpc.regulation import CostToGo, Regulation
 from mpc.rows import Decision
 from mpc.settings import ControllerSettings
 from mpc.tracking import Along, Course, rollout
-
-__all__ = ["Controller", "Linear", "StepResult"]
 
 # A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become singular.
 _STEEPEST = 1.3
@@ -211,7 +208,7 @@ class Controller:
     def fail(self, off: Collection[int], released: Collection[int], since: int | None = None) -> None:
         """Set the UAVs without motors, 0-based, and those of them that are released from their rods: (50), (51)."""
         self._off, self._released = frozenset(off), frozenset(released)
-        self.model = failed_model(self._whole.system, off, released) if off else self._whole
+        self.model = Model(self._whole.system, off, released) if off else self._whole
         self._form(since)
 
     def _form(self, since: int | None) -> None:

@@ -17,7 +17,8 @@ from model import state
 from model.arrays import Array
 from model.compiled import Compiled
 from model.dynamics import Symbols, uav_positions
-from mpc.settings import SettingsError
+from model.parameters import System
+from mpc.settings import Constraint, CostTerm, SettingsError
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
@@ -83,6 +84,46 @@ class Expressions:
             return np.zeros(0), np.zeros(self._shape)
         value, slope = self._function(point, self._p)
         return value, slope.reshape(self._shape)
+
+
+class UserCosts(Expressions):
+    """Weighted squares of the user's expressions of the state. Raises: SettingsError: one cannot be read."""
+
+    def __init__(self, terms: Sequence[CostTerm], system: System) -> None:
+        symbols = Symbols.of(system.N, system.commands_rates)
+        values = [read_term(term.expression, symbols) for term in terms]
+        super().__init__(values, symbols.x, symbols.p, system.vector())
+        self._terms = tuple(terms)
+        self.weights = np.array([term.weight for term in terms])  # of each term, per square of its unit, (t,)
+
+    def about(self, x: Array) -> Array:
+        """Return the roots of the weights times the gradients, (t, n). Raises: SettingsError: one is not finite."""
+        values, slopes = self.at(x)
+        for term, value, slope in zip(self._terms, values, slopes, strict=True):
+            if not np.isfinite([value, *slope]).all():
+                expected = "expected a finite value and slope at hover"
+                raise SettingsError(f"cost {term.expression!r}: {expected}, got {value}")
+        return np.asarray(np.sqrt(self.weights)[:, None] * slopes)
+
+
+class UserConstraints(Expressions):
+    """The user's constraints on states or on inputs, in the order given: at most zero, or zero."""
+
+    def __init__(self, constraints: Sequence[Constraint], system: System, on: str) -> None:
+        symbols = Symbols.of(system.N, system.commands_rates)
+        read_all = [(constraint, read(constraint.expression, symbols)) for constraint in constraints]
+        chosen = [(constraint, relation) for constraint, relation in read_all if relation.on == on]
+        variable = symbols.x if on == "state" else symbols.u
+        super().__init__([relation.value for _, relation in chosen], variable, symbols.p, system.vector())
+        self.equality = np.array([relation.is_equality for _, relation in chosen], dtype=bool)  # (c,)
+        # Weight of the slack of a soft constraint, nan for a hard one, (c,).
+        penalty = np.array([constraint.penalty if constraint.soft else np.nan for constraint, _ in chosen])
+        self.penalty = np.where(self.equality | (on == "input"), np.nan, penalty)
+
+
+def compile_constraints(constraints: Sequence[Constraint], system: System) -> tuple[UserConstraints, UserConstraints]:
+    """Read the user's constraints on states and on inputs. Raises: SettingsError: one cannot be read."""
+    return UserConstraints(constraints, system, "state"), UserConstraints(constraints, system, "input")
 
 
 def _parsed(text: str, what: str) -> ast.expr:

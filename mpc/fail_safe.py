@@ -7,8 +7,8 @@ import numpy as np
 
 from model import flat, state
 from model.arrays import Array, rows
-from model.failure import failed_hover, failed_model
 from model.flat import Track
+from model.hover import failed_hover, with_released
 from model.parameters import ParameterError, System
 from model.rotations import rotation
 
@@ -57,7 +57,7 @@ class FailSafe:
         running = np.repeat([uav not in off for uav in range(len(self._uavs))], state.INPUTS)
         found.u_hover = np.where(running, hover.u, self.u_hover)
         if self.track is not None and released:
-            system = failed_model(self._system, off, released).system
+            system = with_released(self._system, released)
             found.track = flat.track(system, hover, self.track.paths, self.track.first, released)
             if self._X_ref is not None:
                 found._X_ref = np.concatenate([self._X_ref[: self.track.first], found.track.X])

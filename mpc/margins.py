@@ -164,7 +164,6 @@ class Loop:
 
 
 def _held(F: Array, G: Array, duration_s: float) -> tuple[Array, Array]:
-    """Return the exact step of x' = F x + G u under a held input."""
     if duration_s == 0.0:
         return np.eye(len(F)), np.zeros_like(G)
     none = np.zeros(0)

@@ -10,7 +10,8 @@ from model import native
 from model.arrays import Array, padded
 from model.discretisation import Discrete
 from model.state import input_indices
-from mpc.cost import Cost, UserCosts
+from mpc.cost import Cost
+from mpc.expressions import UserCosts
 from mpc.feedback import FeedbackLaw
 from mpc.prediction import Linear, Prediction, convolve, follow, predict, stacked
 from mpc.qp import QP
@@ -141,7 +142,6 @@ class Program:
         self, linear: Linear, prediction: Prediction, y_ref: Array, slope: Array, at_x0: Array, end: CostToGo | None,
         terminal: float, responding: native.Places, Q: Array,
     ) -> QP:  # fmt: skip
-        """Return the QP by the matrix products of the paper."""
         decision, chosen, (n, steps, _) = self.decision, self._weighted, prediction.effect.shape
         model, scale, dX, effect = linear.model, decision.scale, prediction.dX_free, prediction.effect * decision.scale
         C = model.C[chosen]

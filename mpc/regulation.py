@@ -10,14 +10,14 @@ import numpy as np
 
 from model import flat
 from model.arrays import Array, continued, padded, rows
-from model.failure import failed_hover, failed_model
 from model.flat import Track
-from model.hover import Hover
+from model.hover import Hover, failed_hover
 from model.linearisation import Model
 from model.parameters import ParameterError
 from model.state import input_slice
 from mpc import feedback
-from mpc.cost import Cost, UserCosts
+from mpc.cost import Cost
+from mpc.expressions import UserCosts
 from mpc.fail_safe import FailSafe
 from mpc.feedback import FeedbackError, FeedbackLaw, Preview, Regulator, Target, at_rest
 from mpc.settings import ControllerSettings
@@ -72,7 +72,7 @@ class Regulation:
     ) -> None:  # fmt: skip
         self._whole, self._whole_hover, self._settings = model, hover, settings
         terms = (*settings.cost, *settings.weights.terms(model.system.N))
-        self.user_costs = UserCosts(terms, model)  # the user's terms of the cost
+        self.user_costs = UserCosts(terms, model.system)  # the user's terms of the cost
         followed = None if settings.fail_safe == "level" else hover.x[None] if X_ref is None else X_ref
         self._whole_fail_safe = FailSafe(model.system, hover.u, followed, track)
         self._whole_track = track
@@ -147,14 +147,13 @@ class Regulation:
         if off:
             system, u = self._whole.system, self.fail_safe.u_hover
             held = {uav: float(u[input_slice(uav)][0]) for uav in self._uncontrolled}
-            self._model = failed_model(system, off, released)
+            self._model = Model(system, off, released)
             self.hover = failed_hover(system, off, released, held)
         self.cost = Cost(self._settings.weights, self._whole.system, self.hover, off, released)
         if self._settings.prediction == "closed_loop" or self._settings.terminal == "riccati":
             self._regulate(since)
 
     def _set_track(self) -> None:
-        """Set reference and fail-safe of the team as it is."""
         self._track, self.fail_safe = self._whole_track, self._whole_fail_safe
         if self._team.off:
             failed, whole = self._team[1:], self._whole_fail_safe

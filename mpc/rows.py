@@ -14,9 +14,9 @@ from model.dynamics import Symbols, motion
 from model.obstacles import Obstacle
 from model.parameters import System, payload_half_size
 from model.rotations import euler_rates, rotation
-from mpc.expressions import Expressions, read
+from mpc.expressions import Expressions, compile_constraints
 from mpc.prediction import Linear, Prediction, stacked
-from mpc.settings import Constraint, ControllerSettings
+from mpc.settings import ControllerSettings
 
 
 class Decision:
@@ -183,26 +183,6 @@ def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Arra
     rows, each = np.zeros((len(pairs), len(r), 3)), np.arange(len(pairs))
     rows[each, pairs[:, 0]], rows[each, pairs[:, 1]] = d, -d
     return distances, rows.reshape(len(pairs), len(positions))
-
-
-class UserConstraints(Expressions):
-    """The user's constraints on states or on inputs, in the order given: at most zero, or zero."""
-
-    def __init__(self, constraints: Sequence[Constraint], system: System, on: str) -> None:
-        symbols = Symbols.of(system.N, system.commands_rates)
-        read_all = [(constraint, read(constraint.expression, symbols)) for constraint in constraints]
-        chosen = [(constraint, relation) for constraint, relation in read_all if relation.on == on]
-        variable = symbols.x if on == "state" else symbols.u
-        super().__init__([relation.value for _, relation in chosen], variable, symbols.p, system.vector())
-        self.equality = np.array([relation.is_equality for _, relation in chosen], dtype=bool)  # (c,)
-        # Weight of the slack of a soft constraint, nan for a hard one, (c,).
-        penalty = np.array([constraint.penalty if constraint.soft else np.nan for constraint, _ in chosen])
-        self.penalty = np.where(self.equality | (on == "input"), np.nan, penalty)
-
-
-def compile_constraints(constraints: Sequence[Constraint], system: System) -> tuple[UserConstraints, UserConstraints]:
-    """Read the user's constraints on states and on inputs. Raises: SettingsError: one cannot be read."""
-    return UserConstraints(constraints, system, "state"), UserConstraints(constraints, system, "input")
 
 
 def _bounds(equality: npt.NDArray[np.bool_], values: Array) -> tuple[Array, Array]:

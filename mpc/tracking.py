@@ -16,7 +16,8 @@ from model.discretisation import zero_order_hold
 from model.flat import Track
 from model.linearisation import Model
 from model.obstacles import Obstacle
-from mpc.cost import Cost, UserCosts
+from mpc.cost import Cost
+from mpc.expressions import UserCosts
 from mpc.fail_safe import FailSafe
 from mpc.feedback import FeedbackLaw, Gains, Regulator
 from mpc.prediction import Linear
@@ -83,26 +84,21 @@ class Recursion:
             gains[k] = replace(gains[k], K=K, feedforward=feedforward)
         return Tracker(gains=gains, first=self._track.first)
 
-    def advance(self, instant: int) -> None:
-        """Compute the share of an instant after the first; the last share is left to `result`."""
-        self._reach(INSTANTS * (instant - self._track.first - self._since))
-
-    def result(self) -> Tracker:
-        """Return the regulator; compute what is missing of it."""
-        self._reach(self._last + 1)
-        return Tracker(gains=[*self._before[: self._since], *reversed(self._found)], first=self._track.first)
-
-    def _on_reference(self, uav: int, k: int) -> Array:
-        """Return the inputs of a UAV without an agent on the reference, (4,)."""
-        return self._fail_safe.inputs(uav, self._track.X[k], self._track.first + k)
-
-    def _reach(self, count: int) -> None:
-        """Compute gains up to a number of them."""
+    def advance(self, instant: int | None = None) -> None:
+        """Compute the share of an instant after the first, or what is missing."""
+        count = self._last + 1 if instant is None else INSTANTS * (instant - self._track.first - self._since)
         for k in range(self._last - len(self._found), max(self._last - count, self._since - 1), -1):
             self._found.append(self._step(k))
 
+    def result(self) -> Tracker:
+        """Return the regulator; compute what is missing of it."""
+        self.advance()
+        return Tracker(gains=[*self._before[: self._since], *reversed(self._found)], first=self._track.first)
+
+    def _on_reference(self, uav: int, k: int) -> Array:
+        return self._fail_safe.inputs(uav, self._track.X[k], self._track.first + k)
+
     def _step(self, k: int) -> Gains:
-        """Return the gains at an instant from the cost-to-go after it."""
         model, track, regulator, cost, P = self._model, self._track, self._regulator, self._cost, self._P
         n, m, controlled = model.system.n, model.system.m, regulator.controlled
         R = cost.R[controlled]
@@ -158,7 +154,7 @@ def rollout(
         found = model.rollout(z0, at_x0, law.K, bounds, period_s, forces)
         if found is not None:
             return found
-    step, Z, U = motors.stepper(model, period_s, lag_s, forces), [z0], []
+    step, Z, U = model.stepper(period_s, forces), [z0], []
     for wanted, gain in zip(at_x0, law.K if law.K.ndim == 3 else [law.K] * len(at_x0), strict=True):
         wanted += gain @ (Z[-1] - z0)
         u = np.minimum(np.maximum(wanted, lower), upper)
@@ -167,7 +163,7 @@ def rollout(
             if before is not None:
                 own = before = decision.clip(np.clip(own, before - decision.rate, before + decision.rate))
             u[decision.own] = own
-        Z.append(step(Z[-1], u))
+        Z.append(motors.integrate(model, Z[-1], u, period_s, 1, lag_s, forces)[0] if lag_s else step(Z[-1], u))
         U.append(u)
     return np.array(Z), np.array(U)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from model import state
 from model.arrays import Array
-from model.failure import motor_off_state, no_inputs, released_state
+from model.hover import motor_off_state, no_inputs, released_state
 from plant.engines import UNKNOWN_ERROR, Engine
 from plant.environment import Environment, Sensors
 from plant.inner_loop import INNER_STEP_S, inner_loop

@@ -13,17 +13,15 @@ import numpy as np
 
 from model.arrays import Array, continued, frozen
 from model.curves import Curve
-from model.failure import failed_hover, with_released
 from model.flat import FlatReference, Track
-from model.hover import Hover, hover
+from model.hover import Hover, failed_hover, hover, with_released
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference, Target
 from model.obstacles import Obstacle, Solid, bodies, clearances
 from model.parameters import ParameterError, Payload, System, Uav, resting_height
-from mpc.cost import UserCosts
+from mpc.expressions import UserCosts, compile_constraints
 from mpc.fail_safe import FailSafe
 from mpc.regulation import KEPT, Ahead, Regulation
-from mpc.rows import compile_constraints
 from mpc.settings import ControllerSettings
 from protocol.scenario.budget import ticks_of
 from protocol.scenario.errors import RequestError, ScenarioError, building
@@ -84,7 +82,7 @@ class Setup:
         owned = tuple(tuple(uav - 1 for uav in group) for group in scenario.owned)
         setup = Setup(scenario, system, equilibrium, maneuver, settings, owned, _samples(scenario, source))
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraint, system))
-        building(source, "controller.cost", lambda: UserCosts(settings.cost, setup.model).about(equilibrium.x))
+        building(source, "controller.cost", lambda: UserCosts(settings.cost, system).about(equilibrium.x))
         building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
         for check in (setup._off_ground, setup._off_hover, setup._off_limits, setup._off_obstacles):
             for key, problem in check():

@@ -3,7 +3,7 @@
 from bisect import bisect_right
 
 from model.arrays import Array
-from model.failure import failed_hover
+from model.hover import failed_hover
 from model.parameters import ParameterError
 from model.state import input_indices
 from mpc.cost import Cost

@@ -9,8 +9,7 @@ import pytest
 from model import state
 from model.arrays import Array
 from model.dynamics import Symbols
-from mpc.expressions import Relation, read
-from mpc.rows import compile_constraints
+from mpc.expressions import Relation, compile_constraints, read
 from mpc.settings import Constraint, SettingsError
 from tests.support.systems import disturbed, paper_setup
 
