@@ -118,8 +118,8 @@ def doctor(
 ) -> None:
     """Check that this machine can run a scenario.
 
-    Checks packages, ports, network, step time, disk, processors and limits. Each result is ok, warn (runs work, but
-    slower or less punctually) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.
+    Checks ports, network, step time, kernels, punctuality and cores. Each result is ok, warn (runs work, but slower or
+    less punctually) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.
 
     Exit codes: 0 no check failed, 9 a check failed, 3 scenario.
 
