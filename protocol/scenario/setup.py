@@ -27,7 +27,7 @@ from mpc.rows import compile_constraints
 from mpc.settings import ControllerSettings
 from protocol.scenario.budget import ticks_of
 from protocol.scenario.errors import RequestError, ScenarioError, building
-from protocol.scenario.faults import Fault, scripted, uav_faults
+from protocol.scenario.faults import Fault, failures, scripted
 from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
 from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
@@ -250,7 +250,7 @@ class Setup:
         """Yield how a flat reference exceeds the limits, and the least slowing with which it does not."""
         if self.scenario.maneuver.reference == "hover":
             return
-        releases = [(tick, uav) for tick, what, uav in uav_faults(self.faults) if what == "release"]
+        releases = [(fault.tick, fault.uav) for fault in failures(self.faults) if fault.do == "release"]
         key = "maneuver.profile"
         try:
             path = self.maneuver.jets(self._instants_s())
