@@ -67,7 +67,7 @@ class PlantNode:
         links = {name: setup.link(name, self.name) for name in map(agent_name, setup.agents)}
         speed = None if self._waits else clock.speed
         self._plans: Arrivals[Plan] = Arrivals(links, after=self._delay, speed=speed)
-        self._link_changes = LinkChanges(links.values(), setup.samples_s)
+        self._link_changes = LinkChanges(links.values())
         self._path, _ = setup.maneuver.path(self._period_s * np.arange(setup.ticks + 1, dtype=np.float64))
         self._schedule = ActuatorSchedule(setup.hover.u, setup.fail_safe, setup.settings)
         self._faults = deque(fault for fault in setup.faults if fault.do in OF_UAVS)  # still to come

@@ -58,7 +58,7 @@ def read_tree(path: Path) -> dict[str, Any]:
 def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str, *, allow_large: bool = False) -> Scenario:
     """Return the scenario in a tree of plain data, which is changed, with settings on top as in `read_scenario`."""
     for setting in settings:
-        _apply(tree, setting, Path(source).parent)
+        _apply(tree, setting)
     try:
         scenario = validate(tree, source)
         if not allow_large:
@@ -75,7 +75,7 @@ def validate(tree: dict[str, Any], source: str) -> Scenario:
     return scenario
 
 
-def _apply(tree: dict[str, Any], setting: str, folder: Path) -> None:
+def _apply(tree: dict[str, Any], setting: str) -> None:
     key, (_, separator, text) = key_of(setting), setting.partition("=")
     if not separator or not key:
         raise ScenarioError(option(setting), "", "expected key=value")
@@ -92,7 +92,7 @@ def _apply(tree: dict[str, Any], setting: str, folder: Path) -> None:
         if not isinstance(child, dict | list):
             raise ScenarioError(option(setting), "", f"expected {part!r} to be a section, got the value {child!r}")
         node = child
-    node[_index(node, last, setting) if isinstance(node, list) else last] = anchored(value, Path.cwd(), folder, last)
+    node[_index(node, last, setting) if isinstance(node, list) else last] = anchored(value, last)
 
 
 def _index(node: list[Any], part: str, setting: str) -> int:

@@ -1,11 +1,10 @@
 """Objects of a run, built from its scenario by every process, identically."""
 
 import math
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import combinations
-from pathlib import Path
 from typing import Any, Self
 from weakref import WeakValueDictionary
 
@@ -28,7 +27,6 @@ from mpc.settings import ControllerSettings
 from protocol.scenario.budget import ticks_of
 from protocol.scenario.errors import RequestError, ScenarioError, building
 from protocol.scenario.faults import Fault, failures, scripted
-from protocol.scenario.files import TableError, delays_of
 from protocol.scenario.links import Link
 from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
 from protocol.scenario.targets import ON_GROUND_M, check_scripted, exceeded, least_slowing
@@ -61,7 +59,6 @@ class Setup:
     maneuver: Maneuver
     settings: ControllerSettings  # the same for every agent
     owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
-    samples_s: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # measured delays of the links, by file
     ahead: Ahead | None = field(default=None, init=False)  # part of the reference that the newest target changes
 
     @staticmethod
@@ -82,7 +79,7 @@ class Setup:
         maneuver = building(source, "maneuver", lambda: _maneuver(scenario))
         settings = building(source, "controller", lambda: _settings(scenario))
         owned = tuple(tuple(uav - 1 for uav in group) for group in scenario.owned)
-        setup = Setup(scenario, system, equilibrium, maneuver, settings, owned, _samples(scenario, source))
+        setup = Setup(scenario, system, equilibrium, maneuver, settings, owned)
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraint, system))
         building(source, "controller.cost", lambda: UserCosts(settings.cost, setup.model).about(equilibrium.x))
         building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
@@ -214,7 +211,7 @@ class Setup:
     def link(self, sender: str, receiver: str) -> Link:
         """Return the link that carries one process's messages to another: plans, or measurements from the plant."""
         links, period_s = self.scenario.links, self.settings.sampling_period_s
-        return Link(links, sender, receiver, seed=self.scenario.seed, period_s=period_s, samples_s=self.samples_s)
+        return Link(links, sender, receiver, seed=self.scenario.seed, period_s=period_s)
 
     @cached_property
     def faults(self) -> tuple[Fault, ...]:
@@ -304,19 +301,6 @@ class Setup:
             if least_m < settings.separation.minimum_m:
                 problem = f"expected at most {least_m:.3f} m (hover), got {settings.separation.minimum_m}"
                 yield "controller.separation.minimum_m", problem
-
-
-def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
-    """Return the measured delays by the files that the links name, relative to the scenario's folder."""
-    sections = scenario.links.all().values()
-    files = dict.fromkeys(link.samples for link in sections if link.distribution == "empirical" and link.samples)
-    try:
-        for file in files:
-            if ".." in Path(file).parts:
-                raise TableError(f"expected an absolute path or one below the scenario's folder, got {file!r}")
-        return {file: delays_of(Path(source).parent / file) for file in files}
-    except TableError as error:
-        raise ScenarioError(source, "links.samples", str(error)) from error
 
 
 def _uav(section: UavSection) -> Uav:

@@ -2,14 +2,12 @@
 
 import math
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Annotated, Any
 
 from model.parameters import table_1
 from mpc.settings import Key, Positive, Section
 from protocol.scenario.errors import validated
 from protocol.scenario.file import find_scenario, read_tree, validate
-from protocol.scenario.files import anchored
 from protocol.scenario.schema import Inertia, PayloadSection, Scenario, SystemSection, UavSection
 from protocol.wire.names import MAX_UAVS
 
@@ -81,7 +79,6 @@ def ring(
 
 def resized(
     template: Scenario,
-    folder: Path,
     uavs: int,
     *,
     group: int | None,
@@ -94,7 +91,6 @@ def resized(
 
     Args:
         template: Source of controller, clock, links, maneuver, ... and gravity; its keys alone are given.
-        folder: Of the template's file; its paths become absolute.
         uavs: N, from `FEWEST` to `MOST`.
         group: UAVs per agent, the last may have fewer; None: as many as the template's first agent, or all if it has.
         name: Of the scenario; the template's with the number of UAVs when None.
@@ -107,7 +103,7 @@ def resized(
     if group is None:
         group = uavs if len(template.owned) == 1 else len(template.owned[0])
     ids = list(range(1, uavs + 1))
-    tree: dict[str, Any] = anchored(given(template), folder)
+    tree: dict[str, Any] = given(template)
     basis = template.name
     if chosen is not None:
         tree = _merged(tree, {"controller": chosen.controller, "plant": chosen.plant})

@@ -29,7 +29,7 @@ def scenario_of(name: str, uavs: int, group: int, *settings: str) -> Scenario:
     """A ready scenario for a team of any size."""
     path = find_scenario(name)
     ready = read_scenario(path, [SHORT, *settings], allow_large=True)
-    return ready if uavs == 4 and group == 1 else resized(ready, path.parent, uavs, group=group, name=None, source=name)
+    return ready if uavs == 4 and group == 1 else resized(ready, uavs, group=group, name=None, source=name)
 
 
 @pytest.mark.parametrize(("name", "uavs", "group"), TEAMS)

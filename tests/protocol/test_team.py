@@ -1,6 +1,5 @@
 """Teams of any size: the ring is an equilibrium of equals, four are the paper's, the rest is the template's."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ ROUNDING, DISTANCE_ROUNDING, SHARE_ROUNDING = 0.5e-6, 2e-6, 1e-5
 
 def scenario_of(uavs: int, template: Path = PAPER, group: int | None = None, name: str | None = None) -> Scenario:
     """A team with the settings of a scenario."""
-    return resized(read_scenario(template), template.parent, uavs, group=group, name=name, source="--from paper")
+    return resized(read_scenario(template), uavs, group=group, name=name, source="--from paper")
 
 
 def points(uavs: int) -> Array:
@@ -107,18 +106,6 @@ def test_ownership(template: str, uavs: int, group: int | None, owned: list[list
     assert [list(ids) for ids in scenario.owned] == owned
 
 
-def test_files_of_delays_are_still_found(tmp_path: Path) -> None:
-    """Measured delays, named relative to the template's folder, are found from wherever the new scenario is."""
-    (tmp_path / "delays.txt").write_text("0.01, 0.02")
-    path = tmp_path / "measured.toml"
-    links = {"distribution": "empirical", "samples": "delays.txt"}
-    path.write_text(
-        PAPER.read_text() + "".join(f"\n[{name}]\n" + _toml(links) for name in ("links", "links.measurement"))
-    )
-    run = Setup.of(scenario_of(3, path), "elsewhere/team.toml")
-    assert list(run.samples_s.values()) == [(0.01, 0.02)]
-
-
 def test_what_names_agents_that_are_gone_is_refused(tmp_path: Path) -> None:
     """A template whose links name agent 4 makes no team of three; the text names template, field and agents."""
     path = tmp_path / "links.toml"
@@ -126,7 +113,3 @@ def test_what_names_agents_that_are_gone_is_refused(tmp_path: Path) -> None:
     assert scenario_of(4, path).links.override[0].to == "agent4"
     with pytest.raises(ScenarioError, match=r"^--from paper: links\.override\.1\.to: expected one of .*, got 'agent4'"):
         scenario_of(3, path)
-
-
-def _toml(values: dict[str, str]) -> str:
-    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())

@@ -187,9 +187,7 @@ class Scenario(Section):
         if load_kg is not None and not 0.0 < load_kg < math.inf:
             raise ArgumentError(f"load_kg: expected a number > 0, got {load_kg}")
         source, chosen = str(self._path), None if vehicle is None else str(vehicle)
-        data = resized(
-            self._tree, self._path.parent, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg
-        )
+        data = resized(self._tree, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg)
         if not self._allow_large:
             check_budget(data, source)
         made = Scenario(self)

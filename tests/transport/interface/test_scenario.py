@@ -128,5 +128,5 @@ def test_files_are_the_callers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     (tmp_path / "way.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0\n2,1,0,0\n", encoding="utf-8")
     scenario = transport.Scenario("resilient", phases=[{"name": "way", "file": "way.csv"}])
     scenario.set({"links.samples": "d.csv", "links.distribution": "empirical"})
-    assert scenario.setup.samples_s == {str(tmp_path / "d.csv"): (0.1, 0.2)}
+    assert scenario.links.samples == (0.1, 0.2)
     assert scenario.maneuver.phase[0].displacement_m == (1.0, 0.0, 0.0)
