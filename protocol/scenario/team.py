@@ -8,7 +8,7 @@ from model.parameters import table_1
 from mpc.settings import Key, Positive, Section
 from protocol.scenario.errors import validated
 from protocol.scenario.file import find_scenario, read_tree, validate
-from protocol.scenario.schema import Inertia, PayloadSection, Scenario, SystemSection, UavSection
+from protocol.scenario.schema import Inertia, Scenario
 from protocol.wire.names import MAX_UAVS
 
 # One rod leaves the payload free to turn about it: no force along the rods changes its heading.
@@ -48,10 +48,11 @@ def read_vehicle(name: str) -> Vehicle:
 
 def ring(
     N: int, gravity_mps2: float, airframe: AirframeSection | None = None, load_kg: float | None = None
-) -> SystemSection:
-    """Return N UAVs, 2 or more, in a ring over a payload of the paper's shape (docs/scenario.md); four are Table I.
+) -> dict[str, Any]:
+    """Return the section `system` of N UAVs, 2 or more, in a ring over a payload of the paper's shape.
 
-    By default UAVs, their distance and the load of each, half its mass, are the paper's.
+    By default UAVs, their distance and the load of each, half its mass, are the paper's: four are Table I. Source:
+    docs/scenario.md.
     """
     paper = table_1()
     uav, payload = paper.uavs[0], paper.payload
@@ -68,13 +69,13 @@ def ring(
     scale = radius / paper_radius
     inertia = payload.inertia.diagonal() * (mass / payload.mass * scale**2)
     angles = [math.pi / N * (1 - 2 * i) for i in range(N)]
-    rho_m = [tuple(_rounded([radius * math.cos(a), radius * math.sin(a), scale * z])) for a in angles]
+    rho_m = [_rounded([radius * math.cos(a), radius * math.sin(a), scale * z]) for a in angles]
     same: dict[str, Any] = {"mass_kg": own.mass_kg, "inertia_kgm2": own.inertia_kgm2, "rod_length_m": own.rod_length_m}
-    return SystemSection(
-        gravity_mps2=gravity_mps2,
-        payload=PayloadSection(mass_kg=mass, inertia_kgm2=_rounded(inertia)),
-        uav=[UavSection(id=i, rho_m=place, **same) for i, place in enumerate(rho_m, start=1)],
-    )
+    return {
+        "gravity_mps2": gravity_mps2,
+        "payload": {"mass_kg": mass, "inertia_kgm2": _rounded(inertia)},
+        "uav": [{"id": i, "rho_m": place, **same} for i, place in enumerate(rho_m, start=1)],
+    }
 
 
 def resized(
@@ -109,8 +110,7 @@ def resized(
         tree = _merged(tree, {"controller": chosen.controller, "plant": chosen.plant})
         basis = f"{template.name}-{chosen.name}"
     tree["name"] = f"{basis}-{uavs}" if name is None else name
-    team = ring(uavs, template.system.gravity_mps2, chosen.uav if chosen else None, load_kg)
-    tree["system"] = team.model_dump(mode="json")
+    tree["system"] = ring(uavs, template.system.gravity_mps2, chosen.uav if chosen else None, load_kg)
     tree["agents"] = {"owned": [ids[i : i + group] for i in range(0, uavs, group)]}
     return validate(tree, source)
 
