@@ -193,12 +193,8 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
 
 
 def words_of(change: LinkChange) -> str:
-    """Return the change in a message of the coordinator in words; its text as it is if it is no valid change."""
-    try:
-        settings = link_change(change.source, change.target, change.settings).settings()
-    except RequestError:
-        return f"links: {change.settings}"
-    return change_in_words(change.source, change.target, settings)
+    """Return the change in a message of the coordinator in words."""
+    return change_in_words(change.source, change.target, json.loads(change.settings))
 
 
 def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> str:

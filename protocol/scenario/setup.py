@@ -71,13 +71,13 @@ class Setup:
         body, gains = section.payload, None if inner.inputs == "moments" else 1.0 / np.array(inner.rate_time_constant_s)
         payload = building(source, "system.payload", lambda: Payload(mass=body.mass_kg, inertia=body.inertia_kgm2))
         uavs = [building(source, f"system.uav.{uav.id}", partial(_uav, uav)) for uav in section.uav]
-        gravity = section.gravity_mps2
-        system = building(
-            source, "system", lambda: System(payload=payload, uavs=uavs, gravity=gravity, rate_gains=gains)
-        )
+        parts: dict[str, Any] = {"payload": payload, "uavs": uavs, "gravity": section.gravity_mps2, "rate_gains": gains}
+        system = building(source, "system", lambda: System(**parts))
         equilibrium = building(source, "system.uav", lambda: hover(system))
         maneuver = building(source, "maneuver", lambda: _maneuver(scenario))
-        settings = building(source, "controller", lambda: _settings(scenario))
+        # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
+        share = 1.0 / len(scenario.owned) if inner.relaxation == "auto" else inner.relaxation
+        settings = inner.model_copy(update={"relaxation": share})
         owned = tuple(tuple(uav - 1 for uav in group) for group in scenario.owned)
         setup = Setup(scenario, system, equilibrium, maneuver, settings, owned)
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraint, system))
@@ -205,13 +205,13 @@ class Setup:
             delay=1 if clock.next_tick else 0,
             negotiation_iterations=self.scenario.controller.negotiation_iterations,
             vehicle_sensors=self.sensors.vehicle,
-            relayed=clock.relayed,
+            relayed=clock.mode == "lockstep",  # the coordinator, which waits for all plans, hands them on
         )
 
     def link(self, sender: str, receiver: str) -> Link:
         """Return the link that carries one process's messages to another: plans, or measurements from the plant."""
-        links, period_s = self.scenario.links, self.settings.sampling_period_s
-        return Link(links, sender, receiver, seed=self.scenario.seed, period_s=period_s)
+        period_s = self.settings.sampling_period_s
+        return Link(self.scenario.links, sender, receiver, seed=self.scenario.seed, period_s=period_s)
 
     @cached_property
     def faults(self) -> tuple[Fault, ...]:
@@ -332,10 +332,3 @@ def _obstacle(section: ObstacleSection) -> Obstacle:
     solids = tuple(Solid(centre_I=section.at_m + shift_m * across, **body) for shift_m in shifts_m)
     margins_m = {"margin_m": section.margin_m, "load_margin_m": section.load_margin_m}
     return Obstacle(name=section.kind, solids=solids, penalty=section.penalty, **margins_m)
-
-
-def _settings(scenario: Scenario) -> ControllerSettings:
-    section = scenario.controller
-    # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
-    share = 1.0 / len(scenario.owned) if section.relaxation == "auto" else section.relaxation
-    return section.model_copy(update={"relaxation": share})

@@ -60,7 +60,7 @@ def test_size_of_the_log(name: str, settings: list[str], tmp_path: Path) -> None
 
 
 BEYOND = [
-    ("maneuver.phase.1.duration_s=5e8", "maneuver.phase", "expected at most 1,000,000 sampling periods, got 10,000,0"),
+    ("maneuver.phase.1.duration_s=5e8", "maneuver.phase", "expected at most 8,000 MB of memory in total, got 351,"),
     ("plant.step_s=1e-8", "plant.step_s", "expected at most 10,000 integration steps per sampling period, got 5,000,0"),
     ("controller.horizon=3000", "controller.horizon", "expected at most 8,000 MB of memory in total, got 39,"),
     ("maneuver.phase.1.duration_s=2e4", "maneuver.phase", "expected at most 8,000 MB of memory in total, got "),

@@ -79,7 +79,7 @@ class Scenario(Section):
     Scenario('resilient-6': 6 UAVs, 6 agents, 25 s)
 
     The source is a scenario file, the name of one that comes with the package, or another scenario; changes are those
-    of `fly`. With `allow_large` runs may exceed the limits on ticks, memory and log of `transport validate`.
+    of `fly`. With `allow_large` runs may exceed the limits of `transport validate`.
 
     Raises: ScenarioError: naming file or setting, field, expected, got. ArgumentError: an argument is refused.
     """
