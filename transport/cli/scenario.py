@@ -96,7 +96,7 @@ def margins(
 
     Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure margins.png
     """
-    from transport.interface.margins import Margins  # loads matplotlib
+    from transport.interface.figure import Margins  # loads matplotlib
     from transport.report.margins import hover_margins
 
     setup = read_setup(scenario, settings, allow_large=large)
