@@ -53,7 +53,7 @@ class AgentNode:
         self._plans: Arrivals[Plan] = Arrivals(links, after=1, speed=speed)
         from_plant = setup.link(PLANT, self.name)
         self._measurements: Arrivals[Measurement] = Arrivals({PLANT: from_plant}, after=0, speed=speed)
-        self._link_changes = LinkChanges([*links.values(), from_plant], setup.samples_s)
+        self._link_changes = LinkChanges([*links.values(), from_plant])
         self._measurement: Measurement | None = None  # of the open tick, until its step begins
         self._step: Step | OwnStep | None = None  # being negotiated
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are physically here, by tick

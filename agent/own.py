@@ -268,7 +268,7 @@ class OwnPlanner:
             given = self._controller.step(self._measurement, known.plans)
             if isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], Mapping):
                 given, data = given
-            inputs, columns, rows = real_array("step", given), len(self._run.lower), self._run.horizon
+            inputs, columns, rows = real_array(given), len(self._run.lower), self._run.horizon
             numbers = {str(name): float(value) for name, value in dict(data).items()}  # type: ignore[call-overload]
         if inputs.shape == (columns,):
             inputs = inputs[None]

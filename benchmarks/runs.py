@@ -33,7 +33,7 @@ def setup(name: str, *settings: str, uavs: int | None = None) -> Setup:
     path = find_scenario(name)
     scenario = read_scenario(path, settings)
     if uavs is not None:
-        scenario = resized(scenario, path.parent, uavs, group=1, name=None, source=path.name)
+        scenario = resized(scenario, uavs, group=1, name=None, source=path.name)
     run = Setup.of(scenario, path.name)
     compile_functions(run.system.N)  # as at the start of a run
     return run

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection
 
-from protocol.scenario.faults import uav_faults, uav_name
+from protocol.scenario.faults import failures
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Plan, Roster, agent_name
 from protocol.wire.node import Outbox
@@ -18,7 +18,7 @@ class TeamRoster:
         self.incarnations: dict[str, int] = {}  # newest ones of the processes that take part
         self.version = 0  # of the newest roster
         self._out, self._period_ns = out, setup.period_ns
-        self._uav_faults = list(uav_faults(setup.faults))  # still to be reported
+        self._uav_faults = failures(setup.faults)  # still to be reported
         self._off: set[int] = set()  # UAVs without motors, 1-based
         self._released: set[int] = set()
         self._returns: dict[int, set[int]] = {}  # agents that scripted faults bring back, by tick
@@ -64,13 +64,13 @@ class TeamRoster:
     def fail_uavs(self, tick: int) -> list[Roster]:
         """Return rosters that report the UAVs whose motors or rods fail at a tick, never before it."""
         rosters = []
-        while self._uav_faults and self._uav_faults[0][0] <= tick:
-            _, action, uav = self._uav_faults.pop(0)
-            self._off.add(uav + 1)
-            if action == "release":
-                self._released.add(uav + 1)
-            event = "released" if action == "release" else "motors off"
-            rosters.append(self.message(f"{uav_name(uav)} {event} at {self.time(tick)}", tick))
+        while self._uav_faults and self._uav_faults[0].tick <= tick:
+            fault = self._uav_faults.pop(0)
+            self._off.add(fault.uav + 1)
+            if fault.do == "release":
+                self._released.add(fault.uav + 1)
+            event = "released" if fault.do == "release" else "motors off"
+            rosters.append(self.message(f"{fault.target} {event} at {self.time(tick)}", tick))
         return rosters
 
 

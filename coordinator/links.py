@@ -37,7 +37,7 @@ class Changes:
             if name and name not in self._names:
                 raise RequestError(f"{end}: expected one of {', '.join(self._names)}, got {name!r}")
         settings = json.dumps(given.get("settings"))
-        if not link_change(source, target, settings, self._setup.samples_s).settings():
+        if not link_change(source, target, settings).settings():
             raise RequestError("expected at least one key of a link, got none")
         number = len(self._links) + 1
         message = self._out.stamp(LinkChange, tick=tick, number=number, source=source, target=target, settings=settings)

@@ -21,7 +21,7 @@ from plant.motors import Motors
 from plant.schedule import MOTOR_OFF, ActuatorSchedule
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
-from protocol.scenario.faults import degradations, uav_faults
+from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import check_target, headed
@@ -67,12 +67,11 @@ class PlantNode:
         links = {name: setup.link(name, self.name) for name in map(agent_name, setup.agents)}
         speed = None if self._waits else clock.speed
         self._plans: Arrivals[Plan] = Arrivals(links, after=self._delay, speed=speed)
-        self._link_changes = LinkChanges(links.values(), setup.samples_s)
+        self._link_changes = LinkChanges(links.values())
         self._path, _ = setup.maneuver.path(self._period_s * np.arange(setup.ticks + 1, dtype=np.float64))
         self._schedule = ActuatorSchedule(setup.hover.u, setup.fail_safe, setup.settings)
-        self._uav_faults = deque(uav_faults(setup.faults))  # still to come
-        self._degradations = deque(degradations(setup.faults))
-        self._motors = Motors(section.motors, setup.hover.u, bool(self._degradations))
+        self._faults = deque(fault for fault in setup.faults if fault.do in OF_UAVS)  # still to come
+        self._motors = Motors(section.motors, setup.hover.u, any(fault.do == "degrade" for fault in self._faults))
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._released: set[int] = set()  # of these
         self._x: Array = setup.initial_state()
@@ -196,15 +195,16 @@ class PlantNode:
 
     def _fail_uavs(self, tick: int) -> None:
         """Apply the scenario's failures of UAVs due at a tick, before it is measured."""
-        while self._degradations and self._degradations[0][0] <= tick:
-            _, uav, efficiency = self._degradations.popleft()
-            if uav not in self._off:
-                self._motors.degrade(uav, efficiency)
-        while self._uav_faults and self._uav_faults[0][0] <= tick:
-            _, fault, uav = self._uav_faults.popleft()
+        while self._faults and self._faults[0].tick <= tick:
+            fault = self._faults.popleft()
+            uav = fault.uav
+            if fault.do == "degrade":
+                if uav not in self._off:
+                    self._motors.degrade(uav, fault.efficiency)
+                continue
             self._off.add(uav)
             self._motors.degrade(uav, 0.0)
-            if fault == "release":
+            if fault.do == "release":
                 self._released.add(uav)
                 self.environment.release([uav])
                 self._x = released_state(self._x, uav)

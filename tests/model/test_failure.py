@@ -31,7 +31,7 @@ BOB_DEVIATION = 1e-5
 def larger(uavs: int) -> System:
     """A team of another size, as `transport scenario new` makes it."""
     ready = read_scenario(SCENARIOS / "resilient.toml")
-    return Setup.of(resized(ready, SCENARIOS, uavs, group=None, name=None, source="resilient"), "larger").system
+    return Setup.of(resized(ready, uavs, group=None, name=None, source="resilient"), "larger").system
 
 
 def thrusts(u: Array) -> Array:

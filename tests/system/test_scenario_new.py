@@ -81,7 +81,7 @@ def test_a_file_and_standard_output_are_the_same(tmp_path: Path) -> None:
     assert (printed.exit_code, printed.stderr) == (0, "")
     assert (written.exit_code, written.stdout) == (0, "")
     assert path.read_text(encoding="utf-8") == printed.stdout
-    expected = resized(read_scenario(PAPER), SCENARIOS, 5, group=2, name="five", source="")
+    expected = resized(read_scenario(PAPER), 5, group=2, name="five", source="")
     assert read_scenario(path) == expected
     assert Setup.of(read_scenario(path), str(path)).owned == ((0, 1), (2, 3), (4,))
 

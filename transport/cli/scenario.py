@@ -96,7 +96,7 @@ def margins(
 
     Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure margins.png
     """
-    from transport.interface.margins import Margins  # loads matplotlib
+    from transport.interface.figure import Margins  # loads matplotlib
     from transport.report.margins import hover_margins
 
     setup = read_setup(scenario, settings, allow_large=large)
@@ -118,8 +118,8 @@ def doctor(
 ) -> None:
     """Check that this machine can run a scenario.
 
-    Checks packages, ports, network, step time, disk, processors and limits. Each result is ok, warn (runs work, but
-    slower or less punctually) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.
+    Checks ports, network, step time, kernels, punctuality and cores. Each result is ok, warn (runs work, but slower or
+    less punctually) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.
 
     Exit codes: 0 no check failed, 9 a check failed, 3 scenario.
 
