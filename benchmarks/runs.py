@@ -104,11 +104,8 @@ def times_ms(calls: Sequence[Callable[[], object]], repetitions: int = 5) -> lis
 
 
 def digits(value: float) -> str:
-    """Return a number with three significant digits, more than a machine repeats; a dash for an unknown one."""
-    if not np.isfinite(value):
-        return "-"
-    rounded = f"{value:#.3g}".removesuffix(".")
-    return rounded if "e" not in rounded else f"{value:.0f}" if value >= 1.0 else f"{value:.0e}"
+    """Return a number with three significant digits, more than a machine repeats."""
+    return np.format_float_positional(value, precision=3, fractional=False, unique=False, trim="k").rstrip(".")
 
 
 def spread(ms: Sequence[float]) -> str:
