@@ -45,11 +45,8 @@ def new(
     with blame("--from"):
         ready = Scenario(template, allow_large=True)
     made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
-    options = {"--uavs": uavs, "--from": template, "--groups": group, "--vehicle": vehicle, "--load": load_kg}
-    words = [str(word) for option, value in (options | {"--name": name}).items() if value for word in (option, value)]
-    command = "".join(c if c.isprintable() else "?" for c in shlex.join(["transport", "scenario", "new", *words]))
     tree, sizes = given(made.validated), f"{len(made.setup.agents)} agents, hover thrust {made.setup.hover.u[0]:.2f} N"
-    text = f"# Made by: {command}\n{tomli_w.dumps(tree)}"
+    text = tomli_w.dumps(tree)
     show(output, {"scenario": tree, "file": out and str(out)}, *([text.rstrip("\n")] if out is None else []))
     if out is not None:
         with blame("--out"):
