@@ -17,7 +17,7 @@ from protocol.wire.codec import decode
 from protocol.wire.keys import Keys
 from protocol.wire.messages import Bundle, Plan
 from tests.support.garbage import Garbage
-from transport.analysis.steps import WALL_CLOCK
+from transport.analysis.series import WALL_CLOCK
 
 # Messages at a time, and time between, s: below the rate at which receivers slow a sender down for good.
 BURST, PAUSE_S = 200, 0.01

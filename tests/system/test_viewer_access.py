@@ -17,8 +17,7 @@ from tests.support.commands import PATIENCE_S, wait_for
 from tests.support.logs import record_run
 from transport.flight.live import LiveRun
 from transport.log.run_log import LogTail
-from transport.scene.history import RunHistory
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene import RunHistory, SceneBuilder
 from transport.viewer.viewer import Viewer
 
 Sent = list[tuple[str, dict[str, Any]]]
@@ -96,7 +95,7 @@ def test_a_malformed_message_ends_its_page_alone(live: Viewer, sent: Sent) -> No
         with connected_pages(live.address, 1) as (page,):
             page.send(message)
     for kind, label, updates in (
-        ("GuiDropdownMessage", "speed", {"value": "no speed"}),
+        ("GuiDropdownMessage", "link", {"value": "no link"}),
         ("GuiSliderMessage", "delay (s)", {"value": "no number"}),
         ("GuiSliderMessage", "time (s)", {"value": float("inf")}),
         ("GuiSliderMessage", "time (s)", {"no property": 1}),

@@ -116,7 +116,7 @@ def test_every_part_of_the_drawing_is_sent(copied: Path) -> None:
     now = [message.entities for topic, _, message in sent if topic == "/scene/now"]
     assert len(now) == TICKS
     for tick, entities in enumerate(now):
-        for entity, part in zip(entities, drawing.moving(builder.at(tick), flown=False), strict=True):
+        for entity, part in zip(entities, drawing.moving(builder.at(tick)), strict=True):
             (line,) = entity.lines
             assert (entity.frame_id, entity.id) == (part.frame, f"{part.frame}/{part.name}")
             points = np.array([[point.x, point.y, point.z] for point in line.points]).reshape(-1, 2, 3)

@@ -11,8 +11,7 @@ from protocol.wire.messages import ActualInputs, Control, Message, Outcome
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, noted, plan, plant_state, report
 from transport.analysis.metrics import rest_of_tick_ms, summarise
-from transport.analysis.series import series_of
-from transport.analysis.steps import steps_columns, steps_rows
+from transport.analysis.series import series_of, steps_columns, steps_rows
 from transport.cli.top import Watch
 from transport.report.report import summary_table
 

@@ -17,8 +17,7 @@ from tests.support.commands import PATIENCE_S, wait_for
 from tests.support.logs import record_run
 from transport.flight.live import LiveRun
 from transport.log.run_log import LogTail
-from transport.scene.history import RunHistory
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene import RunHistory, SceneBuilder
 from transport.viewer.panel import Plots
 from transport.viewer.viewer import Viewer
 
@@ -111,7 +110,7 @@ def test_the_camera_follows_the_team(live: Viewer, builder: SceneBuilder) -> Non
     """The camera moves with the UAVs and keeps its distance, but not while a user turns it, or when not asked to."""
     with connected_pages(live.address, 1):
         assert wait_for(lambda: shown(live) == LAST)
-        (client,) = live.clients()
+        (client,) = live._server.get_clients().values()
         places = []
         for tick in (0, LAST):
             live.view3d.show(builder.at(tick))
@@ -126,7 +125,7 @@ def test_the_camera_follows_the_team(live: Viewer, builder: SceneBuilder) -> Non
             before = client.camera.position.copy()
             live.view3d.show(builder.at(tick))
             assert np.array_equal(client.camera.position, before) is stays
-        live.view3d.follow(False)
+        live.view3d.look_at(team=False)
         before = client.camera.position.copy()
         live.view3d.show(builder.at(0))
         np.testing.assert_array_equal(client.camera.position, before)

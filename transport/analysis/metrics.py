@@ -1,33 +1,20 @@
 """The numbers of a run: from its log to summary.json, described in docs/summary.md and summary.schema.json."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from itertools import zip_longest
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from model.arrays import Array
 from model.state import R0
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import with_targets
-from protocol.wire.messages import (
-    STAGES,
-    ActualInputs,
-    Control,
-    FaultNote,
-    Message,
-    Note,
-    Plan,
-    Rejected,
-    Roster,
-    StepReport,
-    Target,
-    Tick,
-)
+from protocol.wire import messages
 from protocol.wire.names import agent_name
-from transport.analysis.estimates import consistency
-from transport.analysis.series import Series, series_of, swing_of
+from transport.analysis.series import Series, estimates_of, series_of, swing_of
 from transport.log.run_log import RunLog
 
 # Time after which a target counts as reached or missed, s; tolerance of times.
@@ -37,13 +24,13 @@ _ORIGIN = {"script": " by script", "person": " by hand", "unknown": ""}
 
 def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
     """Return the summary of a run as JSON data (summary.schema.json); None for anything the log does not tell."""
-    setup = with_targets(setup, log.of(Target))
+    setup = with_targets(setup, log.of(messages.Target))
     series = series_of(setup, log)
-    control = next(log.of(Control), None)
-    reports = list(log.of(StepReport))
+    control = next(log.of(messages.Control), None)
+    reports = list(log.of(messages.StepReport))
     processes = log.header.get("processes", "")
-    times_ms = np.array([report.times_ms for report in reports]).reshape(-1, len(STAGES))
-    medians_ms = {stage: _percentiles(times_ms[:, i])["p50"] for i, stage in enumerate(STAGES[:-1])}
+    times_ms = np.array([report.times_ms for report in reports]).reshape(-1, len(messages.STAGES))
+    medians_ms = {stage: _percentiles(times_ms[:, i])["p50"] for i, stage in enumerate(messages.STAGES[:-1])}
     ages = [age for report in reports for age in report.plan_ages if age >= 0]
     return {
         "run_id": log.header.get("run_id", ""),
@@ -66,7 +53,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         **_durations(setup, log, series),
         **_flight(setup, series),
         "cables": _cables(setup, log),
-        "estimate": consistency(series, log),
+        "estimate": _consistency(series, log),
         "agent_step_ms": {**_percentiles(times_ms[:, -1]), "by_stage": medians_ms},
         "rest_of_tick_ms": _percentiles(rest_of_tick_ms(setup, log).values()),
         "deadline": _deadline(setup, log),
@@ -97,9 +84,9 @@ def rest_of_tick_ms(setup: Setup, log: RunLog) -> dict[int, float]:
     """
     if setup.scenario.clock.speed > 0.0:
         return {}
-    received_ns = log.received_ns(Tick)
+    received_ns = log.received_ns(messages.Tick)
     slowest: dict[int, float] = {}
-    for report in log.of(StepReport):
+    for report in log.of(messages.StepReport):
         slowest[report.tick] = max(float(report.times_ms[-1]), slowest.get(report.tick, 0.0))
     return {
         tick: max(0.0, (received_ns[tick + 1] - at) / 1e6 - slowest[tick])
@@ -108,59 +95,59 @@ def rest_of_tick_ms(setup: Setup, log: RunLog) -> dict[int, float]:
     }
 
 
-def events(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str, Any]]:
-    """Return the events in the order of their ticks, as JSON data with the fields of `faults` in summary.schema.json.
+def events(setup: Setup, log: RunLog, control: messages.Control | None) -> list[dict[str, Any]]:
+    """Return the events in the order of their ticks, as JSON data with the fields of `faults` in the schema."""
+    began_ns = min(log.received_ns(messages.Tick).values(), default=None)
+    found = sorted(_events(setup, log), key=lambda event: event[0].tick)
+    if control is not None and control.reason:
+        found.append((control, log.received_ns(messages.Control).get(control.tick), "end", control.reason, []))
+    return [
+        {
+            "tick": message.tick,
+            "time_s": round(message.tick * setup.settings.sampling_period_s, _DIGITS),
+            "wall_s": None if began_ns is None or received_ns is None else (received_ns - began_ns) / 1e9,
+            "kind": kind,
+            "processes": processes,
+            "what": what,
+        }
+        for message, received_ns, kind, what, processes in found
+    ]
 
-    The log is in the order of arrival, and on a busy host the messages of one process may arrive ticks after those of
-    another.
-    """
-    found: list[dict[str, Any]] = []
-    began_ns = min(log.received_ns(Tick).values(), default=None)
 
-    def add(message: Message, received_ns: int | None, kind: str, what: str, processes: Iterable[str]) -> None:
-        time_s = round(message.tick * setup.settings.sampling_period_s, _DIGITS)
-        wall_s = None if began_ns is None or received_ns is None else (received_ns - began_ns) / 1e9
-        event = {"tick": message.tick, "time_s": time_s, "wall_s": wall_s, "kind": kind}
-        found.append({**event, "processes": list(processes), "what": what})
-
-    degraded = [fault for fault in setup.faults if fault.do == "degrade"]
-    before: Roster | None = None
+def _events(setup: Setup, log: RunLog) -> Iterator[tuple[messages.Message, int | None, str, str, list[str]]]:
+    """Yield message, time of arrival, kind, description and processes of each event before the end."""
+    degraded, before = [fault for fault in setup.faults if fault.do == "degrade"], None
     noted: set[str] = set()  # each problem of a controller counts once, of the first agent
-    off: set[tuple[str, int]] = set()  # UAVs with their motors off, and released ones
-    for entry in log.messages:
-        message, received_ns = entry.message, entry.received_ns
+    for message, at_ns in ((entry.message, entry.received_ns) for entry in log.messages):
         match message:
-            case FaultNote(target=target, what=done, origin=origin):
-                add(message, received_ns, "fault", f"{target} {done}{_ORIGIN[origin]}", [target])
-            case ActualInputs():
+            case messages.FaultNote(target=target):
+                yield message, at_ns, "fault", f"{target} {message.what}{_ORIGIN[message.origin]}", [target]
+            case messages.ActualInputs():
                 for fault in (fault for fault in degraded if fault.tick == message.tick):
                     what = f"motors of {fault.target} degraded to {fault.efficiency:g} of their inputs by script"
-                    add(message, received_ns, "fault", what, [fault.target])
-            case Note(sender=sender, problem=problem) if problem and problem not in noted:
+                    yield message, at_ns, "fault", what, [fault.target]
+            case messages.Note(sender=sender, problem=problem) if problem and problem not in noted:
                 noted.add(problem)
-                add(message, received_ns, "notice", f"{sender}: {problem}", [sender])
-            case Roster(reason=reason):
-                now_off = {("off", uav) for uav in message.off} | {("released", uav) for uav in message.released}
-                if now_off != off:
-                    uavs = sorted({uav for _, uav in now_off - off})
-                    add(message, received_ns, "fault", f"{reason} by script", [f"uav{uav}" for uav in uavs])
+                yield message, at_ns, "notice", f"{sender}: {problem}", [sender]
+            case messages.Roster():
+                lost = {*message.off, *message.released} - ({*before.off, *before.released} if before else set())
+                released = {*message.released} - ({*before.released} if before else set())
+                left = set() if before is None else {*before.agents} - {*message.agents}
+                joined = set() if before is None else {*message.agents} - {*before.agents}
+                if lost or released:
+                    what = f"{message.reason} by script"
+                    yield message, at_ns, "fault", what, [f"uav{uav}" for uav in sorted(lost | released)]
                 elif before is not None:
-                    left = sorted({*before.agents} - {*message.agents})
-                    joined = sorted({*message.agents} - {*before.agents})
                     kind = "detected" if left else "rejoined" if joined else "notice"
-                    add(message, received_ns, kind, reason, map(agent_name, left or joined))
-                before, off = message, now_off
-    found.sort(key=lambda event: int(event["tick"]))
-    if control is not None and control.reason:
-        add(control, log.received_ns(Control).get(control.tick), "end", control.reason, [])
-    return found
+                    yield message, at_ns, kind, message.reason, [agent_name(a) for a in sorted(left or joined)]
+                before = message
 
 
 def _durations(setup: Setup, log: RunLog, series: Series) -> dict[str, Any]:
     sim_time_s = len(series.ticks) * setup.settings.sampling_period_s
-    begin_ns = min(log.received_ns(Tick).values(), default=None)
-    # Until the last message if the end is not recorded.
-    end_ns = min(log.received_ns(Control).values(), default=log.messages[-1].received_ns if log.messages else None)
+    begin_ns = min(log.received_ns(messages.Tick).values(), default=None)
+    last_ns = log.messages[-1].received_ns if log.messages else None  # if the end is not recorded
+    end_ns = min(log.received_ns(messages.Control).values(), default=last_ns)
     wall_time_s = None if begin_ns is None or end_ns is None else (end_ns - begin_ns) / 1e9
     started = log.header.get("command_started_ns", "")
     return {
@@ -198,7 +185,7 @@ def _flight(setup: Setup, series: Series) -> dict[str, Any]:
 
 def _cables(setup: Setup, log: RunLog) -> dict[str, Any] | None:
     """Return the least tension of the cables, and how often and how long they were slack; None without cables."""
-    found = {actual.tick: actual.tensions for actual in log.of(ActualInputs) if len(actual.tensions)}
+    found = {actual.tick: actual.tensions for actual in log.of(messages.ActualInputs) if len(actual.tensions)}
     if not found:
         return None
     tensions_N = np.array([found[tick] for tick in sorted(found)])
@@ -210,6 +197,28 @@ def _cables(setup: Setup, log: RunLog) -> dict[str, Any] | None:
         "slack": len(ticks),
         "slack_longest_s": float(ticks.max(initial=0)) * setup.settings.sampling_period_s,
         "slack_at_end": int((tensions_N[-1] <= 0.0).sum()),
+    }
+
+
+def _consistency(series: Series, log: RunLog) -> dict[str, Any] | None:
+    """Return errors of the estimates and how they match their covariance, as JSON data; None without estimates.
+
+    NEES and NIS are squared errors in units of the covariance (docs/equations.md, after (64)).
+    """
+    found = estimates_of(series, log)
+    if found is None:
+        return None
+    error = found.true - found.pose
+    nees = np.einsum("ki,ki->k", error, np.linalg.solve(found.P, error[:, :, None])[:, :, 0])
+    nis, measurements = found.surprise.sum(axis=0)
+    low, high = chi2.ppf([0.025, 0.975], error.shape[1])
+    rms = np.sqrt((error**2).reshape(-1, 2, 3).sum(axis=2).mean(axis=0))
+    return {
+        "position_rms_m": float(rms[0]),
+        "attitude_rms_deg": float(np.degrees(rms[1])),
+        "nees": float(nees.mean()),
+        "nees_band": [float(low), float(high)],
+        "nis": float(nis / measurements) if measurements else None,
     }
 
 
@@ -235,18 +244,15 @@ def _targets(setup: Setup, series: Series) -> list[dict[str, Any]]:
 def _tracking(errors_I: Array) -> dict[str, float | None]:
     """Return RMS and maximum of the lengths of position errors, (..., 3), m."""
     errors_m = np.linalg.norm(errors_I, axis=-1).ravel()
-    return {
-        "rms_m": _number(np.sqrt(np.mean(errors_m**2))) if len(errors_m) else None,
-        "max_m": _largest(errors_m),
-    }
+    rms_m = _number(np.sqrt(np.mean(errors_m**2))) if len(errors_m) else None
+    return {"rms_m": rms_m, "max_m": _largest(errors_m)}
 
 
 def _deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
-    """Count plans that missed their deadline, or ticks that were held for them; measure how late ticks were opened."""
+    """Count plans that missed their deadline, or ticks held for them, none in lockstep; and how late ticks opened."""
     if setup.scenario.clock.mode != "realtime":
-        # The lockstep clock waits: there is no deadline to miss.
         return {"plans": 0, "missed": 0, "share": None, "worst_ms": None, "tick_late_ms": _percentiles([])}
-    ticks = {tick.tick: tick for tick in log.of(Tick)}
+    ticks = {tick.tick: tick for tick in log.of(messages.Tick)}
     pairs = [(tick, ticks[k + 1]) for k, tick in sorted(ticks.items()) if k + 1 in ticks]
     if setup.scenario.clock.on_overrun == "hold":
         # No plan is missing when a tick opens: a deadline is missed by the tick that waited for a late plan.
@@ -265,7 +271,7 @@ def _deadline(setup: Setup, log: RunLog) -> dict[str, Any]:
     }
 
 
-def _messages(setup: Setup, log: RunLog, reports: Iterable[StepReport]) -> dict[str, int]:
+def _messages(setup: Setup, log: RunLog, reports: Iterable[messages.StepReport]) -> dict[str, int]:
     """Count plans between agents: a shared one is sent to every other agent that takes a step able to use it.
 
     Plans neither delivered nor lost were on their way when the run, or their receiver, ended.
@@ -274,7 +280,7 @@ def _messages(setup: Setup, log: RunLog, reports: Iterable[StepReport]) -> dict[
     for report in reports:
         steps.setdefault((report.agent, report.incarnation), set()).add(report.tick)
     joined: dict[tuple[int, int], int] = {}  # first tick on the roster of each agent and incarnation
-    for roster in log.of(Roster):
+    for roster in log.of(messages.Roster):
         for start in zip(roster.agents, roster.incarnations, strict=True):
             joined.setdefault(start, roster.tick)
     realtime = setup.scenario.clock.mode == "realtime"
@@ -283,7 +289,7 @@ def _messages(setup: Setup, log: RunLog, reports: Iterable[StepReport]) -> dict[
         # In real time steps are skipped: the next step uses all plans received meanwhile, also of its own tick.
         first = joined.get(start, min(taken))
         usable[start] = range(first, max(taken) + 1) if realtime else {tick - 1 for tick in taken}
-    plans = [plan for plan in log.of(Plan) if not plan.negotiation]
+    plans = [plan for plan in log.of(messages.Plan) if not plan.negotiation]
     shared = [plan for plan in plans if plan.shared]
     return {
         "planned": len(plans),
@@ -294,14 +300,14 @@ def _messages(setup: Setup, log: RunLog, reports: Iterable[StepReport]) -> dict[
         "delivered": sum(report.delivered for report in reports),
         "lost": sum(report.lost for report in reports),
         "late": sum(report.late for report in reports),
-        "rejected": sum(notice.count for notice in log.of(Rejected)),
+        "rejected": sum(notice.count for notice in log.of(messages.Rejected)),
     }
 
 
 def _rejections(log: RunLog) -> list[dict[str, Any]]:
     """Return rejected messages by receiver, sender and reason, largest count first."""
     counts: Counter[tuple[str, str, str]] = Counter()
-    for notice in log.of(Rejected):
+    for notice in log.of(messages.Rejected):
         counts[notice.sender, notice.offender, notice.reason] += notice.count
     return [
         {"by": by, "sender": sender, "reason": reason, "count": count}

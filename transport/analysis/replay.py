@@ -1,24 +1,21 @@
 """Replay of one agent: a node like the recorded one gets the recorded messages; its answers are compared with theirs.
 
-A log has messages in the order of the recorder, which can differ from the order of the agent. In lockstep that does not
-matter: each message is delivered as soon as the agent's next measurement needs it, otherwise in the order of the log.
-In real time it does matter, but each step report states the age of the newest state of every other agent, and plans of
-one sender keep their order: together they tell exactly which plans the agent had.
+A log has the order of the recorder, which in lockstep does not matter: each message is delivered when a measurement
+needs it. In real time each report states the age of the newest state of every other agent, and plans of one sender keep
+their order: together they tell which plans the agent had.
 """
 
-from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import threadpoolctl
 
 from agent.node import AgentNode
 from agent.own import checked_controller
-from model.arrays import Array
 from model.state import INPUTS
-from protocol.admission.gate import Rejections
 from protocol.scenario.setup import Setup
 from protocol.wire.errors import MessageError
 from protocol.wire.messages import (
@@ -64,10 +61,8 @@ class _Process(NamedTuple):
 class Replay:
     """Replay of one agent, 1-based, of a run, or of the same run with another controller.
 
-    `before_measurement` is called with the node and each measurement before the node receives it.
-
-    Attributes:
-        notes: Sentences about what could not be replayed.
+    `before_measurement` is called with the node and each measurement before the node receives it. `notes` has sentences
+    about what could not be replayed.
     """
 
     def __init__(
@@ -79,12 +74,6 @@ class Replay:
     ) -> None:
         self.setup, self.log, self.agent, self.before_measurement = setup, log, agent, before_measurement
         self.notes: list[str] = []
-        self._rejections = Rejections(agent_name(agent))
-
-    @property
-    def refused(self) -> list[str]:
-        """Messages refused by the node: count, sender, reason and the first example."""
-        return [f"{r.count} of {r.sender} ({r.reason.replace('_', ' ')}: {r.example})" for r in self._rejections]
 
     def steps(self) -> Iterator[Step]:
         """Yield the ticks of the agent, in order."""
@@ -110,12 +99,10 @@ class Replay:
 
     def _give(self, node: AgentNode, message: Message, now_ns: int) -> list[Message]:
         """Hand a message to a node as its gate would; return the answers."""
-        try:
+        with suppress(MessageError):
             node.check_moment(message)
-        except MessageError as error:
-            self._rejections.add(message.sender, error)
-            return []
-        return list(node.receive(message, now_ns))
+            return list(node.receive(message, now_ns))
+        return []
 
     def _lockstep(self, node: AgentNode, process: _Process) -> Iterator[Message]:
         """Feed one process in a possible order of arrival, and yield its messages."""
@@ -127,11 +114,9 @@ class Replay:
                 # An agent off the roster gets no measurements; the first one after that names another roster.
                 follows = before is None or message.roster != before.roster or message.tick == before.tick + 1
                 if not (answered and follows):
-                    tick = before.tick if before is not None and not answered else message.tick
-                    self.notes.append(
-                        f"ticks from {tick} on cannot be replayed: the log lacks a measurement of agent"
-                        f"{self.agent}, or plans of the previous tick ({self.log.cut or 'it was not recorded'})"
-                    )
+                    tick = message.tick if answered or before is None else before.tick
+                    why = f"the log lacks a measurement of agent{self.agent}, or plans of the previous tick"
+                    self.notes.append(f"ticks from {tick} on cannot be replayed: {why}")
                     return
                 self.before_measurement(node, message)
                 before, answered = message, False
@@ -142,18 +127,10 @@ class Replay:
     def _realtime(self, node: AgentNode, process: _Process) -> Iterator[Message]:
         """Feed one process the messages that its reports say it had, and yield its messages."""
         reports = {report.tick: report for report in self.log.of(StepReport) if report.agent == self.agent}
-        arrived_ns = {
-            entry.message.tick: entry.received_ns
-            for entry in self.log.messages
-            if isinstance(entry.message, Measurement) and entry.message.agent == self.agent
-        }
-        changes: list[Message] = []  # of roster and links
-        plans: dict[int, list[Plan]] = {}
-        for message in self._received(process):
-            if isinstance(message, Plan):
-                plans.setdefault(message.agent, []).append(message)
-            else:
-                changes.append(message)
+        arrived_ns = {id(entry.message): entry.received_ns for entry in self.log.messages}
+        received = self._received(process)
+        plans = [message for message in received if isinstance(message, Plan)]
+        changes = [message for message in received if not isinstance(message, Plan)]  # of roster, links and target
         for measurement in self._measurements(process):
             # Changes up to the next roster count together with it.
             while (roster := next((c for c in changes if isinstance(c, Roster)), None)) is not None:
@@ -161,15 +138,17 @@ class Replay:
                     break
                 yield from self._give(node, changes.pop(0), 0)
             report = reports.get(measurement.tick)
-            if report is not None:
-                for peer, age in zip(report.peers, report.state_ages, strict=True):
-                    waiting = plans.get(peer, [])
-                    count = 0 if age < 0 else bisect_left(waiting, measurement.tick - age + 1, key=lambda p: p.tick)
-                    for plan in waiting[:count]:
-                        yield from self._give(node, plan, _LONG_AGO_NS)
-                    del waiting[:count]
+            ages = {} if report is None else dict(zip(report.peers, report.state_ages, strict=True))
+            newest = {peer: measurement.tick - age for peer, age in ages.items() if age >= 0}
+            waiting: list[Plan] = []
+            for plan in plans:
+                if plan.tick > newest.get(plan.agent, -1):
+                    waiting.append(plan)
+                else:
+                    yield from self._give(node, plan, _LONG_AGO_NS)
+            plans = waiting
             self.before_measurement(node, measurement)
-            now_ns = arrived_ns[measurement.tick]
+            now_ns = arrived_ns[id(measurement)]
             yield from self._give(node, measurement, now_ns)
             if report is not None:
                 yield from node.poll(now_ns)
@@ -180,9 +159,9 @@ class Replay:
 
     def _received(self, process: _Process) -> list[Message]:
         """Return the messages a process could receive besides its measurements, in the order of the log."""
+        admitted, replaced = process.admitted, process.replaced
 
         def concerns(message: Message) -> bool:
-            admitted, replaced = process.admitted, process.replaced
             match message:
                 case Roster(version=version):
                     return admitted.version <= version and (replaced is None or version < replaced.version)
@@ -298,13 +277,12 @@ class Comparison:
 
     def add(self, step: Step, *, ignored: Iterable[str] = ()) -> None:
         """Compare the replayed and recorded messages of one tick, except for ignored fields, e.g. report.lost."""
-        if None in step.recorded:
+        there = [recorded for recorded in step.recorded if recorded is not None]
+        if len(there) < len(step.answers):
             self.unrecorded.append(step.tick)
             return
         self.ticks.append(step.tick)
-        for answer, recorded in zip(step.answers, step.recorded, strict=True):
-            if recorded is None:
-                continue
+        for answer, recorded in zip(step.answers, there, strict=True):
             found = [d for d in differences(answer, recorded, self.commands) if d.field not in ignored]
             if isinstance(answer, Plan):
                 self.plans += 1
@@ -316,47 +294,28 @@ class Comparison:
 
 
 def differences(answer: Answer, recorded: Answer, commands: tuple[str, ...] = INPUT_NAMES) -> Iterator[Difference]:
-    """Yield the fields in which two messages of one kind differ by at least a bit."""
+    """Yield the fields in which two messages of one kind differ by at least a bit; 0 and -0 do."""
     negotiation = answer.negotiation if isinstance(answer, Plan) else 0
     for name in (name for name in answer.__struct_fields__ if name not in _NOT_COMPARED):
-        got, expected = getattr(answer, name), getattr(recorded, name)
-        if _same(got, expected):
+        got, expected = np.asarray(getattr(answer, name)), np.asarray(getattr(recorded, name))
+        if got.shape == expected.shape and got.tobytes() == expected.tobytes():
             continue
         where, size = "", None
-        if isinstance(got, np.ndarray) and got.shape == expected.shape:
-            at = _worst(got, expected)
-            where = _entry(answer, name, at, commands)
-            got, expected = float(got[at]), float(expected[at])
-        elif isinstance(got, np.ndarray):
-            got, expected = f"{got.shape[0]} rows", f"{expected.shape[0]} rows"
-        if isinstance(got, int | float) and not isinstance(got, bool):
-            size = float(abs(got - expected))
-        elif isinstance(got, tuple) and len(got) == len(expected):
-            size = float(np.abs(np.subtract(got, expected)).max())
+        if got.shape == expected.shape and got.dtype.kind in "if":
+            apart = np.abs(got - expected)
+            at = np.unravel_index(int(apart.argmax()), got.shape)
+            where, size = _entry(answer, name, [int(i) for i in at], commands), float(apart[at])
+            got, expected = got[at], expected[at]
+        elif got.ndim:
+            got, expected = np.asarray(f"{len(got)} entries"), np.asarray(f"{len(expected)} entries")
         yield Difference(answer.tick, answer.kind, negotiation, name, where, str(got), str(expected), size)
 
 
-def _same(got: Any, expected: Any) -> bool:
-    """Return whether two values have the same bits; 0 and -0 differ."""
-    if isinstance(got, np.ndarray):
-        return bool(got.shape == expected.shape and got.tobytes() == expected.tobytes())
-    return str(got) == str(expected) if isinstance(got, float) else bool(got == expected)
-
-
-def _worst(got: Array, expected: Array) -> tuple[int, ...]:
-    """Return the index of the largest difference, or of the first 0 against -0 if there is no other."""
-    apart = np.abs(got - expected)
-    if not apart.any():
-        apart = (np.signbit(got) != np.signbit(expected)).astype(np.float64)
-    return tuple(int(i) for i in np.unravel_index(int(apart.argmax()), got.shape))
-
-
-def _entry(message: Answer, name: str, at: tuple[int, ...], commands: tuple[str, ...]) -> str:
-    """Return a description of an array entry."""
-    index = f"[{', '.join(map(str, at))}]"
+def _entry(message: Answer, name: str, at: list[int], commands: tuple[str, ...]) -> str:
+    """Return a description of an array entry; empty for a scalar."""
     if isinstance(message, Plan) and name in ("inputs", "corrections"):
-        return f"{index}, UAV{message.uavs[at[1] // INPUTS]} {commands[at[1] % INPUTS]}, step {at[0]} of the horizon"
-    return f"{index}, UAV{message.uavs[at[0]]}" if isinstance(message, Plan) else index
+        return f"{at}, UAV{message.uavs[at[1] // INPUTS]} {commands[at[1] % INPUTS]}, step {at[0]} of the horizon"
+    return str(at) if at else ""
 
 
 def _inputs_apart(plan: Plan, recorded: Plan) -> tuple[float, float, float, float]:

@@ -1,11 +1,14 @@
-"""Time series of a run, the basis of every metric and figure, and the payload swing at its end."""
+"""Time series of a run, the basis of every metric and figure; the swing at its end; estimates; its step table."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from agent.kalman import TOLD, understood
 from model import state
 from model.arrays import Array
 from model.obstacles import clearances
@@ -14,7 +17,7 @@ from protocol.scenario.faults import failures
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
 from protocol.scenario.targets import with_targets
-from protocol.wire.messages import Plan, PlantState, Roster, StepReport, Target, Tick
+from protocol.wire.messages import STAGES, Note, Plan, PlantState, Roster, StepReport, Target, Tick
 from transport.log.run_log import Recorded, RunLog
 
 
@@ -99,12 +102,9 @@ def series_of(setup: Setup, log: RunLog) -> Series:
 
 def _separation(uavs_I: Array, on_rods: npt.NDArray[np.bool_]) -> Array:
     """Return the smallest distance between any two UAVs on their rods, (T,), m."""
-    smallest = np.full(len(uavs_I), np.inf)
-    for i in range(uavs_I.shape[1] - 1):
-        distances_m = np.linalg.norm(uavs_I[:, i : i + 1] - uavs_I[:, i + 1 :], axis=2)
-        distances_m[~(on_rods[:, i : i + 1] & on_rods[:, i + 1 :])] = np.inf
-        smallest = np.minimum(smallest, distances_m.min(axis=1))
-    return smallest
+    i, j = np.triu_indices(uavs_I.shape[1], 1)
+    distances_m = np.linalg.norm(uavs_I[:, i] - uavs_I[:, j], axis=2)
+    return np.asarray(np.where(on_rods[:, i] & on_rods[:, j], distances_m, np.inf).min(axis=1, initial=np.inf))
 
 
 def _clearances(setup: Setup, x: Array, on_rods: npt.NDArray[np.bool_]) -> Array:
@@ -121,10 +121,8 @@ def _clearances(setup: Setup, x: Array, on_rods: npt.NDArray[np.bool_]) -> Array
 def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_m: Array, clear_m: Array) -> Array:
     """Return the largest constraint violation at each tick as a share of the constraint's range, (T,); 0 if all hold.
 
-    Ranges: largest minus smallest value of an input; twice the largest change of an input per period (it may rise and
-    fall); the minimum separation, and the margin of UAVs from obstacles, themselves. Hover inputs precede tick 0;
-    changes across a gap in the record do not count.
-    User-defined constraints are not included.
+    Ranges: largest minus smallest value of an input; twice its largest change per period; the minimum separation, and
+    the margin of UAVs from obstacles, themselves. Changes across a gap in the record and own constraints do not count.
     """
     settings, N = setup.settings, setup.system.N
     lower, upper, step = settings.lower(N), settings.upper(N), settings.step(N)
@@ -158,11 +156,10 @@ def swing_of(setup: Setup, series: Series) -> float | None:
 
 
 def counted(setup: Setup, log: RunLog) -> RunLog:
-    """Return a log without plans and reports from incarnations of an agent that were not on the roster.
+    """Return a log without the plans and reports that no other process accepts.
 
-    An agent that was stopped may send an outdated plan when it continues; no other process accepts it.
-    In lockstep each tick also names the agents that answered the one before; later answers do not count. Messages whose
-    tick or roster is missing count.
+    They are those of incarnations of an agent that were not on the roster, such as of one that was stopped and
+    continues, and in lockstep those that missed their tick. Messages whose tick or roster is missing count.
     """
     rosters = {roster.version: dict(zip(roster.agents, roster.incarnations, strict=True)) for roster in log.of(Roster)}
     ticks = {tick.tick: tick for tick in log.of(Tick)}
@@ -179,3 +176,84 @@ def counted(setup: Setup, log: RunLog) -> RunLog:
         return not lockstep or after is None or message.agent in after.answered
 
     return replace(log, messages=tuple(filter(counts, log.messages)))
+
+
+class Estimates(NamedTuple):
+    """Estimates of the payload's pose (x, y, z, roll, pitch, yaw), m and rad, by all agents at some recorded ticks."""
+
+    agents: npt.NDArray[np.intp]  # (k,), 1-based
+    rows: npt.NDArray[np.intp]  # their ticks' rows in the series, (k,)
+    pose: Array  # estimated, (k, 6)
+    true: Array  # (k, 6)
+    P: Array  # covariance of the error, (k, 6, 6)
+    surprise: Array  # squared innovation of the newest measurements over its covariance, and their number, (k, 2)
+
+
+def estimates_of(series: Series, log: RunLog) -> Estimates | None:
+    """Return the estimates in a log; None if there are none."""
+    at = {int(tick): row for row, tick in enumerate(series.ticks)}
+    notes = [note for note in log.of(Note) if note.names == TOLD and note.tick in at]
+    if not notes:
+        return None
+    numbers, rows = np.array([note.values for note in notes]), np.array([at[note.tick] for note in notes])
+    pose, P = understood(numbers)
+    true = series.x[rows][:, np.r_[state.R0, state.THETA0]]
+    return Estimates(np.array([note.agent for note in notes]), rows, pose, true, P, numbers[:, -2:])
+
+
+# Columns of the step table with this ending are wall-clock times; all others are equal bit for bit in equal runs.
+WALL_CLOCK = "_ms"
+
+_SOLVE = ("status", "solver", "fallback", "iterations", "residual")
+_MESSAGES = ("delivered", "late", "lost")
+_FLIGHT = ("cost", "attitude_deg", "payload_error_m", "uav_error_m", "separation_min_m", "constraint_violation")
+_FORCE = ("force_x_N", "force_y_N", "force_z_N")
+_MOMENTS = ("thrust{}_N", "moment{}_x_Nm", "moment{}_y_Nm", "moment{}_z_Nm")
+_RATES = ("thrust{}_N", "rate{}_x_rad_s", "rate{}_y_rad_s", "rate{}_z_rad_s")
+
+
+def steps_columns(setup: Setup) -> list[str]:
+    """Return the names of the columns, which depend on the number of UAVs and the kind of their inputs."""
+    inputs = [name for i in range(setup.system.N) for name in _input_names(setup, i)]
+    times = [f"{stage}{WALL_CLOCK}" for stage in STAGES]
+    ages = "plan_age_max", "state_age_max"
+    return ["tick", "t_s", "agent", *_SOLVE, *ages, *_MESSAGES, *_FORCE, *_FLIGHT, *inputs, *times]
+
+
+def steps_rows(setup: Setup, log: RunLog) -> Iterator[dict[str, Any]]:
+    """Yield one row per agent and tick, values by column, sorted by tick, then agent.
+
+    `cost`, `attitude_deg`, `payload_error_m`, `separation_min_m` and `constraint_violation` refer to the whole team and
+    are equal for all agents of a tick; `uav_error_m` and the inputs refer to the UAVs of the agent, the error
+    to those of them that are not released. Inputs of other UAVs, and values missing in the log, are None.
+    """
+    series, columns = series_of(setup, log), steps_columns(setup)
+    at = {int(tick): row for row, tick in enumerate(series.ticks)}
+    payload_m, uavs_m = np.linalg.norm(series.payload_error_I, axis=1), np.linalg.norm(series.uav_errors_I, axis=2)
+    team = np.column_stack([series.cost, series.attitude_max_deg, payload_m])
+    reports = {(report.tick, report.agent): report for report in log.of(StepReport)}
+    for (tick, agent), report in sorted(reports.items()):
+        row: dict[str, Any] = dict.fromkeys(columns)
+        row |= {"tick": tick, "t_s": tick * setup.settings.sampling_period_s, "agent": agent}
+        row |= {name: getattr(report, name) for name in (*_SOLVE, *_MESSAGES)} | {"fallback": int(report.fallback)}
+        row |= {"plan_age_max": _oldest(report.plan_ages), "state_age_max": _oldest(report.state_ages)}
+        row |= zip(_FORCE, report.force.tolist(), strict=True)
+        row |= {f"{stage}{WALL_CLOCK}": float(ms) for stage, ms in zip(STAGES, report.times_ms, strict=True)}
+        k = at.get(tick)
+        if k is not None:
+            owned = setup.owned[agent - 1] if agent <= len(setup.owned) else ()
+            uav_m = max((float(uavs_m[k, i]) for i in owned if series.on_rods[k, i]), default=None)
+            separation_m = float(series.separation_m[k]) if setup.system.N > 1 else None
+            row |= zip(_FLIGHT, (*team[k].tolist(), uav_m, separation_m, float(series.violation[k])), strict=True)
+            for i in owned:
+                row |= zip(_input_names(setup, i), series.u[k, state.input_slice(i)].tolist(), strict=True)
+        yield row
+
+
+def _input_names(setup: Setup, i: int) -> list[str]:
+    return [name.format(i + 1) for name in (_RATES if setup.system.commands_rates else _MOMENTS)]
+
+
+def _oldest(ages: tuple[int, ...]) -> int | None:
+    """Return the largest age; -1 if anything was never received yet; None without other agents."""
+    return -1 if min(ages, default=0) < 0 else max(ages, default=None)

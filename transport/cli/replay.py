@@ -160,8 +160,6 @@ def _notes(run: RecordedRun, again: Replay, comparison: Comparison, *, is_change
         yield run.log.cut
     if run.setup.scenario.clock.mode == "realtime":
         yield "real time: exact unless links have jitter, reordering or duplicates, or measurements are delayed"
-    if again.refused and is_changed:
-        yield f"refused by the changed agent: {'; '.join(again.refused)}"
     if comparison.first is not None and not is_changed:
         recorded = [run.log.header.get(name) for name in ("versions", "machine")]
         if recorded != [versions(), machine()]:

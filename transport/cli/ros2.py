@@ -19,8 +19,7 @@ from transport.cli.output import blame
 from transport.flight.live import Commands
 from transport.log.run_folder import setup_of
 from transport.log.run_log import LogTail
-from transport.scene.history import KINDS, RunHistory
-from transport.scene.scene import SceneBuilder
+from transport.scene.scene import KINDS, RunHistory, SceneBuilder
 
 if TYPE_CHECKING:
     from transport.report.ros2 import Ros2Messages

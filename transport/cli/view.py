@@ -28,7 +28,7 @@ def view(
 ) -> None:
     """Show a recorded or active run in the browser.
 
-    Payload, rods, UAVs with attitude and thrust, actual and predicted paths, links by age of plans and packet loss.
+    Payload, rods, UAVs with attitude and thrust, actual and predicted paths, links by age of plans.
     Links of an active run can be changed, its agents killed and restarted. Ctrl-C ends the viewer, not the run.
 
     Example: transport view runs/20260102-101500-paper

@@ -26,7 +26,7 @@ from transport.experiments.statistics import Column, console_table
 from transport.experiments.sweep import Results, Simulate, Swept, sweep
 from transport.flight.header import machine
 from transport.report.column import column_panels, head
-from transport.report.compare import Overlaid, fill_overlaid
+from transport.report.compare import fill_overlaid
 from transport.report.report import write_csv, write_whole
 from transport.report.style import CURVES, DIVERGED, MARKER, RC, REFERENCE, SMALL, label_decades, save
 
@@ -191,7 +191,7 @@ def draw_maneuver(curves: Sequence[Curve], reference: Cell, swept: Swept, folder
         labels = {"weather": comparison.STILL, **cell._asdict()}
         case = next(case for case in swept.cases if swept.experiment.points[case.point].labels == labels)
         setup = Setup.of(case.scenario, case.source)
-        overlaid.append(Overlaid(f"{name}, {1e3 * cell.period_s:g} ms", setup, series_of(setup, run_in_memory(setup))))
+        overlaid.append((f"{name}, {1e3 * cell.period_s:g} ms", setup, series_of(setup, run_in_memory(setup))))
     with mpl.rc_context({**RC, "svg.hashsalt": "maneuver"}):
         figure = Figure()
         fill_overlaid(figure, overlaid, shaded=True)

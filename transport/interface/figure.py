@@ -14,21 +14,17 @@ from transport.analysis.series import Series
 from transport.interface.scenario import Scenario
 from transport.interface.settings import ArgumentError, Settings, ShortSettings
 from transport.log.run_log import RunLog
-from transport.report.figures import CROPPED, FIGURES, fill
-from transport.report.margins import ACTUATIONS, HoverMargins, draw, hover_margins, notes, rows
-from transport.report.style import RC, drawing_box
+from transport.report.figures import FIGURES, fill
+from transport.report.margins import ACTUATIONS, HoverMargins, draw, hover_margins, rows
+from transport.report.style import RC
 
 
 class RunFigure(Figure):
     """A matplotlib figure in the style of the project; it belongs to no window, so nothing has to be closed."""
 
-    cropped: bool = False  # whether files are cut to the drawing
-
     def savefig(self, fname: Any, **options: Any) -> None:
         """Write the figure to a file, whose ending is the format, with the options of matplotlib."""
         with mpl.rc_context(RC):
-            if self.cropped:
-                options = {"bbox_inches": drawing_box(self), **options}
             super().savefig(fname, **options)
 
     def _repr_png_(self) -> bytes:
@@ -53,7 +49,6 @@ def run_figure(name: str, setup: Setup, log: RunLog, series: Series) -> RunFigur
         figure = RunFigure()
         if not len(series.ticks) or not fill(figure, name, setup, log, series):
             raise ArgumentError(f"figure: expected a run with data for {name!r}, got one without")
-    figure.cropped = name in CROPPED
     return figure
 
 
@@ -74,8 +69,7 @@ class Margins:
 
     def __str__(self) -> str:
         table = [("property", *ACTUATIONS), *rows(self.found)]
-        lines = ["".join(f"{text:20s}" for text in row).rstrip() for row in table]
-        return "\n".join([*lines, *notes(self.found)])
+        return "\n".join("".join(f"{text:20s}" for text in row).rstrip() for row in table)
 
 
 def margins(

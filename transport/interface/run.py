@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from protocol.scenario.setup import Setup
 from transport.analysis.metrics import summarise
-from transport.analysis.series import counted
-from transport.analysis.steps import steps_rows
+from transport.analysis.series import counted, steps_rows
 from transport.flight.run_files import create
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries

@@ -4,6 +4,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
@@ -11,16 +12,15 @@ from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 from matplotlib.transforms import ScaledTranslation
 
-from protocol.scenario.links import change_in_words, words_of
+from protocol.scenario.links import change_in_words
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import target_in_words
-from protocol.wire.messages import FaultNote, LinkChange, Roster, Target
 from transport.log.run_log import RunLog
 from transport.report.style import COLUMN_IN, SMALL, TEXT, shade_phases
+from transport.scene.scene import RunHistory
 
 # Height of a row of a legend, and room for the line of an entry and the gap behind it, inches.
 _ROW_IN, _HANDLE_IN = 0.115, 0.26
-_CLOSE: Any = {
+CLOSE: Any = {
     "handletextpad": 0.4, "columnspacing": 0.8, "labelspacing": 0.35, "borderaxespad": 0.0, "borderpad": 0.2
 }  # fmt: skip
 # Most entries of a legend beside a title.
@@ -28,7 +28,7 @@ _MOST = 5
 
 _LIMIT, _FAULT, _LINK = "#B2182B", "#B2182B", "#E69F00"
 _LINE_IN, _APART_IN = 0.105, 0.06
-# Characters in a line of the caption; most marks in it; marks nearer than this share of the axis have one label.
+# Characters in a line of the caption; most marks in it; the first of marks nearer than this share has a number.
 _WRAP, _MOST_MARKS, _NEAR = 72, 12, 0.035
 
 
@@ -67,12 +67,13 @@ def column_panels(
     width = 1.0 - (left_in + right_in) / COLUMN_IN
     panels: list[Axes] = []
     upper_in = total_in - top_in
-    for row, height_in in enumerate(heights_in):
+    for height_in in heights_in:
         panel = figure.add_axes((left_in / COLUMN_IN, (upper_in - height_in) / total_in, width, height_in / total_in))
-        panel.tick_params(labelbottom=row == len(heights_in) - 1)
+        panel.tick_params(labelbottom=False)
         panel.locator_params(axis="y", nbins=5)
         panels.append(panel)
         upper_in -= height_in + gap_in
+    panels[-1].tick_params(labelbottom=True)
     panels[-1].set_xlabel(x_label)
     return panels
 
@@ -83,15 +84,8 @@ def head(panel: Axes, title: str, *, legend: bool = True) -> None:
     panel.text(0.0, 1.0, title, transform=panel.transAxes + up, ha="left", va="bottom", fontsize=TEXT)
     handles, labels = panel.get_legend_handles_labels()
     if legend and 1 < len(handles) <= _MOST:
-        panel.legend(
-            handles,
-            labels,
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            ncols=len(handles),
-            handlelength=1.0,
-            **_CLOSE,
-        )
+        where: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": len(handles)}
+        panel.legend(handles, labels, handlelength=1.0, **where, **CLOSE)
 
 
 def legend_height_in(handles: Sequence[Line2D]) -> float:
@@ -99,11 +93,11 @@ def legend_height_in(handles: Sequence[Line2D]) -> float:
     return _ROW_IN * -(-len(handles) // _columns(handles)) + 0.06 if handles else 0.0
 
 
-def draw_legend(figure: Figure, handles: Sequence[Line2D], *, top_in: float = 0.02) -> None:
+def draw_legend(figure: Figure, handles: Sequence[Line2D]) -> None:
     """Draw the legend of labelled handles at the top of a figure, in as many columns as fit."""
     if handles:
-        place = (0.015, 1.0 - top_in / figure.get_figheight())
-        figure.legend(handles=handles, loc="upper left", bbox_to_anchor=place, ncols=_columns(handles), **_CLOSE)
+        place = (0.015, 1.0 - 0.02 / figure.get_figheight())
+        figure.legend(handles=handles, loc="upper left", bbox_to_anchor=place, ncols=_columns(handles), **CLOSE)
 
 
 def _columns(handles: Sequence[Line2D]) -> int:
@@ -124,9 +118,13 @@ def limits(panel: Axes, *values: float) -> None:
     span = high - low
     for value in values:
         if low - 0.5 * span <= value <= high + 0.5 * span:
+            widen(panel, value - 0.05 * span, value + 0.05 * span)
             panel.axhline(value, color=_LIMIT, linestyle="--", linewidth=0.8)
-            low, high = min(low, value - 0.05 * span), max(high, value + 0.05 * span)
-    panel.set_ylim(low, high)
+
+
+def widen(panel: Axes, low: float, high: float) -> None:
+    """Let an axis show at least a range."""
+    panel.set_ylim(min(panel.get_ylim()[0], low), max(panel.get_ylim()[1], high))
 
 
 def marks_of(setup: Setup, log: RunLog) -> list[Mark]:
@@ -143,20 +141,16 @@ def caption_of(marks: Sequence[Mark]) -> list[str]:
 def finish(figure: Figure, panels: Sequence[Axes], setup: Setup, until_s: float, marks: Sequence[Mark]) -> None:
     """Shade and name the phases; draw the marks, their numbers into the first panel, and the caption below all."""
     shade_phases(setup, list(panels), until_s)
-    labels: list[tuple[float, str]] = []
+    labelled_s = -np.inf
     for number, mark in enumerate(marks, start=1):
         colour, dashes = (_LINK, ":") if mark.of_links else (_FAULT, "-")
         for panel in panels:
             panel.axvline(mark.time_s, linewidth=0.8, zorder=1.5, color=colour, linestyle=dashes)
-        time_s, text = mark.time_s, str(number)
-        if labels and time_s - labels[-1][0] < _NEAR * until_s:
-            time_s, before = labels.pop()
-            text = f"{before.split('-')[0]}-{number}"
-        labels.append((time_s, text))
-    for time_s, text in labels:
-        right_pt, side = (-1.5, "right") if time_s > (1.0 - _NEAR) * until_s else (1.5, "left")
-        place: Any = {"xycoords": panels[0].get_xaxis_transform(), "textcoords": "offset points", "va": "top"}
-        panels[0].annotate(text, (time_s, 1.0), (right_pt, -1.0), ha=side, fontsize=SMALL, **place)
+        if mark.time_s - labelled_s > _NEAR * until_s:
+            labelled_s = mark.time_s
+            side, right_pt = ("right", -1.5) if mark.time_s > (1.0 - _NEAR) * until_s else ("left", 1.5)
+            place: Any = {"xycoords": panels[0].get_xaxis_transform(), "textcoords": "offset points", "va": "top"}
+            panels[0].annotate(f"{number}", (mark.time_s, 1.0), (right_pt, -1.0), ha=side, fontsize=SMALL, **place)
     if marks:
         figure.text(0.02, 0.04 / figure.get_figheight(), "\n".join(caption_of(marks)), fontsize=SMALL, va="bottom")
 
@@ -171,16 +165,7 @@ def _marks(setup: Setup, log: RunLog) -> Iterator[Mark]:
         yield Mark(partition.start_s, f"{names} cut off", True)
         if partition.end_s < end_s:
             yield Mark(partition.end_s, f"{names} connected again", True)
-    off: tuple[int, ...] = ()
-    for message in (entry.message for entry in log.messages):
-        time_s = message.tick * period_s
-        match message:
-            case FaultNote():
-                yield Mark(time_s, f"{message.target} {message.what}", False)
-            case LinkChange():
-                yield Mark(time_s, words_of(message), True)
-            case Target():
-                yield Mark(time_s, target_in_words(message), True)
-            case Roster() if message.off != off:
-                off = message.off
-                yield Mark(time_s, message.reason.partition(" at t =")[0], False)
+    history = RunHistory(setup)
+    history.add(entry.message for entry in log.messages)
+    for tick, text in history.events:
+        yield Mark(tick * period_s, text.partition(" at t =")[0], text.startswith(("links", "target")))

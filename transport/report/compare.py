@@ -21,17 +21,9 @@ from transport.report.style import CURVES, RC, line_width, save, scale_cost, sha
 
 Summary = dict[str, Any]
 
-# Shown decades of the cost.
-_COST_DECADES = 5
-_PANELS = (
-    "largest UAV position error (m)",
-    "payload position error (m)",
-    "payload attitude, largest angle (deg)",
-    "stage cost",
-)
-_HEIGHT_IN = 0.9
-# Room above the first panel for its title and the names of the phases.
-_ABOVE_IN = 0.3
+_COST_DECADES = 5  # that are shown
+_PANELS = ("UAV error, largest (m)", "payload error (m)", "payload attitude, largest angle (deg)", "stage cost")
+_HEIGHT_IN, _ABOVE_IN = 0.9, 0.3  # of a panel, and room above the first for its title and the names of the phases
 
 
 class Compared(NamedTuple):
@@ -99,6 +91,16 @@ _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
 )
 
 
+# What compared runs should share, and why.
+_SHARED: tuple[tuple[str, Callable[[Compared], Any], str], ...] = (
+    ("maneuver", lambda one: one.run.setup.scenario.maneuver, "cost and errors do not show which controller is better"),
+    ("system", lambda one: one.run.setup.scenario.system, "costs are not comparable"),
+    ("set of weights", lambda one: one.run.setup.settings.weights, "costs are not comparable"),
+    ("cost function", lambda one: one.run.setup.settings.cost, "costs are not comparable"),
+    ("machine", lambda one: one.summary["machine"], "times do not only depend on the controller"),
+)
+
+
 def rows(runs: Sequence[Compared]) -> list[Row]:
     """Return a row for each quantity that any of the runs has; at least one run."""
     table = []
@@ -114,21 +116,11 @@ def rows(runs: Sequence[Compared]) -> list[Row]:
 
 def doubts(runs: Sequence[Compared]) -> Iterator[str]:
     """Yield the caveats of a comparison, a sentence each."""
-    first, setup = runs[0], runs[0].run.setup
+    first = runs[0]
     for other in runs[1:]:
-        scenario, settings = other.run.setup.scenario, other.run.setup.settings
-        if scenario.maneuver != setup.scenario.maneuver:
-            yield (
-                f"{other.label} follows another maneuver than {first.label}: "
-                "each error is relative to the run's own reference; "
-                "cost, attitude and position errors do not show which controller is better"
-            )
-        if scenario.system != setup.scenario.system:
-            yield f"{other.label} has another system than {first.label} (UAVs or payload): costs are not comparable"
-        if settings.weights != setup.settings.weights or settings.cost != setup.settings.cost:
-            yield f"{other.label} has other weights than {first.label}: costs are not comparable"
-        if other.summary["machine"] != first.summary["machine"]:
-            yield f"{other.label} ran on another machine than {first.label}: times do not only depend on the controller"
+        for what, of, why in _SHARED:
+            if of(other) != of(first):
+                yield f"{other.label} has another {what} than {first.label}: {why}"
     for compared in runs:
         summary, period_s = compared.summary, compared.run.setup.settings.sampling_period_s
         held_s, planned_s = summary["ticks"] * period_s, compared.run.setup.ticks * period_s
@@ -146,35 +138,25 @@ def _difference_percent(value: Any, first: Any) -> float | None:
     return float(100.0 * (value - first) / abs(first))
 
 
-class Overlaid(NamedTuple):
-    """A run in the figure."""
-
-    label: str
-    setup: Setup
-    series: Series  # at least one tick
-
-
 def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
     """Draw compare.png and compare.svg of runs, at least one of them with a tick, in a folder; return the files."""
-    shown = [Overlaid(one.label, one.run.setup, one.series) for one in runs if len(one.series.ticks)]
-    maneuver = shown[0].setup.scenario.maneuver
+    shown = [(one.label, one.run.setup, one.series) for one in runs if len(one.series.ticks)]
+    maneuvers = [setup.scenario.maneuver for _, setup, _ in shown]
     with mpl.rc_context(RC):
         figure = Figure()
-        fill_overlaid(figure, shown, shaded=all(one.setup.scenario.maneuver == maneuver for one in shown))
+        fill_overlaid(figure, shown, shaded=all(maneuver == maneuvers[0] for maneuver in maneuvers))
         return save(figure, folder / "compare.png")
 
 
-def fill_overlaid(figure: Figure, runs: Sequence[Overlaid], *, shaded: bool) -> None:
-    """Draw runs over one another into an empty figure, perhaps with the phases of the first."""
+def fill_overlaid(figure: Figure, runs: Sequence[tuple[str, Setup, Series]], *, shaded: bool) -> None:
+    """Draw runs over one another into an empty figure: label, setup and series; perhaps with phases of the first."""
     styles: list[dict[str, Any]] = []
-    for i, run in enumerate(runs):
+    for i, (label, _, _) in enumerate(runs):
         colour, _, dashes = CURVES[i % len(CURVES)]
         width = line_width(i, len(runs), 1.8)
-        styles.append({"color": colour, "linestyle": dashes, "linewidth": width, "label": run.label})
+        styles.append({"color": colour, "linestyle": dashes, "linewidth": width, "label": label})
     legend = [Line2D([], [], **style) for style in styles]
-    has_cost = any((run.series.cost > 0.0).any() for run in runs)
-    titles = _PANELS if has_cost else _PANELS[:-1]
-    panels = column_panels(figure, [_HEIGHT_IN] * len(titles), legend=legend, top_in=_ABOVE_IN)
+    panels = column_panels(figure, [_HEIGHT_IN] * len(_PANELS), legend=legend, top_in=_ABOVE_IN)
     for (_, _, series), style in zip(runs, styles, strict=True):
         # UAVs that have been released and costs of zero are left out.
         curves = (
@@ -183,14 +165,13 @@ def fill_overlaid(figure: Figure, runs: Sequence[Overlaid], *, shaded: bool) -> 
             series.attitude_max_deg,
             np.where(series.cost > 0.0, series.cost, np.nan),
         )
-        for panel, values in zip(panels, curves, strict=False):
+        for panel, values in zip(panels, curves, strict=True):
             panel.plot(series.times_s, values, **style)
-    until_s = max(float(run.series.times_s[-1]) + run.setup.settings.sampling_period_s for run in runs)
-    for panel, title in zip(panels, titles, strict=True):
+    until_s = max(float(series.times_s[-1]) + setup.settings.sampling_period_s for _, setup, series in runs)
+    for panel, title in zip(panels, _PANELS, strict=True):
         head(panel, title, legend=False)
         panel.set_xlim(0.0, until_s)
         panel.set_ylim(bottom=0.0)
-    if has_cost:
-        scale_cost(panels[-1], max(float(np.nanmax(run.series.cost)) for run in runs), _COST_DECADES)
+    scale_cost(panels[-1], max(float(np.nanmax(series.cost)) for _, _, series in runs), _COST_DECADES)
     if shaded:
-        shade_phases(runs[0].setup, panels, until_s)
+        shade_phases(runs[0][1], panels, until_s)

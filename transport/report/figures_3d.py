@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator, MultipleLocator
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
 
 from model.arrays import Array
@@ -20,12 +20,10 @@ from transport.report.column import draw_legend, legend_height_in
 from transport.report.style import COLUMN_IN, PAYLOAD, REFERENCE
 from transport.scene.drawing import Label, Lines, Mesh, Part, Pose, obstacles, uav_style
 
-# Smallest distance between drawn formations, m.
-_APART_M = 0.5
-# Shortest axis of the box in parts of the longest.
-_SLIMMEST = 0.3
+# Smallest distance between drawn formations, m; shortest axis of the box in parts of the longest.
+_APART_M, _SLIMMEST = 0.5, 0.3
 # Largest height of the box; room beside and below it for numbers and labels, inches; most numbers of an axis.
-_TALLEST_IN, _LEFT_IN, _RIGHT_IN, _BELOW_IN = 3.2, 0.15, 0.4, 0.6
+_TALLEST_IN, _LEFT_IN, _RIGHT_IN, _BELOW_IN = 3.2, 0.15, 0.4, 0.45
 _TICKS = 5
 # Of obstacles, behind which the team is seen.
 _OPACITY = 0.25
@@ -39,8 +37,8 @@ def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
     handles.append(Line2D([], [], color=REFERENCE, linestyle="--", label="reference"))
     above_in = legend_height_in(handles)
     figure.set_layout_engine("none")
-    figure.set_size_inches(COLUMN_IN, above_in + _TALLEST_IN + _BELOW_IN)
-    axes: Any = figure.add_axes((0.0, 0.0, 1.0, COLUMN_IN / figure.get_figheight()), projection="3d", facecolor="none")
+    figure.set_size_inches(COLUMN_IN, COLUMN_IN)
+    axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d", facecolor="none")
     payload_I = StateView(series.x).r0_I
     line(axes, series.payload_reference_I, color=REFERENCE, linewidth=1.0, linestyle="--")
     uavs_I = np.where(series.on_rods[..., None], series.uavs_I, np.nan)  # released ones have left
@@ -64,29 +62,29 @@ def draw_trajectories(figure: Figure, setup: Setup, series: Series) -> None:
 
 
 def _fit(figure: Figure, axes: Any, above_in: float) -> None:
-    """Scale and move a 3D drawing so that its box is as large as fits below the legend, between the numbers."""
+    """Let the box of a 3D drawing fill the width below the legend, and the height of the figure fit it."""
     corners = np.array(list(itertools.product(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())))
     projected = np.column_stack([corners, np.ones(len(corners))]) @ axes.get_proj().T
     places = axes.transAxes.inverted().transform(axes.transData.transform(projected[:, :2] / projected[:, 3:]))
     low, high = places.min(axis=0), places.max(axis=0)  # shares of the square
-    size_in = figure.get_size_inches()
     side_in = float((np.array([COLUMN_IN - _LEFT_IN - _RIGHT_IN, _TALLEST_IN]) / (high - low)).min())
+    size_in = np.array([COLUMN_IN, above_in + side_in * (high - low)[1] + _BELOW_IN])
+    figure.set_size_inches(*size_in)
     middle_top_in = np.array([(COLUMN_IN + _LEFT_IN - _RIGHT_IN) / 2.0, size_in[1] - above_in])
     corner_in = middle_top_in - side_in * np.array([(low + high)[0] / 2.0, high[1]])
     axes.set_position((*(corner_in / size_in), *(side_in / size_in)))
 
 
 def _rows_to_draw(setup: Setup, series: Series) -> list[int]:
-    """Return the rows at the ends of the phases, at new positions of the reference, and at an early end."""
-    period_s, last = setup.settings.sampling_period_s, len(series.ticks) - 1
-    ends = np.array([0.0, *(end for _, _, end in setup.maneuver.stages())])
-    reached = ends[ends <= series.times_s[last] + 1.5 * period_s]
-    reference_I = series.payload_reference_I
+    """Return the rows at the ends of the phases, at new positions of the reference, and the last."""
+    ends_s = [0.0, *(end for _, _, end in setup.maneuver.stages())]
+    rows = np.searchsorted(series.times_s, ends_s).clip(max=len(series.ticks) - 1)
     chosen: list[int] = []
-    for row in (int(np.argmin(np.abs(series.times_s - end))) for end in reached):
-        if all(np.linalg.norm(reference_I[row] - reference_I[other]) > _APART_M for other in chosen):
+    for row in [*rows.tolist(), len(series.ticks) - 1]:
+        apart_m = np.linalg.norm(series.x[chosen, :3] - series.x[row, :3], axis=1)
+        if apart_m.min(initial=np.inf) > _APART_M:
             chosen.append(row)
-    return chosen if len(reached) == len(ends) or last in chosen else [*chosen, last]
+    return chosen
 
 
 def _formation(axes: Any, setup: Setup, series: Series, k: int) -> None:
@@ -111,12 +109,8 @@ def frame(axes: Any, points: Array, *, zoom: float = 0.95, ticks: int = 8) -> No
     # z points down: with x to the right, y points towards the reader; otherwise the drawing is a mirror image.
     axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), zlim=(low[2], high[2]), xlabel="x (m)", ylabel="y (m)")
     axes.set_box_aspect(high - low, zoom=zoom)
-    # The same spacing of ticks on all axes, a half or quarter of it on short ones, shows that scales are equal.
-    values = MaxNLocator(nbins=ticks, steps=[1, 2, 5, 10]).tick_values(0.0, float((high - low).max()))
-    spacing = float(values[1] - values[0])
-    for axis, length in zip((axes.xaxis, axes.yaxis, axes.zaxis), high - low, strict=True):
-        parts = 1.0 if length > 3.0 * spacing else 2.0 if length > spacing else 4.0
-        axis.set_major_locator(MultipleLocator(spacing / parts))
+    for axis, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), (high - low) / (high - low).max(), strict=True):
+        axis.set_major_locator(MaxNLocator(nbins=1 + round(ticks * share), steps=[1, 2, 5, 10]))
     axes.set_zlabel("altitude, -z (m)", labelpad=10.0)
     axes.view_init(elev=18.0, azim=-60.0)
 

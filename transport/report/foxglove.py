@@ -24,9 +24,6 @@ from transport.scene.drawing import Drawing, Label, Lines, Mesh, Part, tree
 from transport.scene.drawing import Pose as FramePose
 from transport.scene.scene import Scene, SceneBuilder
 
-# Most times at which the actual paths are written, which are long.
-_PATHS = 100
-
 NUMBERS = "transport.Numbers"
 # Array fields with two axes; all others have one.
 _MATRICES = ("points", "uav_states", "inputs", "corrections")
@@ -35,34 +32,24 @@ _FIXED: Fields = {"scale_invariant": True}  # on the screen
 
 
 def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
-    """Write the copy of a log, complete or cut, into a new file; return the number of ticks with a scene.
-
-    Raises: OSError: it cannot be written.
-    """
+    """Write the copy of a log, complete or cut, into a new file; return the number of ticks with a scene."""
     period_ns = builder.setup.period_ns
-    schemas = {
-        kind: Schema(f"transport.{cls.__name__}", "jsonschema", orjson.dumps(json_schema(kind)), "json")
-        for kind, cls in KINDS.items()
-    }
-    numbers = Schema(NUMBERS, "jsonschema", Path(__file__).with_name("numbers.schema.json").read_bytes(), "json")
+    schemas = {kind: _json(f"transport.{cls.__name__}", orjson.dumps(json_schema(kind))) for kind, cls in KINDS.items()}
+    numbers = _json(NUMBERS, Path(__file__).with_name("numbers.schema.json").read_bytes())
     with mcap_copy(out, log.header) as put:
-        for message, received_ns in ((entry.message, entry.received_ns) for entry in log.messages):
-            topic, at_ns = topic_of(message), min(message.tick * period_ns, LAST_TIME_NS)
-            sequence = message.sequence % SEQUENCES
-            put(topic, schemas[message.kind], to_json(message), at_ns, received_ns, sequence)
-        drawing, ticks = Drawing(builder), sorted(builder.history.plant_states)
-        every, shown = max(1, len(ticks) // _PATHS), set[str]()
-        for number, tick in enumerate(ticks):
+        for entry in log.messages:
+            message, at_ns = entry.message, min(entry.message.tick * period_ns, LAST_TIME_NS)
+            content, number = to_json(message), message.sequence % SEQUENCES
+            put(topic_of(message), schemas[message.kind], content, at_ns, entry.received_ns, number)
+        drawing, ticks, shown = Drawing(builder), sorted(builder.history.plant_states), set[str]()
+        for tick in ticks:
             scene, at_ns = builder.at(tick), tick * period_ns
             poses = drawing.poses(scene)
             transforms: Any = [_transform(*link, at_ns) for link in tree(poses)]
             put("/tf", _TRANSFORMS, FrameTransforms(transforms=transforms).SerializeToString(), at_ns)
-            scenes = {"now": drawing.moving(scene, flown=False)}
-            if number % every == 0 or tick == ticks[-1]:
-                scenes["paths"] = iter([drawing.flown(scene)])
-            entities: dict[str, Any] = {
-                name: [_entity(part, at_ns) for part in parts] for name, parts in scenes.items()
-            }
+            entities: dict[str, Any] = {"now": [_entity(part, at_ns) for part in drawing.moving(scene)]}
+            if tick == ticks[0]:
+                entities["paths"] = [_entity(drawing.flown(builder.at(ticks[-1])), at_ns)]
             if shown != poses.keys():  # at the start, and when a UAV leaves or the payload touches the ground
                 shown = set(poses)
                 entities["bodies"] = [_entity(part, at_ns, empty=part.frame not in shown) for part in drawing.fixed]
@@ -70,6 +57,10 @@ def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
                 put(f"/scene/{name}", _SCENE, SceneUpdate(entities=parts).SerializeToString(), at_ns)
             put("/numbers", numbers, orjson.dumps(_numbers(scene)), at_ns)
     return len(ticks)
+
+
+def _json(name: str, schema: bytes) -> Schema:
+    return Schema(name, "jsonschema", schema, "json")
 
 
 def _protobuf(message: type[Any]) -> Schema:
@@ -120,7 +111,7 @@ def _numbers(scene: Scene) -> Fields:
         "payload_error_m": scene.error_m,
         "phase": scene.phase,
         "step_ms": [None if report is None else float(report.times_ms[-1]) for report in scene.reports],
-        "oldest_plan_s": max((link.age_s for link in scene.links if link.age_s is not None), default=None),
+        "oldest_plan_s": max((age_s for *_, age_s in scene.links if age_s is not None), default=None),
     }
 
 

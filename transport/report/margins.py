@@ -9,7 +9,7 @@ import threadpoolctl
 from matplotlib.figure import Figure
 
 from mpc.controller import Controller
-from mpc.margins import FARTHEST, FARTHEST_S, GROWTH, Loop, Margin, Mismatch, margins
+from mpc.margins import FARTHEST, FARTHEST_S, Loop, Margin, Mismatch, margins
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.setup import Setup
 from transport.report.style import COLUMN_IN, CURVES
@@ -26,49 +26,38 @@ LABELS = {
     "rod_length": "rod length",
 }
 ACTUATIONS = ("immediate", "next_tick")
+_FEEDBACK = "closed_loop, riccati, exact"  # prediction, terminal and discretisation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoverMargins:
-    """Result of the analysis, for both values of `clock.actuation`.
-
-    Attributes:
-        without: Agents that are gone, 1-based, whose UAVs follow the fail-safe.
-        settling_s: Time in which the slowest deviation decays by e with the plant as known; None if one does not: the
-            team does not hold the payload.
-        growth_per_s: Growth rate of the fastest growing mode with the plant as known.
-        margins: Of each property of `mpc.margins.Mismatch`, none where the hover is unstable as known.
-    """
+    """Result of the analysis, for both values of `clock.actuation`, with the plant as known but for `margins`."""
 
     scenario: str
-    without: tuple[int, ...]
-    settling_s: dict[str, float | None]
-    growth_per_s: dict[str, float]
-    margins: dict[str, dict[str, Margin]]
+    without: tuple[int, ...]  # agents that are gone, 1-based, whose UAVs follow the fail-safe
+    settling_s: dict[str, float | None]  # in which the slowest deviation decays by e; None: the payload is not held
+    growth_per_s: dict[str, float]  # of the fastest growing mode
+    margins: dict[str, dict[str, Margin]]  # of the properties of `mpc.margins.Mismatch`; none where it is unstable
 
 
 def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
     """Return the margins of a scenario about hover, with the fixed delay of its links, some agents, 1-based, gone.
 
     Agents know each other's state one sampling period late, or as late as `links.delay_s`. Limits, constraints, packet
-    loss and the disturbance estimate are not part of the analysis.
+    loss and the disturbance estimate are not part of the analysis. Source: docs/equations.md (58).
 
-    Raises: ScenarioError: the controller is a class of the user, the agents that are gone are not some of several, or
-        plans are not the shared control law.
-    Source: docs/equations.md (58).
+    Raises: ScenarioError: plans are not the shared control law, or the agents that are gone not some of several.
     """
-    absent, name = tuple(sorted(set(without))), setup.scenario.name
+    absent, name, settings = tuple(sorted(set(without))), setup.scenario.name, setup.settings
     if setup.scenario.agents.controller != "mpc":
-        expected = "expected 'mpc', whose feedback is known, for margins"
-        raise ScenarioError(name, "agents.controller", f"{expected}, got a class")
+        raise ScenarioError(name, "agents.controller", "expected 'mpc', whose feedback is known, got a class")
     if absent and not set(absent) < set(setup.agents):
         raise ScenarioError(name, "agents", f"expected some of {list(setup.agents)} gone, got {list(absent)}")
-    settings = setup.settings
-    if (settings.prediction, settings.terminal, settings.discretisation) != ("closed_loop", "riccati", "exact"):
-        expected = "expected closed_loop, terminal riccati and discretisation exact, whose plans are a feedback"
-        raise ScenarioError(name, "controller.prediction", f"{expected}, got {settings.prediction}")
+    got = f"{settings.prediction}, {settings.terminal}, {settings.discretisation}"
+    if got != _FEEDBACK:
+        raise ScenarioError(name, "controller", f"expected {_FEEDBACK}, whose plans are a feedback, got {got}")
     gone = [uav for agent in absent for uav in setup.owned[agent - 1]]
-    age = max(1, math.ceil(setup.scenario.links.delay_s / setup.settings.sampling_period_s - 1e-9))
+    age = max(1, math.ceil(setup.scenario.links.delay_s / settings.sampling_period_s - 1e-9))
     # Several threads are slower than one with matrices of this size.
     with threadpoolctl.threadpool_limits(1):
         settings = settings.model_copy(update={"linearisation": "present"})  # about hover both are the same
@@ -81,7 +70,7 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
             actuation: Loop(team, next_tick=actuation == "next_tick", age=age, uncontrolled=fail_safe)
             for actuation in ACTUATIONS
         }
-        known = Mismatch(lag_s=setup.settings.motor_lag_s)
+        known = Mismatch(lag_s=settings.motor_lag_s)
         return HoverMargins(
             scenario=name,
             without=absent,
@@ -115,22 +104,12 @@ def _range(name: str, margin: Margin | None) -> str:
     return f"{f'< {lower:g}' if margin.lower is None else f'{lower:.3g}'} to {above}"
 
 
-def notes(found: HoverMargins) -> Iterator[str]:
-    """Yield what is unstable, or does not decay, with the plant as the controllers know it."""
-    for actuation, growth in found.growth_per_s.items():
-        if growth > GROWTH:
-            yield f"{actuation}: the hover is unstable, deviations grow by e in {1.0 / growth:.3g} s"
-        elif found.settling_s[actuation] is None:
-            yield f"{actuation}: not holdable, some deviation does not decay"
-
-
 def draw(found: HoverMargins, figure: Figure) -> None:
     """Draw the ranges as bars: times on the left, factors on the right."""
     figure.set_size_inches(COLUMN_IN, 1.5)
-    times = [name for name in LABELS if name.endswith("_s")]
-    factors = [name for name in LABELS if name not in times]
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.6))
-    for axes, names in ((left, times), (right, factors)):
+    for axes, is_time in ((left, True), (right, False)):
+        names = [name for name in LABELS if name.endswith("_s") == is_time]
         for i, actuation in enumerate(ACTUATIONS):
             of = found.margins[actuation]  # all or none
             lower, upper = np.array([_ends(name, of[name]) for name in names if name in of]).reshape(-1, 2).T

@@ -36,21 +36,15 @@ def mcap_copy(out: Path, header: Mapping[str, str], profile: str = "") -> Iterat
     It takes topic, schema, bytes and time, ns, of a message, and time of publication and number if they are others.
     """
     channels: dict[str, int] = {}
-    schemas: dict[str, int] = {}
     with atomic_file(out) as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile=profile, library="payload-transport")
         writer.add_metadata(METADATA, dict(header))
 
-        def put(
-            topic: str, schema: Schema, data: bytes, at_ns: int, published_ns: int | None = None, n: int = 0
-        ) -> None:
+        def put(topic: str, schema: Schema, data: bytes, at_ns: int, published_ns: int = 0, n: int = 0) -> None:
             if topic not in channels:
-                if schema.name not in schemas:
-                    schemas[schema.name] = writer.register_schema(*schema[:3])
-                channels[topic] = writer.register_channel(topic, schema.messages, schemas[schema.name])
-            published_ns = at_ns if published_ns is None else published_ns
-            writer.add_message(channels[topic], at_ns, data, publish_time=published_ns, sequence=n)
+                channels[topic] = writer.register_channel(topic, schema.messages, writer.register_schema(*schema[:3]))
+            writer.add_message(channels[topic], at_ns, data, publish_time=published_ns or at_ns, sequence=n)
 
         yield put
         writer.finish()  # type: ignore[no-untyped-call]

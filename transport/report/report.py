@@ -3,7 +3,6 @@
 import csv
 import io
 import os
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,19 +14,15 @@ from rich.text import Text
 
 from protocol.scenario.setup import Setup
 from transport.analysis.metrics import summarise
-from transport.analysis.series import SWING_S, counted
-from transport.analysis.steps import steps_columns, steps_rows
+from transport.analysis.series import SWING_S, counted, steps_columns, steps_rows
 from transport.log.run_folder import RecordedRun, open_run
 
 # Violations below this share of a constraint's range are within the solver's tolerance.
 HELD = 1e-6
-
 # Largest local error of the plant's integration with which trajectories are accurate.
 ACCURATE = 1e-6
-
 # Number of faults in the table, so that it fits a screen.
 _SHOWN_FAULTS = 20
-
 # Bodies with a distance from obstacles, as the report names them.
 _CLEAR = {"uav": "UAVs", "rod": "rods", "payload": "payload"}
 _COLOURS = {"completed": "green", "diverged": "red", "aborted": "red", "unknown": "yellow"}
@@ -77,11 +72,7 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     if len(faults) > _SHOWN_FAULTS:
         shown.append((" " * 8, f"and {len(faults) - _SHOWN_FAULTS} more in summary.json"))
     for i, (time_s, text) in enumerate(shown):
-        entry = Table.grid(padding=(0, 2))  # a long text goes on below its beginning
-        entry.add_column(no_wrap=True)
-        entry.add_column()
-        entry.add_row(time_s, Text(text))
-        table.add_row("" if i else "faults", entry)
+        table.add_row("" if i else "faults", Text(f"{time_s}  {text}"))
     if summary["log_cut"]:
         table.add_row("log", Text(summary["log_cut"]))
     return table
@@ -117,7 +108,9 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         largest = f", payload at most {max(errors_m):.3f} m away" if errors_m else ""
         yield "targets", f"{len(errors_m)} of {len(targets)} reached{largest}"
     if cables := summary.get("cables"):
-        yield "cables", f"{_text(cables['tension_min_N'], 'min tension {:.2f} N')}, {_slack(cables)}"
+        slack = "slack {slack} times, at most {slack_longest_s:.2f} s, {slack_at_end} slack at the end".format(**cables)
+        tension = _text(cables["tension_min_N"], "min tension {:.2f} N")
+        yield "cables", f"{tension}, {slack if cables['slack'] else 'never slack'}"
     if found := summary.get("estimate"):
         accuracy = f"payload rms {found['position_rms_m']:.3f} m, {found['attitude_rms_deg']:.2f} deg"
         yield "estimate", f"{accuracy}; NEES {found['nees']:.1f} of 6, NIS {_text(found['nis'], '{:.2f}')} of 1"
@@ -126,8 +119,7 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "clearance", ", ".join(f"{_text(clear[key], '{:.3f} m')} {of}" for key, of in _CLEAR.items())
     share = summary["constraint_violation_max"]
     held = share is not None and share < HELD
-    exceeded = None if share is None else 100.0 * share
-    yield "limits", "held" if held else _text(exceeded, "exceeded by {:.2g} % of their range")
+    yield "limits", "held" if held else _text(share, "exceeded by {:.2%} of their range")
     yield "integration", _text(summary["local_error_max"], "largest local error {:.1e}")
     yield "agent step", _milliseconds(summary["agent_step_ms"])
     yield "rest of tick", _milliseconds(summary["rest_of_tick_ms"])
@@ -138,22 +130,9 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "deadlines", f"{missed}; ticks opened late: {_milliseconds(deadline['tick_late_ms'])}"
     yield "plans", _plans(summary["messages"], summary["plan_age_ticks"])
     yield "solver", "{fallbacks} fallbacks, {failures} failures".format(**summary["solver"])
-    if summary["rejections"]:  # the total, and the sender of most rejected messages
-        counts: Counter[str] = Counter()
-        for entry in summary["rejections"]:
-            counts[entry["sender"]] += entry["count"]
-        sender, most = counts.most_common(1)[0]
-        why = next(entry["reason"] for entry in summary["rejections"] if entry["sender"] == sender)
-        total = summary["messages"]["rejected"]
-        yield "rejected", f"{total} messages, {most} from {sender} ({why.replace('_', ' ')})"
-
-
-def _slack(cables: Mapping[str, Any]) -> str:
-    times, left = cables["slack"], cables["slack_at_end"]
-    if not times:
-        return "never slack"
-    end = f"{left} slack at the end" if left else "all taut again"
-    return f"slack {times} time{'s' * (times > 1)}, at most {cables['slack_longest_s']:.2f} s, {end}"
+    if summary["rejections"]:
+        most = "{count} from {sender} to {by} ({reason})".format(**summary["rejections"][0])
+        yield "rejected", f"{summary['messages']['rejected']} messages, {most}"
 
 
 def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:

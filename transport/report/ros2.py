@@ -65,7 +65,7 @@ class GoalError(ValueError):
 def goal_in(data: bytes) -> Array:
     """Return the position of a geometry_msgs/PoseStamped in CDR in the inertial frame, (3,), m.
 
-    Raises: GoalError: it is none, is in another frame than "inertial", none, or "map", or is not finite.
+    Raises: GoalError: it is none, in another frame than "inertial", none, or "map", or not finite.
     """
     try:
         goal: Any = types().deserialize_cdr(data, TARGET[1])
@@ -81,16 +81,12 @@ def goal_in(data: bytes) -> Array:
 
 
 class Ros2Messages:
-    """Messages about the ticks of one run, whose history may grow.
-
-    Attributes:
-        topics: Type of each topic.
-    """
+    """Messages about the ticks of one run, whose history may grow; `topics` has the type of each topic."""
 
     def __init__(self, builder: SceneBuilder) -> None:
         self._builder, self._drawing = builder, Drawing(builder)
         self.period_ns, self.speed = builder.setup.period_ns, builder.setup.scenario.clock.speed
-        uavs = [f"uav{i + 1}" for i in range(builder.setup.system.N)]
+        uavs = self._uavs = [f"uav{i + 1}" for i in range(builder.setup.system.N)]
         self.topics = {"/tf": "tf2_msgs/msg/TFMessage", "/markers": "visualization_msgs/msg/MarkerArray"}
         self.topics |= {f"/{body}/pose": f"{_GEOMETRY}/PoseStamped" for body in [PAYLOAD, *uavs, "reference"]}
         self.topics |= {f"/{body}/twist": f"{_GEOMETRY}/TwistStamped" for body in [PAYLOAD, *uavs]}
@@ -100,16 +96,11 @@ class Ros2Messages:
     def states(self, tick: int, at_ns: int) -> Iterator[tuple[str, bytes]]:
         """Yield topic and bytes of poses and twists at a tick, stamped with a time, ns."""
         setup, x = self._builder.setup, self._builder.history.plant_states[tick].x
-        view, places = StateView(x), setup.model.outputs(x)[: 3 * setup.system.N].reshape(-1, 3)
-        bodies = zip(
-            [PAYLOAD, *(f"uav{i + 1}" for i in range(setup.system.N))],
-            [view.r0_I, *places],
-            map(rotation, [view.Theta0, *view.Theta]),
-            setup.model.velocities(x).reshape(-1, 3),
-            [view.omega0_P, *view.omega_B],
-            strict=True,
-        )
-        for name, place, R, velocity, rates in bodies:
+        view, uavs_I = StateView(x), setup.model.outputs(x)[: 3 * setup.system.N].reshape(-1, 3)
+        places, turns = [view.r0_I, *uavs_I], map(rotation, [view.Theta0, *view.Theta])
+        speeds, spins = setup.model.velocities(x).reshape(-1, 3), [view.omega0_P, *view.omega_B]
+        names = [PAYLOAD, *self._uavs]
+        for name, place, R, velocity, rates in zip(names, places, turns, speeds, spins, strict=True):
             yield self._told(f"/{name}/pose", _stamped(at_ns) | {"pose": pose_fields(place, R)})
             twist = {"linear": point_fields(velocity), "angular": point_fields(R @ rates)}
             yield self._told(f"/{name}/twist", _stamped(at_ns) | {"twist": twist})
@@ -129,7 +120,7 @@ class Ros2Messages:
             transform = {"translation": place["position"], "rotation": place["orientation"]}
             transforms.append(_stamped(at_ns, parent) | {"child_frame_id": child, "transform": transform})
         yield self._told("/tf", {"transforms": transforms})
-        parts: list[Part] = [lines for lines in self._drawing.moving(scene, flown=False) if len(lines.segments)]
+        parts: list[Part] = [lines for lines in self._drawing.moving(scene) if len(lines.segments)]
         markers = [_marker(part, at_ns, poses) for part in [*parts, *(self._drawing.fixed if fixed else ())]]
         yield self._told("/markers", {"markers": markers})
 
@@ -147,10 +138,7 @@ def _stamped(at_ns: int, frame: str = INERTIAL) -> Fields:
 
 
 def _marker(part: Part, at_ns: int, frames: Mapping[str, Any]) -> Fields:
-    """Return a part of the drawing as a marker, which moves with its frame and replaces the last of its name.
-
-    A part without a frame, such as that of a UAV that has left, is deleted.
-    """
+    """Return a part as a marker, which moves with its frame; one without a frame, as of a UAV that left, is deleted."""
     marker = _stamped(at_ns, part.frame) | {"ns": f"{part.frame}/{part.name}", "frame_locked": True}
     match part:
         case _ if part.frame not in frames:
@@ -171,10 +159,7 @@ def _marker(part: Part, at_ns: int, frames: Mapping[str, Any]) -> Fields:
 
 
 def write_bag(builder: SceneBuilder, log: RunLog, out: Path) -> int:
-    """Write a recorded run as an MCAP file for ROS 2, stamped with scenario time; return the number of ticks.
-
-    Raises: OSError: it cannot be written.
-    """
+    """Write a recorded run as an MCAP file for ROS 2, stamped with scenario time; return the number of ticks."""
     messages, ticks, schemas = Ros2Messages(builder), sorted(builder.history.plant_states), {}
     for topic, kind in messages.topics.items():
         definition = types().generate_msgdef(kind, ros_version=2)[0].encode()

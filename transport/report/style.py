@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
-from matplotlib.transforms import Bbox, ScaledTranslation
+from matplotlib.transforms import ScaledTranslation
 
 from protocol.scenario.setup import Setup
 
@@ -39,18 +39,15 @@ MARKER = 3.2  # size, points
 # Marker of a diverged run, in every figure: hollow.
 DIVERGED: Any = {"markerfacecolor": "#ffffff", "linestyle": "none"}
 
-_THINNEST = 1.0
 # Fields of files that name program and date.
 _UNNAMED = {".png": ("Software",), ".svg": ("Date", "Creator"), ".pdf": ("CreationDate", "Creator", "Producer")}
-# Margin around a cropped drawing, inches.
-_MARGIN_IN = 0.03
 # Names of phases: distance from the panel, points; width of a letter, in font sizes.
 _ABOVE_PT, _LETTER = 11.0, 0.62
 
 
 def line_width(i: int, count: int, widest: float) -> float:
     """Return the width of curve i in points: decreasing, so that curves that coincide stay visible."""
-    return _THINNEST if count == 1 else widest - (widest - _THINNEST) * i / (count - 1)
+    return 1.0 if count == 1 else widest - (widest - 1.0) * i / (count - 1)
 
 
 def shade_phases(setup: Setup, panels: list[Axes], until_s: float, *, named: bool = True) -> None:
@@ -86,21 +83,12 @@ def scale_cost(axes: Axes, top: float, decades: int) -> None:
         axes.set_ylim(top * 10.0**-decades, top * 2.0)
 
 
-def drawing_box(figure: Figure) -> Bbox:
-    """Return the whole width of a figure and the height of its drawing, with a margin, inches."""
-    figure.draw_without_rendering()
-    drawn = figure.get_tightbbox()
-    return Bbox.from_extents(0.0, drawn.y0 - _MARGIN_IN, figure.get_figwidth(), drawn.y1 + _MARGIN_IN)
-
-
-def save(figure: Figure, path: Path, *, cropped: bool = False, pdf: bool = False) -> list[Path]:
-    """Write a figure as PNG and SVG, with `pdf` as PDF too, perhaps cropped to its drawing; return the files.
+def save(figure: Figure, path: Path, *, pdf: bool = False) -> list[Path]:
+    """Write a figure as PNG and SVG, with `pdf` as PDF too; return the files.
 
     The files are without program and date: equal figures give equal files.
     """
-    box = drawing_box(figure) if cropped else None
     files = [path.with_suffix(ending) for ending in _UNNAMED if pdf or ending != ".pdf"]
     for file in files:
-        metadata = dict.fromkeys(_UNNAMED[file.suffix])
-        figure.savefig(file, metadata=metadata, bbox_inches=box, dpi=RC["savefig.dpi"])
+        figure.savefig(file, metadata=dict.fromkeys(_UNNAMED[file.suffix]), dpi=RC["savefig.dpi"])
     return files

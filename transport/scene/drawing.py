@@ -25,7 +25,6 @@ Pose = tuple[Array, Array]  # position, (3,), and rotation to the inertial frame
 # For colour-blind readers and print in grey (after Okabe and Ito 2008), repeated with other line styles.
 UAV_COLOURS = ("#004488", "#C24E00", "#009E73", "#E08BBC", "#7F5F00")
 _LINE_STYLES = ("-", "--", ":", "-.")
-
 # Ages of plans and their colours (docs/viewer.md), that of a fresh one first; dark if older, or without any plan.
 _FRESH_S, _AGES_S, _OLDEST_S = 0.1, (0.2, 0.5), 1.0
 _AGE_COLOURS = ((154, 154, 154), (230, 159, 0), (178, 24, 43))
@@ -39,18 +38,17 @@ ROOT = "map"
 UPSIDE_DOWN: Pose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 
 _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150), (0, 0, 0)
-_GROUND, _OBSTACLE = (225, 222, 214), (196, 120, 60)
+_OBSTACLE = (196, 120, 60)
 # Arm length, rotor radius, beam and body thickness of a drawn quadrotor, in parts of its span (rotor tip to rotor tip).
 _ARM, _ROTOR, _BEAM, _BODY = 0.31, 0.17, 0.02, 0.06
 _SPAN_M, _SPAN_OF_GAP = 0.9, 0.7  # its span, m, and at most this part of the smallest gap between UAVs
 _PLATE_M, _CORE_M = 0.12, 0.15  # thickness of the drawn payload, and its least half width, m
 ARROW_M, _HEAD_M = 0.6, 0.05  # length of a thrust arrow at hover, and of its head, m
-_GOAL_M, _GROUND_M = 0.07, 0.02  # radius of the reference, and thickness of the ground, m
+_GOAL_M, _THIN_M = 0.07, 0.02  # radius of the reference, and least size of an obstacle, m
 _BELOW_M = 0.5  # distance of the plane below everything where there is no ground, m
 _ENDLESS_M, _BEYOND_M = 1e4, 1.0  # half size of an endless obstacle, and how far beyond the maneuver it is drawn, m
 _POINTS, _POINTS_REFERENCE = 160, 120  # of a flown and of a reference path
 _POINTS_TARGET, _DRAWN_TARGETS = 30, 20  # points of the reference to a target, and targets drawn with them
-_DASHES, _TRACE = 8, 0.15  # dashes of half a link, whose gaps are the share of lost plans, and what is left of them
 _SQUARE = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
 
 
@@ -103,8 +101,8 @@ class Drawing:
         everything = np.vstack([payload_I, uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * ARROW_M])])
         self.low, self.high = everything.min(axis=0), everything.max(axis=0)
         self.size = float(np.linalg.norm(self.high - self.low))
-        self._ground_m = self._setup.scenario.plant.ground_m
-        self.floor = float(self.high[2]) + _BELOW_M if self._ground_m is None else self._ground_m
+        ground_m = self._setup.scenario.plant.ground_m
+        self.floor = float(self.high[2]) + _BELOW_M if ground_m is None else ground_m
         gap_m = pdist(builder.start_I).min(initial=np.inf)
         margins_m = [2.0 * obstacle.margin_m for obstacle in self._setup.obstacles]
         self.span = min([_SPAN_M, _SPAN_OF_GAP * float(gap_m), *margins_m])
@@ -145,13 +143,11 @@ class Drawing:
                 poses[f"rod{i + 1}"] = scene.attachments_I[i], turn.as_matrix()
         return poses
 
-    def moving(self, scene: Scene, *, flown: bool = True) -> Iterator[Lines]:
-        """Yield the lines of a scene, with `flown` the actual paths too, after a new target those of the reference."""
+    def moving(self, scene: Scene) -> Iterator[Lines]:
+        """Yield the lines of a scene but the actual paths, after a new target those of the reference too."""
         targets = len(self._builder.setup.maneuver.targets)
         if targets != self._targets:
             self._targets, self.fixed = targets, tuple(self._fixed())
-            if self._ground_m is None:
-                self.floor = max(self.floor, float(self._reference()[0][:, 2].max()) + _BELOW_M)
             yield from self._reference_lines()
         team_I, owned = scene.uavs_I.mean(axis=0), self._setup.owned
         yield _lines("thrust", TEAM, "thrust", 3.0, self._arrows(scene))
@@ -163,8 +159,6 @@ class Drawing:
             payload.append((uav_colour(own[0]), _segments(found.payload_I - scene.payload_I)))
         yield _lines("predicted UAVs", TEAM, "predictions", 4.0, uavs)
         yield _lines("predicted payload", LOAD, "predictions", 4.0, payload)
-        if flown:
-            yield self.flown(scene)
 
     def flown(self, scene: Scene) -> Lines:
         """Return the actual paths until a scene."""
@@ -183,21 +177,20 @@ class Drawing:
                 yield uav_colour(i), np.array([(place, tip), *((tip, barb) for barb in barbs)])
 
     def _links(self, scene: Scene) -> Iterator[tuple[Colour, Array]]:
-        """Yield the links in the frame of the team: the half next to the receiver, with gaps by packet loss."""
+        """Yield the links in the frame of the team: the half next to the receiver."""
         positions = np.array([scene.uavs_I[list(uavs)].mean(axis=0) for uavs in self._setup.owned])
         positions -= scene.uavs_I.mean(axis=0)
-        for link in scene.links:
-            near, far = positions[link.receiver - 1], positions[link.sender - 1]
-            drawn, dashes = max(1.0 - link.loss, _TRACE), _DASHES if link.loss else 1
-            ends = (np.arange(dashes)[:, None] + 0.5 + np.array([-0.5, 0.5]) * drawn) / dashes / 2.0
-            colour = age_colour(link.age_s, self._setup.settings.sampling_period_s)
-            yield colour, near + ends[..., None] * (far - near)
+        for sender, receiver, age_s in scene.links:
+            near, far = positions[receiver - 1], positions[sender - 1]
+            colour = age_colour(age_s, self._setup.settings.sampling_period_s)
+            yield colour, np.array([(near, (near + far) / 2.0)])
 
     def _fixed(self) -> Iterator[Part]:
         system, start_I = self._setup.system, self._builder.start_I
+        grounded = self._setup.scenario.plant.ground_m is not None
         yield from self._reference_lines()
         yield _solid("reference position", GOAL, _ball(_GOAL_M), _REFERENCE, layer="reference")
-        yield _solid("body", PAYLOAD, payload_points(system, grounded=self._ground_m is not None), _PAYLOAD)
+        yield _solid("body", PAYLOAD, payload_points(system, grounded=grounded), _PAYLOAD)
         outwards = start_I - start_I.mean(axis=0)  # where names stand: outside the formation
         outwards *= 0.3 / np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), 1e-6)
         for i, uav in enumerate(system.uavs):
@@ -207,10 +200,6 @@ class Drawing:
             place = outwards[i] - np.array([0.0, 0.0, 0.1])
             yield Label("name", f"uav{i + 1}", "names", f"UAV{i + 1}", place, uav_colour(i))
         yield from obstacles(self._setup, self.low, np.array([*self.high[:2], self.floor]))
-        if self._ground_m is not None:
-            middle, width = np.round((self.low + self.high)[:2] / 2.0), np.ceil(0.7 * self.size)
-            below = self._ground_m + np.array([1.0, 2.0]) * _GROUND_M  # below the grid of the viewer
-            yield _solid("ground", INERTIAL, _prism(middle + width * _SQUARE, *below), _GROUND)
 
     def _uav(self, frame: str, colour: Colour) -> Iterator[Mesh]:
         """Yield body, beams and rotors of a quadrotor; its front rotors are dark."""
@@ -253,7 +242,7 @@ def obstacles(setup: Setup, low: Array, high: Array) -> Iterator[Mesh]:
     for k, solid in enumerate(solid for obstacle in setup.obstacles for solid in obstacle.solids):
         seen, endless = (corners - solid.centre_I) @ solid.R, solid.half > _ENDLESS_M
         near = np.where(endless, np.maximum(seen.min(axis=0), -solid.half), -solid.half)
-        far = np.where(endless, np.maximum(np.minimum(seen.max(axis=0), solid.half), near + _GROUND_M), solid.half)
+        far = np.where(endless, np.maximum(np.minimum(seen.max(axis=0), solid.half), near + _THIN_M), solid.half)
         ends = np.array(list(product(*zip(near, far, strict=True))))
         around = _disc(solid.radius, 0.0) if endless[2] else _ball(solid.radius)
         points = ends[:, None] + (around if solid.radius else np.zeros((1, 3)))

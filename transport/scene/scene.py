@@ -1,9 +1,8 @@
-"""The scene of a run at a tick: poses, predicted paths, links and agents; arrays only, no drawing, no clock."""
+"""A run by tick, as far as its log has been read: messages, poses, predicted paths, links; no drawing, no clock."""
 
-from contextlib import suppress
-from copy import copy
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -12,15 +11,72 @@ from agent.announced import AnnouncedInputs
 from model.arrays import Array
 from model.rotations import rotation
 from model.state import INPUTS, StateView
-from mpc.feedback import FeedbackError, FeedbackLaw
+from mpc.feedback import FeedbackLaw
 from mpc.regulation import Ahead, Regulation
 from mpc.tracking import rollout
 from plant.schedule import FAIL_SAFE
+from protocol.scenario.links import words_of
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
-from protocol.wire.messages import StepReport
+from protocol.scenario.targets import target_in_words, with_targets
+from protocol.wire.messages import Control, FaultNote, LinkChange, Message, Plan, PlantState, Roster, StepReport, Target
 from transport.log.run_log import LogError, RunLog
-from transport.scene.history import LinkHistory, LinkState, RunHistory
+
+# Kinds of messages that a history keeps.
+KINDS = frozenset(kind.kind for kind in (PlantState, Plan, StepReport, LinkChange, Target, Roster, FaultNote, Control))
+
+
+class RunHistory:
+    """Messages of one run; grows while a live run is read."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup  # with the targets so far
+        self.plant_states: dict[int, PlantState] = {}  # by tick, which can be shown once its plant state is here
+        self.first, self.last = 0, -1  # ticks from and until which can be shown
+        self.plans: dict[tuple[int, int], Plan] = {}  # by agent and tick, as the reports of steps
+        self.reports: dict[tuple[int, int], StepReport] = {}
+        self._changes = 0  # number of changes of links
+        self.control: Control | None = None  # the coordinator's message about the end
+        self.events: list[tuple[int, str]] = []  # ticks and sentences about faults, links and roster
+        self._rosters: list[Roster] = []
+
+    def add(self, messages: Iterable[Message]) -> None:
+        """Add messages; skip those that do not fit the run."""
+        for message in messages:
+            match message:
+                case PlantState() if message.x.shape == self.setup.hover.x.shape:
+                    self.first = min(self.first, message.tick) if self.plant_states else message.tick
+                    self.last = max(self.last, message.tick)
+                    self.plant_states[message.tick] = message
+                case Plan(negotiation=0):
+                    self.plans[message.agent, message.tick] = message
+                case StepReport():
+                    self.reports[message.agent, message.tick] = message
+                case LinkChange() if message.number == self._changes + 1:
+                    self._changes += 1
+                    self.events.append((message.tick, words_of(message)))
+                case Target() if message.number == len(self.setup.maneuver.targets) + 1:
+                    self.setup = with_targets(self.setup, [message])
+                    self.events.append((message.tick, target_in_words(message)))
+                case Roster():
+                    self._rosters.append(message)
+                    if message.version > 1 and not message.reason.startswith(("links ", "target (")):
+                        self.events.append((message.tick, message.reason))
+                case FaultNote():
+                    self.events.append((message.tick, f"{message.target} {message.what}"))
+                case Control():
+                    self.control = message
+
+    def nearest(self, tick: int) -> int:
+        """Return the newest recorded tick up to `tick`, or the first one; at least one must be recorded."""
+        if tick in self.plant_states:
+            return tick
+        return max((recorded for recorded in self.plant_states if recorded < tick), default=self.first)
+
+    def roster(self, tick: int) -> Roster | None:
+        """Return the roster at a tick; None while none is known."""
+        known = [roster for roster in self._rosters if roster.tick <= tick]
+        return max(known, key=lambda roster: roster.version, default=None)
 
 
 class PredictedPaths(NamedTuple):
@@ -46,7 +102,8 @@ class Scene:
     attachments_I: Array  # of the rods to the payload, (N, 3)
     thrusts_I: Array  # forces, (N, 3), N
     predictions: tuple[PredictedPaths, ...]  # of the agents that made a plan at this tick
-    links: tuple[LinkState, ...]  # between agents
+    # Sender, receiver and age, s, of the sender's newest plan that the receiver used; None if it used none.
+    links: tuple[tuple[int, int, float | None], ...]
     members: frozenset[int]  # agents on the roster
     reports: tuple[StepReport | None, ...]  # of all agents
     error_m: float  # distance of the payload from its reference
@@ -60,12 +117,13 @@ class SceneBuilder:
     """Builder of the scenes of one run, whose history may grow."""
 
     def __init__(self, setup: Setup, history: RunHistory) -> None:
-        self.history, self.link_history = history, LinkHistory(history)
+        self.history = history
         # Positions of the UAVs at the start of the reference, (N, 3), m, and mean thrust of a UAV at hover, N.
         self.start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N].reshape(-1, 3)
         self.hover_N = float(np.mean(setup.hover.u[::INPUTS]))
         self._cost = StageCost(setup)
-        self._newest: tuple[Ahead, Regulation] | None = None
+        self._regulation: Regulation | None = None
+        self._ahead: Ahead | None = None  # of the newest target that it follows
         self._positions: dict[int, Array] = {}
 
     @property
@@ -102,7 +160,7 @@ class SceneBuilder:
             attachments_I=np.array([view.r0_I + R_payload @ uav.rho for uav in setup.system.uavs]),
             thrusts_I=-plant_state.u[::INPUTS, None] * R_uavs[:, :, 2],
             predictions=self._predictions(tick),
-            links=self.link_history.states(tick),
+            links=self._links(tick),
             members=frozenset(setup.agents if roster is None else roster.agents),
             reports=tuple(history.reports.get((agent, tick)) for agent in setup.agents),
             error_m=error_m,
@@ -111,6 +169,16 @@ class SceneBuilder:
             fail_safe=tuple(i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE),
             released=() if roster is None else tuple(roster.released),
         )
+
+    def _links(self, tick: int) -> tuple[tuple[int, int, float | None], ...]:
+        ages = {
+            (peer, receiver): age * self.setup.settings.sampling_period_s
+            for receiver in self.setup.agents
+            if (report := self.history.reports.get((receiver, tick))) is not None
+            for peer, age in zip(report.peers, report.plan_ages, strict=True)
+            if age >= 0
+        }
+        return tuple((*ends, ages.get(ends)) for ends in permutations(self.setup.agents, 2))
 
     def error_and_cost(self, tick: int) -> tuple[float, float]:
         """Return the payload's distance from its reference, m, and the stage cost, at a recorded tick."""
@@ -149,7 +217,7 @@ class SceneBuilder:
 
         None without a plan of that tick, and while an agent or UAV is off the roster.
         """
-        history, setup = self.history, self.history.setup_at(tick)
+        history, setup = self.history, self.setup
         own, plant_state, roster = history.plans.get((agent, tick)), history.plant_states[tick], history.roster(tick)
         if own is None or (roster is not None and (set(roster.agents) != set(setup.agents) or roster.off)):
             return None
@@ -165,7 +233,7 @@ class SceneBuilder:
             for peer, age in zip(report.peers, report.plan_ages, strict=True):
                 if age >= 0 and (used := history.plans.get((peer, tick - age))) is not None:
                     announced.add(used)
-        law, regulation = None, self._following(setup)
+        law, regulation = None, self._law()
         if regulation is not None:
             c = announced.corrections(tick, steps, tick + 1)
             law = regulation.law(z0, setup.X_ref[tick : tick + steps], c, forces, tick)
@@ -178,22 +246,14 @@ class SceneBuilder:
             law = FeedbackLaw(K=np.zeros((U.shape[1], len(z0))), u_rest=U, error=none, feedforward=0.0 * U, c=0.0 * U)
         return rollout(setup.model, setup.settings, z0, law, forces)[0][:, : len(x)]
 
-    @cached_property
-    def _regulation(self) -> Regulation | None:
-        """The shared control law of the team; None with open-loop prediction or a controller of the user."""
-        setup = self.history.begun
+    def _law(self) -> Regulation | None:
+        """Return the shared control law of the team; None with open-loop prediction or a controller of the user."""
+        setup = self.setup
         if setup.settings.prediction != "closed_loop" or setup.scenario.agents.controller != "mpc":
             return None
-        with suppress(FeedbackError):
-            return Regulation(setup.model, setup.hover, setup.settings, setup.X_ref, setup.track)
-        return None
-
-    def _following(self, setup: Setup) -> Regulation | None:
-        """Return the shared control law with the targets of a run."""
-        if self._regulation is None or setup.ahead is None:
-            return self._regulation
-        if self._newest is None or self._newest[0] is not setup.ahead:
-            found = copy(self._regulation)
-            found.head(setup.X_ref, setup.ahead)
-            self._newest = setup.ahead, found
-        return self._newest[1]
+        if self._regulation is None:
+            self._regulation = Regulation(setup.model, setup.hover, setup.settings, setup.X_ref, setup.track)
+        elif setup.ahead is not None and setup.ahead is not self._ahead:
+            self._regulation.head(setup.X_ref, setup.ahead)
+        self._ahead = setup.ahead
+        return self._regulation

@@ -11,15 +11,10 @@ from transport.scene.scene import Scene
 
 _TABLE = "font-size:12px;border-collapse:collapse;font-variant-numeric:tabular-nums;margin:4px 8px"
 _CELL = "padding:1px 4px;white-space:nowrap"
-_ALARM = "color:#b2182b"
+_ALARM: Colour = (178, 24, 43)
 # Ages in the legend, s.
 _AGES = ((0.0, "fresh"), (0.2, "0.2 s"), (0.5, "0.5 s"))
 _SHOWN_EVENTS = 5
-
-
-def image(source: str) -> str:
-    """Return an invisible image, which a page asks the server for."""
-    return f'<img src="{source}" alt="" style="display:none">'
 
 
 def notice(text: str, *, warning: bool) -> str:
@@ -32,15 +27,15 @@ def notice(text: str, *, warning: bool) -> str:
 def flight(scene: Scene, duration_s: float) -> str:
     """Return a table of time, phase, cost, attitude and position error of the payload."""
     roll, pitch, yaw = scene.attitude_deg
-    rows = {
-        "time": f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}",
-        "stage cost": f"{scene.cost:.5f}",
-        "payload": f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg",
-        "payload error": f"{scene.error_m:.3f} m",
-    }
-    if scene.fail_safe:
-        rows["fail-safe"] = ", ".join(f"UAV{uav}" for uav in scene.fail_safe)
-    return _table(_row(_cell(name, "color:#666"), _cell(text)) for name, text in rows.items())
+    return _table(
+        [
+            ("time", f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}"),
+            ("stage cost", f"{scene.cost:.5f}"),
+            ("payload", f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg"),
+            ("payload error", f"{scene.error_m:.3f} m"),
+            ("fail-safe", ", ".join(f"UAV{uav}" for uav in scene.fail_safe) or "-"),
+        ]
+    )
 
 
 def target(place_I: Array, arrives_s: float, scene: Scene) -> str:
@@ -53,22 +48,18 @@ def target(place_I: Array, arrives_s: float, scene: Scene) -> str:
 def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str:
     """Return a table with a row per agent: step time, ages of the measurement and of each plan it used."""
     numbers = range(1, len(owned) + 1)
-    peers = numbers if len(owned) > 1 else ()
-    titles = ["agent", "step", "measured", *(f"from {peer}" for peer in peers)]
-    rows = [_row(*(_cell(title, "color:#666;text-align:right") for title in titles))]
+    rows = [["agent", "step", "measured", *(f"from {peer}" for peer in numbers)]]
     for agent, uavs, report in zip(numbers, owned, scene.reports, strict=True):
-        name = _cell(f"{_coloured('&#9632;', uav_colour(uavs[0]))} {agent}")
+        name = f"{_coloured('&#9632;', uav_colour(uavs[0]))} {agent}"
         if report is None or agent not in scene.members:
-            rows.append(_row(name, _cell("no step" if agent in scene.members else "off the roster", _ALARM, span=9)))
+            rows.append([name, _coloured("none" if agent in scene.members else "off", _ALARM)])
             continue
-        step = f"{float(report.times_ms[-1]):.1f}"
-        if report.status != "solved":
-            step = f'<span style="{_ALARM}">{escape(report.status)}</span>'
+        solved = report.status == "solved"
+        step = f"{report.times_ms[-1]:.1f}" if solved else _coloured(escape(report.status), _ALARM)
         ages = dict(zip(report.peers, report.plan_ages, strict=True))
-        used = ("" if peer == agent else _age(ages.get(peer, -1), period_s, usual=1) for peer in peers)
-        cells = (step, _age(report.measurement_age, period_s, usual=0), *used)
-        rows.append(_row(name, *(_cell(cell, "text-align:right") for cell in cells)))
-    units = _small("step time in ms; age of the measurement and of each plan used, in s")
+        used = (_age(ages.get(peer, -1), period_s, usual=1) for peer in numbers)
+        rows.append([name, step, _age(report.measurement_age, period_s, usual=0), *used])
+    units = _small("step time in ms; age of the measurement and of each plan used, in s; off: not on the roster")
     return f'<div style="overflow-x:auto">{_table(rows)}</div>{units}'
 
 
@@ -84,7 +75,7 @@ def legend() -> str:
     ages = " ".join(f"{_coloured('&#9644;', colour)} {text}" for colour, text in colours)
     return _small(
         f"age of the plan in use:<br>{ages}<br>"
-        "the half of a link next to a UAV shows the plans it receives; gaps: packet loss in the last second<br>"
+        "the half of a link next to a UAV shows the plans it receives<br>"
         "coloured lines: paths that each agent predicts for its UAVs and the payload; arrows: thrust<br>"
         "grid squares of 1 m; axes below the start: x red, y green, z (down) blue"
     )
@@ -98,16 +89,9 @@ def _age(ticks: int, period_s: float, usual: int) -> str:
     return text if ticks <= usual else _coloured(f"<b>{text}</b>", age_colour(ticks * period_s, period_s))
 
 
-def _table(rows: Iterable[str]) -> str:
-    return f'<table style="{_TABLE}">{"".join(rows)}</table>'
-
-
-def _row(*cells: str) -> str:
-    return f"<tr>{''.join(cells)}</tr>"
-
-
-def _cell(text: str, style: str = "", span: int = 1) -> str:
-    return f'<td style="{_CELL};{style}" colspan="{span}">{text}</td>'
+def _table(rows: Iterable[Iterable[str]]) -> str:
+    cells = ("".join(f'<td style="{_CELL}">{cell}</td>' for cell in row) for row in rows)
+    return f'<table style="{_TABLE}">{"".join(f"<tr>{row}</tr>" for row in cells)}</table>'
 
 
 def _small(text: str) -> str:

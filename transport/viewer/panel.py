@@ -1,5 +1,7 @@
 """Panel of the viewer: playback, numbers, plots and layers, and for live runs the controls of the run."""
 
+import time
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Any
 
@@ -7,21 +9,17 @@ import numpy as np
 
 from model.arrays import Array
 from model.state import INPUTS
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import agent_name
 from transport.flight.live import Commands
 from transport.scene.drawing import LAYERS, uav_style
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
-from transport.viewer.controls import LinkControls, TargetControls, add_processes, from_browser
 from transport.viewer.view3d import View3D
 
-_WHOLE, _TEAM = "whole path", "team"
-# Playback speeds by label.
-_SPEEDS = {f"{speed:g} x": speed for speed in (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)}
-# Time axis, s; points of a curve.
-_SPAN_S, _POINTS = 30.0, 200
-_HEIGHT_PX = 120
-# Smaller costs are rounding errors.
-_LEAST_COST = 1e-8
+_SPAN_S, _POINTS, _HEIGHT_PX = 30.0, 200, 120  # of a plot: time axis, points of a curve, height
+_LEAST_COST = 1e-8  # smaller ones are rounding errors
+_TYPED_S = 0.3  # a page sends what is typed later than a click, by less
 
 
 class Playback:
@@ -59,11 +57,7 @@ class Playback:
 
 
 class Plots:
-    """Four plots in the panel of the viewer; lines have the colours of the UAVs.
-
-    They show the seconds before the shown tick, by the time before it, as the browser does not move a time axis with
-    its data.
-    """
+    """Four plots of the seconds before the shown tick, by the time before it: a browser moves no axis with its data."""
 
     def __init__(self, gui: Any, builder: SceneBuilder) -> None:
         setup = builder.setup
@@ -72,13 +66,12 @@ class Plots:
         agents = [uav_style(owned[0])["color"] for owned in setup.owned]
         uavs = [uav_style(i)["color"] for i in range(setup.system.N)]
         # Title, colours, and the least range of the axis: that of a single value would be any.
-        kinds: tuple[tuple[str, list[str], tuple[float, float]], ...] = (
-            ("payload error (m)", ["#000000"], (0.0, 0.01)),
-            ("stage cost (power of ten)", ["#000000"], (-6.0, -3.0)),
-            ("oldest plan in use, by agent (s)", agents, (0.0, 2.0 * self._period_s)),
-            ("thrust, by UAV (N)", uavs, (0.98 * builder.hover_N, 1.02 * builder.hover_N)),
-        )
-        self._plots = [_plot(gui, *kind) for kind in kinds]
+        self._plots = [
+            _plot(gui, "payload error (m)", ["#000000"], (0.0, 0.01)),
+            _plot(gui, "stage cost (power of ten)", ["#000000"], (-6.0, -3.0)),
+            _plot(gui, "oldest plan in use, by agent (s)", agents, (0.0, 2.0 * self._period_s)),
+            _plot(gui, "thrust, by UAV (N)", uavs, (0.98 * builder.hover_N, 1.02 * builder.hover_N)),
+        ]
 
     def show(self, tick: int) -> None:
         """Show the curves until a recorded tick."""
@@ -104,16 +97,12 @@ class Plots:
 def _plot(gui: Any, title: str, colours: list[str], least: tuple[float, float]) -> Any:
     # A range in uPlot's words: wider where the curves are.
     range_y = {end: {"pad": 0.1, "soft": soft, "mode": 1} for end, soft in zip(("min", "max"), least, strict=True)}
-    return gui.add_uplot(
-        (np.array([-_SPAN_S, 0.0]), *(np.full(2, np.nan) for _ in colours)),
-        ({"label": "time before the shown tick (s)"}, *({"stroke": colour, "width": 1.5} for colour in colours)),
-        title=title,
-        scales={"x": {"time": False, "auto": False, "range": [-_SPAN_S, 0.0]}, "y": {"range": range_y}},
-        axes=tuple({"size": size, "font": "10px sans-serif"} for size in (26, 46)),
-        legend={"show": False},
-        cursor={"show": False},
-        height=_HEIGHT_PX,
-    )
+    scales = {"x": {"time": False, "auto": False, "range": [-_SPAN_S, 0.0]}, "y": {"range": range_y}}
+    axes = tuple({"size": size, "font": "10px sans-serif"} for size in (26, 46))
+    data = (np.array([-_SPAN_S, 0.0]), *(np.full(2, np.nan) for _ in colours))
+    lines = ({"label": "time before the shown tick (s)"}, *({"stroke": colour, "width": 1.5} for colour in colours))
+    look = {"legend": {"show": False}, "cursor": {"show": False}, "height": _HEIGHT_PX}
+    return gui.add_uplot(data, lines, title=title, scales=scales, axes=axes, **look)
 
 
 class Panel:
@@ -131,22 +120,21 @@ class Panel:
         self._notice = gui.add_html("")
         self._time = gui.add_slider("time (s)", 0.0, self._duration_s, self._period_s, 0.0)
         self._play = gui.add_button("Play")
-        speed = gui.add_dropdown("speed", tuple(_SPEEDS), initial_value="1 x")
+        speed = gui.add_slider("speed", 0.1, 4.0, 0.1, playback.speed)
         self._follow = gui.add_checkbox("follow the run", playback.follows, visible=is_live)
-        camera = gui.add_button_group("camera", (_WHOLE, _TEAM))
-        follows = gui.add_checkbox("camera follows the team", is_live)
+        camera = gui.add_button_group("camera", ("whole path", "team"))
         with gui.add_folder("Run"):
             self._flight = gui.add_html("")
         self._target, self._live = None, [self._follow]
         if commands is not None:
             self._target = TargetControls(server, builder, commands)
-            self._live += [self._target.folder, LinkControls(gui, builder, commands).folder]
+            self._live += [self._target.folder, self._target.handle, add_links(gui, self._setup, commands)]
         with gui.add_folder("Plots"):
             self._plots = Plots(gui, builder)
         with gui.add_folder("Agents"):
             self._agents = gui.add_html("")
         if commands is not None:
-            self._live.append(add_processes(gui, builder, commands))
+            self._live.append(add_processes(gui, self._setup, commands))
         with gui.add_folder("Events"):
             self._events = gui.add_html("")
         with gui.add_folder("Show", expand_by_default=not is_live):
@@ -154,18 +142,10 @@ class Panel:
                 gui.add_checkbox(name, True).on_update(from_browser(partial(view3d.show_layer, name)))
             gui.add_html(html.legend())
 
-        def turn(value: str) -> None:
-            view3d.look_at(team=value == _TEAM)
-            follows.value = value == _TEAM
-
-        def set_speed(value: str) -> None:
-            playback.speed = _SPEEDS[value]
-
-        camera.on_click(from_browser(turn))
-        follows.on_update(lambda _: view3d.follow(follows.value))
+        camera.on_click(from_browser(lambda value: view3d.look_at(team=value == "team")))
         self._time.on_update(from_browser(lambda time_s: playback.seek(round(time_s / self._period_s))))
         self._play.on_click(lambda _: playback.toggle())
-        speed.on_update(from_browser(set_speed))
+        speed.on_update(from_browser(partial(setattr, playback, "speed")))
         self._follow.on_update(from_browser(playback.follow))
 
     def set_notice(self, text: str, *, warning: bool = False) -> None:
@@ -191,5 +171,81 @@ class Panel:
         """Hide the controls of a live run, which has ended."""
         for widget in self._live:
             widget.visible = False
-        if self._target is not None:
-            self._target.close()
+
+
+def from_browser(act: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a callback that passes the new value of a widget, if a browser has changed it and not this process."""
+    return lambda event: None if event.client_id is None else act(event.target.value)
+
+
+class TargetControls:
+    """Widgets in a folder that send the payload somewhere: a handle to drag, and numbers."""
+
+    def __init__(self, server: Any, builder: SceneBuilder, commands: Commands) -> None:
+        self._builder, self._go, gui = builder, commands.target, server.gui
+        start_I: Array = builder.setup.maneuver.path(np.zeros(1))[0][0]
+        self.folder = gui.add_folder("Target")
+        with self.folder:
+            self._state = gui.add_html("")
+            # Three number fields would lose the sign of -0.5 while it is typed: they show -0 as 0.
+            self._typed = gui.add_text("x, y, z (m)", _in_text(start_I), hint="inertial frame: z points down")
+            there = gui.add_button("Go there", hint="as transport target X Y Z; or drag the arrows in the scene")
+        self.handle = server.scene.add_transform_controls(
+            "/target", scale=0.6, disable_rotations=True, disable_sliders=True, position=tuple(start_I)
+        )
+        there.on_click(self._typed_place)
+        self.handle.on_update(self._dragged)
+
+    def show(self, scene: Scene) -> None:
+        """Show the target of a scene."""
+        known = [target for target in self._builder.setup.maneuver.targets if target.since_s <= scene.time_s]
+        self._state.content = html.target(known[-1].end_I, known[-1].ends_s, scene) if known else ""
+
+    def _typed_place(self, event: Any) -> None:
+        time.sleep(_TYPED_S)
+        try:
+            x, y, z = map(float, self._typed.value.replace(",", " ").split())
+        except ValueError:
+            event.client.add_notification("Target", f"expected three numbers, got {self._typed.value[:40]!r}")
+            return
+        self.handle.position = np.array([x, y, z])
+        self._go(np.array([x, y, z]))
+
+    def _dragged(self, event: Any) -> None:
+        """Show where the handle is; send the target once it is let go."""
+        place_I = np.round(np.array(self.handle.position), 2) + 0.0  # without -0
+        self._typed.value = _in_text(place_I)
+        if event.phase == "end":
+            self._go(place_I)
+
+
+def add_links(gui: Any, setup: Setup, commands: Commands) -> Any:
+    """Return a folder with widgets that delay, impair and cut links between agents, one in one direction or all."""
+    ends = {f"{a} to {b}": (a, b) for a in setup.agents for b in setup.agents if a != b}
+    folder, links = gui.add_folder("Links", visible=bool(ends)), setup.scenario.links
+    with folder:
+        link = gui.add_dropdown("link", ("all links", *ends))
+        delay = gui.add_slider("delay (s)", 0.0, 1.0, 0.01, min(links.delay_s, 1.0))
+        loss = gui.add_slider("loss (%)", 0, 100, 1, round(100.0 * links.loss))
+        change, clear = gui.add_button("Set"), gui.add_button("Clear all links")
+
+    def set_links(_: Any) -> None:
+        commands.link(ends.get(link.value), {"delay_s": round(delay.value, 3), "loss": loss.value / 100.0})
+
+    change.on_click(set_links)
+    clear.on_click(lambda _: commands.clear())
+    return folder
+
+
+def add_processes(gui: Any, setup: Setup, commands: Commands) -> Any:
+    """Return a folder with buttons that kill and restart each agent."""
+    folder = gui.add_folder("Processes")
+    with folder:
+        for agent in setup.agents:
+            buttons = gui.add_button_group(f"agent {agent}", ("kill", "restart"))
+            buttons.on_click(from_browser(partial(commands.fault, target=agent_name(agent))))
+    return folder
+
+
+def _in_text(place: Array) -> str:
+    return ", ".join(f"{value:g}" for value in place)

@@ -4,7 +4,6 @@ import os
 import select
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -23,7 +22,6 @@ class ViewerBeside:
 
     def __init__(self, folder: Path, host: str, port: int, wait_s: float) -> None:
         arguments = ["view", str(folder), "--host", host, "--port", str(port), "--wait", str(wait_s)]
-        self._wait_s, self._ready = wait_s, threading.Event()
         self._process = subprocess.Popen(
             [*python("transport"), *arguments],
             stdin=subprocess.PIPE,
@@ -32,19 +30,12 @@ class ViewerBeside:
             env={**os.environ, PARENT_PIPE: "1"},
             start_new_session=True,  # Ctrl-C ends the run first
         )
-        threading.Thread(target=self._pass_on, name="viewer", daemon=True).start()
-
-    def _pass_on(self) -> None:
-        """Write the address, which is no result of the run, to standard error."""
-        for line in self._process.stdout or ():
-            sys.stderr.write(line)
-            sys.stderr.flush()
-            self._ready.set()
-        self._ready.set()  # it has ended
 
     def wait_until_ready(self) -> None:
-        """Wait until a browser can open the viewer, or it has ended, for a limited time."""
-        self._ready.wait(self._wait_s / 2.0)
+        """Wait until a browser can open the viewer, whose address goes to standard error, or it has ended."""
+        if self._process.stdout is not None:
+            sys.stderr.write(self._process.stdout.readline())
+            sys.stderr.flush()
 
     def wait_for_user(self) -> None:
         """Wait until the user ends the viewer."""
@@ -59,11 +50,9 @@ class ViewerBeside:
     def __exit__(self, *_: object) -> None:
         self._process.terminate()
         try:
-            self._process.wait(_EXIT_S)
+            self._process.communicate(timeout=_EXIT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
-        if self._process.stdin is not None:
-            self._process.stdin.close()
 
 
 def parent_ended() -> Callable[[], bool]:

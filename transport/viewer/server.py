@@ -4,27 +4,22 @@ A page of another site can send requests to every port of this machine, and a na
 rebinding). So the server answers only below a path that no other page knows.
 """
 
+import errno
 import hmac
 import io
 import logging
 import re
 import secrets
 import socket
-import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from protocol.wire.errors import TransportError
 
-if TYPE_CHECKING:
-    import viser
-
-# errno of a port in use on Linux, macOS.
-_IN_USE = (98, 48)
 # websockets reports every refused and broken connection with a traceback.
 _SILENT = logging.getLogger("transport.viewer.websockets")
 _SILENT.disabled = True
@@ -44,12 +39,11 @@ def require_viser() -> None:
 
 @dataclass
 class Page:
-    """One page: the newest frames sent and shown, when it showed one, and the widget that asks it to tell."""
+    """One page: the widget that asks it to tell, the newest frame sent, and since when it has not shown that one."""
 
-    sent: int
-    shown: int
-    progress_s: float
     receipt: Any
+    sent: int = 0
+    since_s: float | None = None
 
 
 class Guard:
@@ -77,8 +71,8 @@ class Guard:
                 request.path = request.path.removeprefix(self.path) or "/"
                 if receipt := _RECEIPT.fullmatch(request.path):
                     number, frame = map(int, receipt.groups())
-                    if (page := self.pages.get(number)) is not None:
-                        page.shown, page.progress_s = max(page.shown, frame), time.monotonic()
+                    if (page := self.pages.get(number)) is not None and frame == page.sent:
+                        page.since_s = None
                     return connection.respond(204, "")
                 return process_request(connection, request)
 
@@ -91,7 +85,7 @@ class Guard:
             library.serve = serve  # type: ignore[misc]
 
 
-def start_server(host: str, port: int) -> tuple["viser.ViserServer", Guard, str]:
+def start_server(host: str, port: int) -> tuple[Any, Guard, str]:
     """Start a viser server on the first free port from `port` on, or on any for 0; return it, its guard and its URL.
 
     Raises: ViewerError: viser is not installed, the address is not usable, or no port is free.
@@ -106,7 +100,7 @@ def start_server(host: str, port: int) -> tuple["viser.ViserServer", Guard, str]
         try:
             probe.bind((host, port))  # viser would wait for an address that cannot be used forever
         except (OSError, OverflowError) as error:
-            if getattr(error, "errno", None) not in _IN_USE:  # viser takes the next free one
+            if getattr(error, "errno", None) != errno.EADDRINUSE:  # viser takes the next free one
                 raise ViewerError(f"--host, --port: cannot listen on {host}:{port} ({error})") from error
     guard = Guard()
     with guard.installed(), redirect_stdout(io.StringIO()):  # viser prints its address to stdout, which is for results

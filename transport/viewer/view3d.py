@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from model.arrays import Array
-from transport.scene.drawing import INERTIAL, LAYERS, PAYLOAD, Drawing, Label, Lines, Mesh, Part, quaternion
+from transport.scene.drawing import INERTIAL, LAYERS, Drawing, Label, Lines, Mesh, Part, quaternion
 from transport.scene.scene import Scene
 
 # Camera offsets in parts of the size of the maneuver, and of the team; vertical field of view, rad. Links and predicted
@@ -21,7 +21,6 @@ class View3D:
     def __init__(self, server: Any, drawing: Drawing, *, follows: bool) -> None:
         self._server, self._drawing = server, drawing
         self.shown: Scene | None = None  # in the current frame
-        self.outdated = True  # whether that lacks something: a layer that was hidden, or a new page
         self._frames: dict[str, Any] = {}
         self._nodes: dict[str, Any] = {}
         self._layers: dict[str, list[Any]] = {name: [] for name in ("", *LAYERS)}
@@ -32,34 +31,25 @@ class View3D:
         # Whether cameras move with the team, where it was in the frame before, and from where each camera saw it.
         self._follows, self._team_I, self._offset = follows, drawing.team_I, dict[int, Array]()
 
-    @property
-    def payload_I(self) -> Array:
-        """Position at which the payload is drawn, (3,), inertial frame, m."""
-        return np.array(self._frames[PAYLOAD].position)
-
     def show_layer(self, name: str, shown: bool) -> None:
         """Show or hide one of `LAYERS`."""
         for node in self._layers[name]:
             node.visible = shown
-        self.outdated = True
 
     def show(self, scene: Scene) -> None:
         """Move all nodes to a scene, and the cameras that follow the team."""
-        self.shown, self.outdated = scene, False
+        self.shown = scene
         poses = self._drawing.poses(scene)
         for name in {*self._frames, *poses}:
             frame, pose = self._frame(name), poses.get(name)
             frame.visible = pose is not None
             if pose is not None:
                 frame.position, frame.wxyz = pose[0], quaternion(pose[1])
-        for lines in self._drawing.moving(scene):
+        for lines in (*self._drawing.moving(scene), self._drawing.flown(scene)):
             if lines.name not in self._nodes:
                 self._add(lines)
-            elif self._nodes[lines.name].visible:
+            else:
                 _set_lines(self._nodes[lines.name], lines)
-        for node in (self._grid, self._axes):
-            if node.position[2] != self._drawing.floor:  # a target is below everything before
-                node.position = (*node.position[:2], self._drawing.floor)
         moved, self._team_I = scene.uavs_I.mean(axis=0) - self._team_I, scene.uavs_I.mean(axis=0)
         if self._follows:
             self._server.initial_camera.look_at = self._server.initial_camera.look_at + moved
@@ -72,18 +62,14 @@ class View3D:
                     _turn(client, client.camera.look_at + moved, client.camera.position + moved)
 
     def look_at(self, *, team: bool) -> None:
-        """Turn the camera of every browser to the team, or else to the maneuver."""
-        view = self._overview
+        """Turn the camera of every browser to the team and follow it, or else to the maneuver."""
+        view, self._follows = self._overview, team
         if team and self.shown is not None:
             size = max(float(np.linalg.norm(np.ptp(self.shown.uavs_I, axis=0))), 1.0)
             view = self._team_I, self._team_I + _VIEW_TEAM * size
         for number, client in self._server.get_clients().items():
             _turn(client, *view)
             self._offset[number] = view[1] - view[0]
-
-    def follow(self, wanted: bool) -> None:
-        """Move the cameras with the team from the shown scene on, or leave them."""
-        self._follows = wanted
 
     def _frame(self, name: str) -> Any:
         """Return the node of a frame, hidden until it has a pose."""
@@ -98,25 +84,16 @@ class View3D:
             case Lines():
                 # A colour per point from the start: viser draws lines white that get them after their first drawing.
                 none = np.zeros((1, 2, 3))
-                node = scene.add_line_segments(
-                    name, none, none.astype(np.uint8), thickness=part.width, thickness_units="screen"
-                )
-                self._nodes[part.name] = node
+                width: Any = {"thickness": part.width, "thickness_units": "screen"}
+                node = self._nodes[part.name] = scene.add_line_segments(name, none, none.astype(np.uint8), **width)
                 _set_lines(node, part)
             case Mesh():
-                node = scene.add_mesh_simple(
-                    name,
-                    part.vertices,
-                    part.faces,
-                    color=part.colour,
-                    opacity=None if part.opacity == 1.0 else part.opacity,
-                    flat_shading=True,
-                    side="double",
-                )
+                look: Any = {"color": part.colour, "opacity": None if part.opacity == 1.0 else part.opacity}
+                look |= {"flat_shading": True, "side": "double"}
+                node = scene.add_mesh_simple(name, part.vertices, part.faces, **look)
             case Label():
-                node = scene.add_label(
-                    name, part.text, anchor="bottom-center", font_screen_scale=0.9, position=part.position
-                )
+                look = {"anchor": "bottom-center", "font_screen_scale": 0.9}
+                node = scene.add_label(name, part.text, position=part.position, **look)
         self._layers[part.layer].append(node)
 
     def _add_surroundings(self) -> None:
@@ -124,13 +101,11 @@ class View3D:
         drawing, scene = self._drawing, self._server.scene
         middle = (drawing.low + drawing.high) / 2.0
         width = 2.0 * np.ceil(0.7 * drawing.size)
-        place, greys = (round(middle[0]), round(middle[1]), drawing.floor), ((235, 235, 235), (210, 210, 210))
-        lines = {"cell_size": 0.5, "section_size": 1.0, "cell_color": greys[0], "section_color": greys[1]}
-        size = {"width": width, "height": width, "infinite_grid": False, "fade_distance": 100.0}
-        self._grid = scene.add_grid("/grid", position=place, **lines, **size)
-        self._axes = scene.add_frame(
-            "/axes", axes_length=0.5, axes_radius=0.015, position=(*drawing.start_I[:2], drawing.floor)
-        )
+        place, size = (round(middle[0]), round(middle[1]), drawing.floor), {"width": width, "height": width}
+        greys = {"cell_color": (235, 235, 235), "section_color": (210, 210, 210)}
+        scene.add_grid("/grid", position=place, infinite_grid=False, fade_distance=100.0, **size, **greys)
+        start = (*drawing.start_I[:2], drawing.floor)
+        scene.add_frame("/axes", axes_length=0.5, axes_radius=0.015, position=start)
         # No reflections or shadows: colours are those of the figures, and drawing without a graphics processor is fast.
         scene.configure_environment_map(None)
         scene.add_light_ambient("/light", intensity=1.5)

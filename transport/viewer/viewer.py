@@ -19,9 +19,7 @@ from transport.flight.live import read as read_live_run
 from transport.log.run_folder import open_run, setup_of
 from transport.log.run_log import LogTail
 from transport.scene.drawing import Drawing
-from transport.scene.history import KINDS, RunHistory
-from transport.scene.scene import Scene, SceneBuilder
-from transport.viewer import html
+from transport.scene.scene import KINDS, RunHistory, Scene, SceneBuilder
 from transport.viewer.panel import Panel, Playback
 from transport.viewer.server import Page, start_server
 from transport.viewer.view3d import View3D
@@ -55,7 +53,7 @@ class Viewer:
         self._paced = builder.setup.scenario.clock.speed > 0.0
         self._set_notice(notice or ("" if live is None else "live"), warning=bool(notice))
         self._server.on_client_connect(self._add_page)
-        self._server.on_client_disconnect(self._remove_page)
+        self._server.on_client_disconnect(lambda client: self._guard.pages.pop(client.client_id, None))
         self._updated_s = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -84,13 +82,13 @@ class Viewer:
             self._panel.close_controls()
             reason = f", {control.reason}" if control.reason else ""
             self._set_notice(f"the run has ended: {control.outcome}{reason}", warning=bool(reason))
-        if not self._is_over and not self.clients():
+        pages = list(self._guard.pages.values())
+        if not self._is_over and not pages:
             return  # a browser that connects gets the newest frame
         self._panel.show_playback()
-        pages = list(self._guard.pages.values())
-        if any(page.shown < page.sent and now_s - page.progress_s < _PATIENCE_S for page in pages):
+        if any(page.since_s is not None and now_s - page.since_s < _PATIENCE_S for page in pages):
             return
-        if self.view3d.outdated or self.shown is None or history.nearest(tick) != self.shown.tick:
+        if any(not page.sent for page in pages) or self.shown is None or history.nearest(tick) != self.shown.tick:
             asyncio.run_coroutine_threadsafe(self._send(self._builder.at(tick)), self._server.get_event_loop()).result()
 
     def show_until(self, ended: Callable[[], bool]) -> None:
@@ -98,10 +96,6 @@ class Viewer:
         while not ended():
             self.update()
             time.sleep(_FRAME_S if self._is_over or self._paced else _FRAME_UNPACED_S)
-
-    def clients(self) -> list[Any]:
-        """Return the connected browsers, as viser knows them."""
-        return list(self._server.get_clients().values())
 
     def close(self) -> None:
         """Stop the server and disconnect the browsers."""
@@ -118,10 +112,9 @@ class Viewer:
             self._panel.show(scene)
         self._frame += 1
         for number, page in list(self._guard.pages.items()):
-            if page.sent == page.shown:
-                page.progress_s = time.monotonic()
-            page.sent = self._frame
-            page.receipt.content = html.image(f"{self._guard.path}/shown/{number}/{self._frame}")
+            page.sent, page.since_s = self._frame, page.since_s or time.monotonic()
+            source = f"{self._guard.path}/shown/{number}/{self._frame}"  # of an invisible image
+            page.receipt.content = f'<img src="{source}" alt="" style="display:none">'
 
     def _show_result(self, text: str, refused: bool) -> None:
         """Show the result of a request, unless the run has ended, which matters more."""
@@ -133,13 +126,7 @@ class Viewer:
         self._panel.set_notice(text, warning=warning)
 
     def _add_page(self, client: Any) -> None:
-        self._guard.pages[client.client_id] = Page(
-            sent=self._frame, shown=self._frame, progress_s=time.monotonic(), receipt=client.gui.add_html("")
-        )
-        self.view3d.outdated = True
-
-    def _remove_page(self, client: Any) -> None:
-        self._guard.pages.pop(client.client_id, None)
+        self._guard.pages[client.client_id] = Page(client.gui.add_html(""))
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:

@@ -78,7 +78,7 @@ def test_a_saved_run_is_the_same_run(run: transport.Run, tmp_path: Path) -> None
     for name in ("performance", "trajectories", "timing"):
         figure = run.plot(name)  # type: ignore[arg-type]
         with mpl.rc_context(RC):
-            save(figure, tmp_path / "own.png", cropped=figure.cropped)
+            save(figure, tmp_path / "own.png")
         assert (tmp_path / "own.png").read_bytes() == (folder / "figures" / f"{name}.png").read_bytes(), name
     with pytest.raises(FileExistsError):
         run.save(folder)
