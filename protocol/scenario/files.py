@@ -27,9 +27,9 @@ def anchored(value: Any, key: str) -> Any:
 
 
 def delays_of(path: Path) -> list[float]:
-    """Return the measured delays in a file, s. Raises: TableError: it cannot be read."""
+    """Return the measured delays in a file, s, in ascending order. Raises: TableError: it cannot be read."""
     try:
-        return [float(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()]
+        return sorted(map(float, path.read_text(encoding="utf-8").replace(",", " ").split()))
     except (OSError, ValueError) as error:
         raise TableError(f"{path}: expected delays in seconds ({error})") from error
 

@@ -6,7 +6,6 @@ from operator import attrgetter
 
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.faults import OF_UAVS
-from protocol.scenario.link_sections import LinkOverrideSection
 from protocol.scenario.plant_sections import MujocoSection
 from protocol.scenario.schema import Scenario
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
@@ -77,9 +76,9 @@ def _ownership(scenario: Scenario) -> Problems:
 def _links(scenario: Scenario) -> Problems:
     links, names = scenario.links, _processes(scenario)
     ends: list[tuple[str, str | None]] = []
-    for place, section in links.all().items():
-        if isinstance(section, LinkOverrideSection):
-            ends += [(f"links.{place}.from", section.from_), (f"links.{place}.to", section.to)]
+    for key, sections in (("override", links.override), ("change", links.change)):
+        for i, section in enumerate(sections, start=1):
+            ends += [(f"links.{key}.{i}.from", section.from_), (f"links.{key}.{i}.to", section.to)]
     for i, partition in enumerate(links.partition, start=1):
         ends += [(f"links.partition.{i}.between", name) for name in partition.between]
         if partition.end_s <= partition.start_s:

@@ -143,8 +143,7 @@ def check_target(setup: Run, message: messages.Target) -> None:
 def target_in_words(message: messages.Target) -> str:
     """Return a target in words."""
     x, y, z = message.points[0].tolist()
-    further = f" and {len(message.points) - 1} way points" if len(message.points) > 1 else ""
-    return f"target ({x:g}, {y:g}, {z:g}) m{further}"
+    return f"target ({x:g}, {y:g}, {z:g}) m"
 
 
 def scripted(setup: Run) -> list[tuple[int, TargetSection]]:
@@ -196,12 +195,9 @@ def _check_places(setup: Run, points: Array, since_s: float) -> None:
     """Check that points are above the ground (without one z = 0, or as low as it has been), and the payload flies."""
     ground_m = setup.scenario.plant.ground_m
     flown = setup.maneuver.path(np.array([0.0, since_s]))[0]
-    if ground_m is None:
-        lowest_m, why = max(0.0, *flown[:, 2]), "as z points down"
-    else:
-        lowest_m, why = resting_height(setup.system, ground_m), "where the payload stands on the ground"
+    lowest_m = max(0.0, *flown[:, 2]) if ground_m is None else resting_height(setup.system, ground_m)
     if points[:, 2].max() > lowest_m + _SLACK:
-        raise RequestError(f"points_m: expected z of at most {lowest_m:g} m, {why}, got {points[:, 2].max():g}")
+        raise RequestError(f"points_m: expected z (down) of at most {lowest_m:g} m, got {points[:, 2].max():g}")
     phase = setup.maneuver.phase_at(since_s)
     if ground_m is not None and (phase.kind in ("take_off", "land") or flown[1, 2] > lowest_m - ON_GROUND_M):
         raise RequestError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")

@@ -109,13 +109,10 @@ def kernels(_: Setup) -> Finding:
     found, folder = compiler.find_compiler(), compiler.cache_folder()
     if native.AVAILABLE:
         return Finding("ok", f"compiled for this processor, in {folder}")
+    reason = f"{found} fails, or {folder} cannot be written" if found else "no C compiler"
+    advice = "install gcc or clang, or set $CC or $PAYLOAD_TRANSPORT_CACHE"
     if not compiler.enabled():
         reason, advice = "switched off", "unset PAYLOAD_TRANSPORT_NATIVE"
-    elif found is None:
-        reason, advice = "no C compiler", "install gcc or clang"
-    else:
-        reason = f"{found} fails, or {folder} cannot be written"
-        advice = f"make {found} compile shared libraries, or set $CC or $PAYLOAD_TRANSPORT_CACHE"
     return Finding("warn", f"{reason}: a step takes nearly twice as long", advice)
 
 
