@@ -1,7 +1,4 @@
-"""Budget of a run: what a scenario asks of memory, disk and processor, estimated before anything starts.
-
-Sizes of arrays are exact, numbers of bytes and seconds were fitted to runs (`tests/protocol/test_budget.py`).
-"""
+"""Memory, disk and processor time of a run, estimated from sizes; bytes and seconds per size were fitted to runs."""
 
 import math
 from collections.abc import Iterable
@@ -16,9 +13,7 @@ MB = 1e6
 # Limits without --allow-large.
 MOST_PLANT_STEPS = 10_000
 MOST_TOTAL_BYTES = 8_000 * MB
-# A large QP takes several times as long while many constraints are active, as in the first step: beyond this limit some
-# take more than 10 s without a sign of the run.
-MOST_STEP_S = 1.25
+MOST_STEP_S = 1.25  # while many constraints are active, as in the first step, a large QP takes several times as long
 
 ADMITTED = "--allow-large admits more"
 

@@ -85,13 +85,11 @@ def _short(text: str) -> str:
 
 
 def validated(section: type[S], tree: Any, source: str = "", folder: Path | None = None) -> S:
-    """Return a section made from plain data; the paths of its files are relative to a folder.
-
-    Raises: ScenarioError: with the first problem, an unknown key first: a mistyped one is also missing.
-    """
+    """Return a section of plain data, with files relative to a folder; raise ScenarioError with the first problem."""
     try:
         found = section.model_validate(tree, context=folder)
     except ValidationError as error:
+        # An unknown key first: a mistyped one is also missing.
         problem = min(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
         raise ScenarioError(source, *_problem(problem, section)) from error
     for field, text in out_of_range(found):

@@ -1,7 +1,4 @@
-"""Files that a scenario names: tables of paths and of measured delays.
-
-They become part of the scenario when that is read, so of its fingerprint and of the run folder.
-"""
+"""Files that a scenario names, tables of paths and of measured delays, which become part of it when it is read."""
 
 from pathlib import Path
 from typing import Any

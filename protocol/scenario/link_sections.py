@@ -38,10 +38,7 @@ class GilbertElliottSection(Section):
 
 
 class LinkSection(Section):
-    """Impairments of a link: all random, in scenario time, independent for each message (but for bursts).
-
-    The default of each key means a link without that impairment.
-    """
+    """Impairments of a link, in scenario time, independent for each message but for bursts; none by default."""
 
     delay_s: Annotated[NotNegative, Key(label="delay of plans", shown="ms", option="--delay", short="delay_s")] = 0.0
     """fixed part of the delay"""

@@ -1,7 +1,6 @@
-"""Impairments of the network: delay, jitter, loss, bursts, duplication, reordering, rate limits, partitions.
+"""Impairments of the network, which act at the receiver, in scenario time.
 
-They act at the receiver, in scenario time. Random numbers are drawn from a counter keyed by seed, sender, receiver,
-kind and the message's tick, so they do not depend on when or in which order anything arrives.
+Random numbers come from a counter keyed by seed, link and tick: they do not depend on the order of arrivals.
 """
 
 import hashlib
@@ -41,10 +40,8 @@ def generator(key: Key, tick: int, stream: int = 0) -> Generator:
 _LOSS, _BURST, _JITTER, _DUPLICATE, _ECHO, _REORDER, _DRAWS = 0, 1, 2, 4, 5, 7, 8
 # Stream of the burst chain at each tick; those of the message and of the negotiation before it are 0, 1, ...
 _CHAIN = 2**32
-# Rounding of a delay that is a whole number of sampling periods must not cost one more.
-_SLACK = 1e-9
-# Longest delay: that of a key in seconds.
-*_, _LONGEST_S = UNITS["_s"]
+_SLACK = 1e-9  # rounding of a delay that is a whole number of sampling periods must not cost one more
+*_, _LONGEST_S = UNITS["_s"]  # longest delay: that of a key in seconds
 # Settings of a link that make it perfect: the defaults.
 PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.model_fields.items()}
 
@@ -73,10 +70,7 @@ class Link:
             self.change(math.ceil(change.at_s / period_s - _SLACK), change)
 
     def change(self, tick: int, change: LinkOverrideSection) -> None:
-        """Apply the given keys to the messages of a tick and later ones, if the change covers this link.
-
-        The change of the latest tick is in force; among changes of the same tick, the one received last.
-        """
+        """Apply the given keys from a tick on, if the change covers this link; the latest change is in force."""
         if change.covers(self.sender, self.receiver):
             given = {key: getattr(change, key) for key in change.model_fields_set & LinkSection.model_fields.keys()}
             self._changes = sorted([*self._changes, (tick, given)], key=itemgetter(0))
@@ -175,10 +169,7 @@ class LinkChanges:
 
 
 def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
-    """Return a change of links: both ends, empty for any agent, and a JSON object of a link's keys and new values.
-
-    Raises: RequestError: it is invalid.
-    """
+    """Return a change of links: ends, empty for any agent, and a JSON object of keys. Raises: RequestError: invalid."""
     try:
         given = json.loads(settings)
     except (ValueError, RecursionError):

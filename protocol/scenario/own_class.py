@@ -15,11 +15,9 @@ from pydantic import AfterValidator
 
 from model.arrays import Array
 
-# Longest text of an error that is passed on, characters: it travels in messages, with the name of the class.
-_LONGEST_TEXT = 400
+_LONGEST_TEXT = 400  # of an error that is passed on, characters: it travels in messages, with the name of the class
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
-# Hashes of the files of imported modules, as they were imported.
-_DIGESTS: dict[str, str] = {}
+_DIGESTS: dict[str, str] = {}  # hashes of the files of imported modules, as they were imported
 
 
 class OwnClassError(ValueError):

@@ -1,7 +1,4 @@
-"""The scenario: one validated tree that describes a run. Units are in the names; ids are 1-based.
-
-Every process of a run reads the same file. The docstring of a field is its meaning in docs/keys.md.
-"""
+"""The scenario: one validated tree that describes a run. The docstring of a field is its meaning in docs/keys.md."""
 
 import hashlib
 import json

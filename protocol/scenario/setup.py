@@ -30,11 +30,8 @@ from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
 from protocol.scenario.targets import ON_GROUND_M, check_scripted, exceeded, least_slowing
 from protocol.wire.node import RunShape
 
-# Field of a scenario; expected and got.
-Problems = Iterator[tuple[str, str]]
-
-# Width of the walls beside a gap, m: no path comes near their ends.
-_WALL_M = 1e5
+Problems = Iterator[tuple[str, str]]  # field of a scenario; expected and got
+_WALL_M = 1e5  # width of the walls beside a gap: no path comes near their ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,10 +58,7 @@ class Setup:
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
-        """Return everything a scenario describes; `source` is its file, for error texts.
-
-        Raises: ScenarioError: a body, path or setting is impossible; naming file, field, expected, got.
-        """
+        """Return everything a scenario describes; raise ScenarioError, which names the source, if it is impossible."""
         section, inner = scenario.system, scenario.controller
         body, gains = section.payload, None if inner.inputs == "moments" else 1.0 / np.array(inner.rate_time_constant_s)
         payload = building(source, "system.payload", lambda: Payload(mass=body.mass_kg, inertia=body.inertia_kgm2))

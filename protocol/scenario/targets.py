@@ -1,7 +1,4 @@
-"""Targets given during a run, which become messages of the coordinator, and those a new reference.
-
-The coordinator decides the timing once, so that every process makes the same reference.
-"""
+"""Targets given during a run: messages of the coordinator, which decides the timing once, and a new reference each."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping
@@ -27,26 +24,22 @@ from protocol.wire.errors import MessageError
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox
 
-# A `protocol.scenario.setup.Setup`, which imports this module.
-Run = Any
+Run = Any  # a `protocol.scenario.setup.Setup`, which imports this module
 
-# Largest slowing tried, and relative accuracy of the one found.
-_SLOWEST, _ACCURACY = 64.0, 1e-3
+_SLOWEST, _ACCURACY = 64.0, 1e-3  # largest slowing tried, and relative accuracy of the one found
 # Largest speed where none is given, m/s; time of speeding up that is tried first, s; its factors, largest one.
 SPEED_MPS, _RAMP_S, _LONGER, _LONGEST = 1.0, 2.0, 1.25, 64.0
-# Targets of one run: a process that joins receives all of them.
-MOST = 1000
-# How far a payload that takes off or lands may be from the ground, m.
-ON_GROUND_M = 1e-3
+MOST = 1000  # targets of one run: a process that joins receives all of them
+ON_GROUND_M = 1e-3  # how far a payload that takes off or lands may be from the ground
 _SLACK = 1e-9
 
 
 def exceeded(
     path: Array, system: System, hover: Hover, settings: ControllerSettings, released: Collection[int] = ()
 ) -> str | None:
-    """Return the first limit that the team exceeds along a path, as expected and got; None if it keeps all.
+    """Return the first limit that the team exceeds along a path, given by its jets, (7, k, 3); None if it keeps all.
 
-    Given are the jets of the path, (7, k, 3), and UAVs, 0-based, released before it. Source: docs/equations.md (69).
+    UAVs, 0-based, were released before it. Source: docs/equations.md (69).
     """
     left = [uav for uav in range(system.N) if uav not in released]
     held = hover.tensions[left]

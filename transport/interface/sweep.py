@@ -19,7 +19,7 @@ from transport.flight.progress import compile_model
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.fly import console
 from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, key_of, plain, printed, require_pandas
+from transport.interface.settings import ArgumentError, key_of, plain, printed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -115,23 +115,19 @@ class Sweep:
         return printed(table_of(means_in_words(self.points), self.points), WIDTH)
 
     def rows(self, table: Literal["points", "runs"] = "points") -> list[dict[str, Any]]:
-        """Return a row for each point, or for each run: values by column, as points.csv and cases.csv have them.
-
-        Columns are described in docs/experiments.md; the cost ratio is relative to the first combination of the grid.
-        """
+        """Return a row for each point, or each run, as points.csv and cases.csv have them (docs/experiments.md)."""
         return self._swept.rows(table)
 
     def to_pandas(self, table: Literal["points", "runs"] = "points") -> "pd.DataFrame":
         """Return the rows as a table of pandas (extra `pandas`)."""
-        return require_pandas().DataFrame(self.rows(table))
+        import pandas as pd
+
+        return pd.DataFrame(self.rows(table))
 
     def plot(self, x: str | None = None, kind: Literal["curves", "map"] = "curves") -> RunFigure:
-        """Return a figure: completed runs, mean cost and payload attitude over a setting; or a map of two settings.
+        """Return a figure: completed runs, mean cost and payload attitude over a setting x, by default the first.
 
-        Args:
-            x: Setting along the horizontal axis, as named in the grid; by default the first one.
-            kind: Curves, one for each combination of the other settings; or a map of cost over exactly two settings.
-
+        There is a curve for each combination of the other settings; or it is a map of cost over exactly two settings.
         Raises: ArgumentError: no such setting, or no map of these settings.
         """
         experiment, measured = self._drawn_as(x, kind)
