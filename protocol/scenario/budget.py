@@ -88,12 +88,11 @@ def estimate(scenario: Scenario) -> Budget:
 def ticks_of(scenario: Scenario) -> int:
     """Return the number of sampling instants of a run: t_k < duration of the maneuver."""
     periods = sum(phase.duration_s for phase in scenario.maneuver.phase) / scenario.controller.sampling_period_s
-    # A duration of a whole number of periods must not gain one by rounding.
-    return max(1, math.ceil(periods - 1e-9 * periods))
+    return max(1, math.ceil(periods - 1e-9 * periods))  # a whole number of periods must not gain one by rounding
 
 
-def check_budget(scenario: Scenario, source: str) -> Budget:
-    """Return the budget of a run. Raises: ScenarioError: it exceeds a limit; with field, limit and estimate."""
+def check_budget(scenario: Scenario, source: str) -> None:
+    """Raise ScenarioError for a run that exceeds a limit, with field, limit and estimate."""
     found = estimate(scenario)
     size = "maneuver.phase" if found.ticks > 20 * found.variables else "controller.horizon"
     steps = "plant.mujoco.step_s" if scenario.plant.engine == "mujoco" else "plant.step_s"
@@ -104,7 +103,6 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
     ):
         if got > most:
             raise ScenarioError(source, field, f"expected at most {most:,g} {unit}, got {got:,.9g} ({ADMITTED})")
-    return found
 
 
 def most_workers(scenarios: Iterable[Scenario]) -> int:

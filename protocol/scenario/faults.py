@@ -40,8 +40,7 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
         if event.do == "restart" or event.do == "continue":
             if target not in down:
                 found.append(Fault(tick, "kill", target))
-            # A process is back at the next tick at the earliest.
-            tick = max(tick, down.pop(target, tick) + 1)
+            tick = max(tick, down.pop(target, tick) + 1)  # at the earliest
             found.append(Fault(tick, "start" if event.do == "restart" else "continue", target))
         else:
             found.append(Fault(tick, event.do, target, event.efficiency or 1.0))
@@ -52,8 +51,7 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
 
 def due(faults: Sequence[Fault], name: str, message: Message) -> Literal["kill", "stop"] | None:
     """Return the fault a process is to inject into itself on a message received or about to be sent, if any."""
-    if isinstance(message, Measurement | Tick):
-        for fault in faults:
-            if fault.target == name and fault.tick == message.tick and (fault.do == "kill" or fault.do == "stop"):
-                return fault.do
+    for fault in faults if isinstance(message, Measurement | Tick) else ():
+        if fault.target == name and fault.tick == message.tick and (fault.do == "kill" or fault.do == "stop"):
+            return fault.do
     return None

@@ -30,9 +30,8 @@ def find_scenario(name: str, package: str = "scenarios") -> Path:
 
 
 def read_scenario(path: Path, settings: Sequence[str] = (), *, allow_large: bool = False) -> Scenario:
-    """Read and validate a TOML file with settings on top, which may exceed the limits of `protocol.scenario.budget`.
+    """Read and validate a TOML file with settings "dotted.key=value" on top; entries of lists count from 1.
 
-    A setting is "dotted.key=value" in TOML; list entries by number from 1, files relative to the current folder.
     Raises: ScenarioError: naming file, or the setting that gave the field, field, expected and got.
     """
     return with_settings(read_tree(path), settings, str(path), allow_large=allow_large)

@@ -7,8 +7,6 @@ import numpy as np
 
 from protocol.wire.errors import TransportError
 
-COLUMNS = "t_s,x_m,y_m,z_m"
-
 
 class TableError(TransportError, ValueError):
     """An invalid file of a scenario: the text has file, expected and got."""
@@ -32,8 +30,8 @@ def delays_of(path: Path) -> list[float]:
 
 
 def way_of(path: Path) -> list[list[float]]:
-    """Return rows of time and position, relative to the first, of a CSV file with `COLUMNS`. Raises: TableError."""
-    _, rows = _table(path, COLUMNS)
+    """Return rows of time and position, relative to the first, of a CSV file. Raises: TableError."""
+    _, rows = _table(path, "t_s,x_m,y_m,z_m")
     return [[value - first for value, first in zip(row, rows[0], strict=True)] for row in rows]
 
 

@@ -102,8 +102,7 @@ def out_of_range(value: object, place: str = "", within: tuple[float, float] = (
     if isinstance(value, BaseModel):
         for key, name in names_of(type(value)).items():
             if name in value.model_fields_set:
-                _, *by_ending = UNITS[ending_of(key)]
-                limits = key_of(type(value).model_fields[name]).within or (by_ending[0], by_ending[1])
+                limits = key_of(type(value).model_fields[name]).within or UNITS[ending_of(key)][1:]
                 yield from out_of_range(getattr(value, name), f"{place}.{key}".lstrip("."), limits)
     elif isinstance(value, list | tuple):
         for number, entry in enumerate(value, start=1):

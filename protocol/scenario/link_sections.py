@@ -84,8 +84,7 @@ class LinkSection(Section):
 
     def settings(self) -> dict[str, Any]:
         """Return the keys of a link that were given, as plain data."""
-        given = self.model_dump(mode="json", exclude_unset=True)
-        return {key: value for key, value in given.items() if key in LinkSection.model_fields}
+        return self.model_dump(mode="json", exclude_unset=True, include=set(LinkSection.model_fields))
 
 
 class LinkOverrideSection(LinkSection):

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numpy.random import Generator, Philox
 
 from model.arrays import Array
-from protocol.scenario.errors import RequestError, ScenarioError, validated
+from protocol.scenario.errors import RequestError, requested
 from protocol.scenario.keys import UNITS
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
 from protocol.wire.errors import MessageError
@@ -84,10 +84,7 @@ class Link:
         return self._in_force(tick)[0]
 
     def delays(self, tick: int, negotiation: int = 0) -> list[float]:
-        """Return the delays with which the message of a tick arrives, s: none if it is lost, two if duplicated.
-
-        Messages of a negotiation before the one it ends with are numbered from 1.
-        """
+        """Return the delays of a tick's message, s: none if lost, two if duplicated; proposals count from 1."""
         section, perfect = self._in_force(tick)
         sent_s = tick * self._period_s
         if any(start <= sent_s + _SLACK < end for start, end in self._partitions):
@@ -177,10 +174,7 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
     if not isinstance(given, dict):
         raise RequestError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
     ends = {key: name for key, name in (("from", source), ("to", target)) if name}
-    try:
-        return validated(LinkOverrideSection, {**given, **ends})
-    except ScenarioError as error:
-        raise RequestError(str(error)) from error
+    return requested(LinkOverrideSection, {**given, **ends})
 
 
 def words_of(change: LinkChange) -> str:

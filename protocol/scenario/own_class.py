@@ -86,10 +86,7 @@ def real_array(given: object) -> Array:
 
 @contextmanager
 def told(what: str) -> Iterator[None]:
-    """Turn any exception of the code of a class into an OwnClassError: what was called, the error, file and line.
-
-    Its output goes to standard error: results are on standard output.
-    """
+    """Turn exceptions of a class into OwnClassError, with file and line; its output goes to standard error."""
     try:
         with redirect_stdout(sys.stderr):
             yield

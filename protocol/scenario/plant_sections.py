@@ -93,10 +93,7 @@ class DelaySection(Section):
 
 
 class NoiseSection(Section):
-    """Errors of the measurements: standard deviations of white noise, and of a vehicle's own sensors bias and delay.
-
-    Position and velocity are those of the payload; with `plant.sensors` vehicle those of each UAV.
-    """
+    """Errors of the measurements: white noise; with `plant.sensors` vehicle also bias and delay, of each UAV."""
 
     position_m: Annotated[NotNegative, Key(within=_NOISE, label="noise of payload position", shown="mm")] = 0.0
     """noise of the payload position; of UAV positions with `plant.sensors` vehicle"""

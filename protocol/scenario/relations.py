@@ -10,8 +10,7 @@ from protocol.scenario.plant_sections import MujocoSection
 from protocol.scenario.schema import Scenario
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-# Shortest lag of motors other than none, in sampling periods: the discretisation takes exponentials of its reciprocal.
-_SHORTEST_LAG = 0.01
+_SHORTEST_LAG = 0.01  # of motors, sampling periods: the discretisation takes exponentials of its reciprocal
 
 _OTHER = object()  # any value but the default
 # Key and value, then a key and the value that they need.
@@ -57,9 +56,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
 def _needs(scenario: Scenario) -> Problems:
     for cause, value, key, needed in _NEEDS:
         given, got = attrgetter(cause)(scenario), attrgetter(key)(scenario)
-        section, name = cause.split(".")
-        default = type(getattr(scenario, section)).model_fields[name].default
-        if (given == value or (value is _OTHER and given != default)) and got != needed:
+        if (given == value or (value is _OTHER and given not in ("mpc", None))) and got != needed:
             expected = repr(needed) if isinstance(needed, str | int | float) else "no value"
             yield key, f"{expected} with {cause} = {given!r:.60}", f"{got!r:.60}"
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
@@ -119,34 +120,31 @@ class PhaseSection(Section):
                 duration_s, *displacement_m = value["way"][-1]
                 return {"duration_s": duration_s, "displacement_m": displacement_m, **value}
             given = cls.model_construct(**value)
-            if given.kind in get_args(ShapeKind):
+            if (curve := given.curve(2.0 * given.ramp_s)) is not None:
                 if given.times_s is not None:
                     value = {**value, "duration_s": float(given.times_s[-1])}
                 elif given.speed_mps is not None:
-                    duration_s = _curve(given, 2.0 * given.ramp_s).fastest() / given.speed_mps + given.ramp_s
-                    value = {**value, "duration_s": float(duration_s)}
+                    value = {**value, "duration_s": float(curve.fastest() / given.speed_mps + given.ramp_s)}
                 duration_s = value.get("duration_s", 2.0 * given.ramp_s)
-                end_m = _curve(given, duration_s).path(np.array([duration_s]), 1)[0, 0].tolist()
+                end_m = replace(curve, duration_s=duration_s).path(np.array([duration_s]), 1)[0, 0].tolist()
                 value = {"displacement_m": end_m, **value}
         except (TypeError, ValueError, AttributeError, IndexError):
             pass  # a wrong field is refused by its own check
         return value
 
-    def curve(self) -> Curve | None:
-        """Return the curve of a circle, eight or spline; None for other kinds."""
-        return _curve(self, self.duration_s) if self.kind in get_args(ShapeKind) else None
-
-
-def _curve(phase: PhaseSection, duration_s: float) -> Curve:
-    return Curve(
-        kind=phase.kind,  # type: ignore[arg-type]  # for those kinds that are shapes
-        duration_s=duration_s,
-        ramp_s=phase.ramp_s,
-        size_I=tuple(phase.size_m),
-        laps=phase.laps,
-        points_I=phase.points_m or (),
-        times_s=phase.times_s,
-    )
+    def curve(self, duration_s: float | None = None) -> Curve | None:
+        """Return the curve of a circle, eight or spline, over its own duration by default; None for other kinds."""
+        if self.kind not in get_args(ShapeKind):
+            return None
+        return Curve(
+            kind=self.kind,  # type: ignore[arg-type]  # one of those
+            duration_s=self.duration_s if duration_s is None else duration_s,
+            ramp_s=self.ramp_s,
+            size_I=tuple(self.size_m),
+            laps=self.laps,
+            points_I=self.points_m or (),
+            times_s=self.times_s,
+        )
 
 
 class TargetSection(Section):

@@ -23,7 +23,7 @@ from mpc.fail_safe import FailSafe
 from mpc.regulation import KEPT, Ahead, Regulation
 from mpc.settings import ControllerSettings
 from protocol.scenario.budget import ticks_of
-from protocol.scenario.errors import RequestError, ScenarioError, building
+from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, failures, scripted
 from protocol.scenario.links import Link
 from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
@@ -55,6 +55,8 @@ class Setup:
     settings: ControllerSettings  # the same for every agent
     owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
     ahead: Ahead | None = field(default=None, init=False)  # part of the reference that the newest target changes
+    # The same run with a further target, by what that is: shared by the nodes of a process.
+    _headed: WeakValueDictionary[Hashable, Any] = field(default_factory=WeakValueDictionary, init=False, compare=False)
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
@@ -78,16 +80,8 @@ class Setup:
         for check in (setup._off_ground, setup._off_hover, setup._off_limits, setup._off_obstacles):
             for key, problem in check():
                 raise ScenarioError(source, key, problem)
-        try:
-            check_scripted(setup)
-        except RequestError as error:
-            raise ScenarioError(source, "maneuver.target", str(error)) from error
+        building(source, "maneuver.target", lambda: check_scripted(setup))
         return setup
-
-    @cached_property
-    def _headed(self) -> WeakValueDictionary[Hashable, Any]:
-        """The same run with a further target, by what that is: shared by the nodes of a process."""
-        return WeakValueDictionary()
 
     @cached_property
     def model(self) -> Model:

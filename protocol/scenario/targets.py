@@ -1,7 +1,7 @@
 """Targets given during a run: messages of the coordinator, which decides the timing once, and a new reference each."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from itertools import combinations
 from operator import itemgetter
@@ -17,7 +17,7 @@ from model.maneuver import Target
 from model.parameters import System, resting_height
 from model.state import INPUTS, StateView
 from mpc.settings import ControllerSettings
-from protocol.scenario.errors import RequestError, ScenarioError, validated
+from protocol.scenario.errors import RequestError
 from protocol.scenario.schema import TargetSection
 from protocol.wire import messages
 from protocol.wire.errors import MessageError
@@ -94,14 +94,6 @@ def least_slowing(
     return high
 
 
-def asked(given: Mapping[str, Any]) -> TargetSection:
-    """Return what a request asks for. Raises: RequestError: it is not valid, whatever the run."""
-    try:
-        return validated(TargetSection, dict(given))
-    except ScenarioError as error:
-        raise RequestError(str(error)) from error
-
-
 def target_of(message: messages.Target, period_s: float) -> Target:
     """Return the target in a message. Raises: MessageError: its numbers make no curve."""
     first, further = message.points[0], message.points[1:] - message.points[0]
@@ -115,7 +107,7 @@ def target_of(message: messages.Target, period_s: float) -> Target:
 
 def headed(setup: Run, message: messages.Target) -> Run:
     """Return a run with the target in a message."""
-    key = (message.number, message.tick, message.points.tobytes(), message.approach_s, message.way_s)
+    key = message.number, message.tick, message.points.tobytes(), message.approach_s, message.way_s
     return setup.headed(target_of(message, setup.settings.sampling_period_s), key)
 
 

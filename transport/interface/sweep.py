@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 Base = str | PathLike[str] | Scenario
 
-_NAME = "sweep"
-_CURVE = "settings"  # label of all keys but the one along the axis
+_NAME, _CURVE = "sweep", "settings"  # the latter is the label of all keys but the one along the axis
 
 
 def sweep(
@@ -101,11 +100,7 @@ class Sweep:
 
     def __init__(self, swept: experiment_sweep.Swept) -> None:
         self._swept = swept
-        # Statistics of each point: means over completed runs with 95 % confidence intervals.
-        self.points: list[PointStatistics] = swept.measured
-
-    def __len__(self) -> int:
-        return len(self.points)
+        self.points: list[PointStatistics] = swept.measured  # means over completed runs with 95 % confidence intervals
 
     def __repr__(self) -> str:
         return f"Sweep({len(self.points)} points, {len(self._swept.results)} runs)"
