@@ -38,8 +38,7 @@ def generator(key: Key, tick: int, stream: int = 0) -> Generator:
 
 # Uniform numbers drawn for each message, by their first use; jitter takes two. A new one goes to the end.
 _LOSS, _BURST, _JITTER, _DUPLICATE, _ECHO, _REORDER, _DRAWS = 0, 1, 2, 4, 5, 7, 8
-# Stream of the burst chain at each tick; those of the message and of the negotiation before it are 0, 1, ...
-_CHAIN = 2**32
+_CHAIN = 2**32  # stream of the burst chain at each tick; those of the message and the negotiation are 0, 1, ...
 _SLACK = 1e-9  # rounding of a delay that is a whole number of sampling periods must not cost one more
 *_, _LONGEST_S = UNITS["_s"]  # longest delay: that of a key in seconds
 # Settings of a link that make it perfect: the defaults.
@@ -178,8 +177,12 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
 
 
 def words_of(change: LinkChange) -> str:
-    """Return the change in a message of the coordinator in words."""
-    return change_in_words(change.source, change.target, json.loads(change.settings))
+    """Return the change in a message of the coordinator in words; its text as it is if it is no valid change."""
+    try:
+        settings = link_change(change.source, change.target, change.settings).settings()
+    except RequestError:
+        return f"links: {change.settings}"
+    return change_in_words(change.source, change.target, settings)
 
 
 def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> str:

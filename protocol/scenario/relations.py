@@ -42,8 +42,7 @@ _NEEDS = (
     ("maneuver.reference", "flat", "controller.constraint", ()),
 )
 
-# Field, what was expected there, and what came.
-Problems = Iterator[tuple[str, str, object]]
+Problems = Iterator[tuple[str, str, object]]  # field, what was expected there, and what came
 
 
 def check_relations(scenario: Scenario, source: str) -> None:
@@ -147,7 +146,6 @@ def _plant(scenario: Scenario) -> Problems:
 
 
 def _phases(scenario: Scenario) -> Problems:
-    """Take-offs and landings are vertical and need a ground; splines have points; formations end as they begin."""
     maneuver = scenario.maneuver
     for i, phase in enumerate(maneuver.phase, start=1):
         field, times, points = f"maneuver.phase.{i}", phase.times_s, phase.points_m or []
@@ -174,7 +172,6 @@ def _phases(scenario: Scenario) -> Problems:
 
 
 def _obstacles(scenario: Scenario) -> Problems:
-    """An obstacle has the size of its kind, and no other."""
     sizes = {"radius_m": ("sphere", "cylinder"), "size_m": ("box",), "width_m": ("gap",)}
     for i, section in enumerate(scenario.obstacle, start=1):
         for key, kinds in sizes.items():

@@ -98,10 +98,8 @@ def target_of(message: messages.Target, period_s: float) -> Target:
     """Return the target in a message. Raises: MessageError: its numbers make no curve."""
     first, further = message.points[0], message.points[1:] - message.points[0]
     approach = Curve(kind=None, duration_s=message.approach_s, ramp_s=message.approach_ramp_s, size_I=(1.0, 0.0, 0.0))
-    way = None
-    if len(further):
-        times_s = message.times[1:].tolist() if message.times.any() else None
-        way = _spline(further, message.way_s, message.way_ramp_s, times_s)
+    times_s = message.times[1:].tolist() if message.times.any() else None
+    way = _spline(further, message.way_s, message.way_ramp_s, times_s) if len(further) else None
     return Target(since_s=message.tick * period_s, point_I=first, approach=approach, way=way)
 
 
@@ -149,8 +147,7 @@ def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
     points, period_s = np.array(section.points_m), setup.settings.sampling_period_s
     since_s = tick * period_s
     _check_places(setup, points, since_s)
-    speed_mps = section.speed_mps or SPEED_MPS
-    approach = _approach(setup, points[0], since_s, speed_mps)
+    approach = _approach(setup, points[0], since_s, section.speed_mps or SPEED_MPS)
     way, times = None, np.zeros(len(points))
     if len(points) > 1:
         way = _way(setup, points[1:] - points[0], section)

@@ -26,8 +26,7 @@ from transport.log.run_folder import open_run
 from transport.log.run_log import Recorded, RunLog
 from transport.report.report import write_report
 
-# Shortest time between two updates, wall time, s.
-_EVERY_S = 0.1
+_EVERY_S = 0.1  # shortest time between two updates, wall time
 RUNS = Path("runs")
 
 
@@ -48,8 +47,8 @@ def fly(
 ) -> Run:
     """Simulate a run and return it, also if it diverges.
 
-    In memory by default: the whole team in this process, unpaced, nothing written, with the same bits as with processes,
-    which are those of `transport run` and recorded.
+    In memory by default: the whole team in this process, unpaced, nothing written, with the same bits as with
+    processes, which are those of `transport run` and recorded.
 
     >>> import transport
     >>> hover = [{"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]}]

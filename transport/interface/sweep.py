@@ -80,8 +80,7 @@ def sweep(
             cases += cases_of_point(len(points), changed.validated, changed.file, seeds)
             points.append(Point(scenario=label, labels=labels, text=text, baseline=number == 0))
             sizes.add(changed.setup.system.N)
-    first = next(iter(values))
-    experiment = Experiment(name=_NAME, points=tuple(points), x=axis(first))
+    experiment = Experiment(name=_NAME, points=tuple(points), x=axis(next(iter(values))))
     shown = console(shown=progress)
     target = None if folder is None else Path(folder)
     with Results(_NAME, target) as results:
