@@ -5,11 +5,11 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
-from protocol.scenario.errors import RequestError
+from protocol.scenario.errors import RequestError, requested
 from protocol.scenario.links import link_change
 from protocol.scenario.schema import TargetSection
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import MOST, asked, headed, planned, scripted
+from protocol.scenario.targets import MOST, headed, planned, scripted
 from protocol.wire.messages import LinkChange, Message, Target, agent_name
 from protocol.wire.names import PLANT
 from protocol.wire.node import Outbox
@@ -49,7 +49,7 @@ class Changes:
 
         Raises: RequestError: it cannot be flown.
         """
-        section = given if isinstance(given, TargetSection) else asked(given)
+        section = given if isinstance(given, TargetSection) else requested(TargetSection, dict(given))
         if len(self._targets) == MOST:
             raise RequestError(f"expected at most {MOST} targets in a run")
         message = self._out.stamp(Target, number=len(self._targets) + 1, **planned(self._setup, section, tick))

@@ -1,7 +1,4 @@
-"""Budget of a run: what a scenario asks of memory, disk and processor, estimated before anything starts.
-
-Sizes of arrays are exact, numbers of bytes and seconds were fitted to runs (`tests/protocol/test_budget.py`).
-"""
+"""Memory, disk and processor time of a run, estimated from sizes; bytes and seconds per size were fitted to runs."""
 
 import math
 from collections.abc import Iterable
@@ -16,9 +13,7 @@ MB = 1e6
 # Limits without --allow-large.
 MOST_PLANT_STEPS = 10_000
 MOST_TOTAL_BYTES = 8_000 * MB
-# A large QP takes several times as long while many constraints are active, as in the first step: beyond this limit some
-# take more than 10 s without a sign of the run.
-MOST_STEP_S = 1.25
+MOST_STEP_S = 1.25  # while many constraints are active, as in the first step, a large QP takes several times as long
 
 ADMITTED = "--allow-large admits more"
 
@@ -93,12 +88,11 @@ def estimate(scenario: Scenario) -> Budget:
 def ticks_of(scenario: Scenario) -> int:
     """Return the number of sampling instants of a run: t_k < duration of the maneuver."""
     periods = sum(phase.duration_s for phase in scenario.maneuver.phase) / scenario.controller.sampling_period_s
-    # A duration of a whole number of periods must not gain one by rounding.
-    return max(1, math.ceil(periods - 1e-9 * periods))
+    return max(1, math.ceil(periods - 1e-9 * periods))  # a whole number of periods must not gain one by rounding
 
 
-def check_budget(scenario: Scenario, source: str) -> Budget:
-    """Return the budget of a run. Raises: ScenarioError: it exceeds a limit; with field, limit and estimate."""
+def check_budget(scenario: Scenario, source: str) -> None:
+    """Raise ScenarioError for a run that exceeds a limit, with field, limit and estimate."""
     found = estimate(scenario)
     size = "maneuver.phase" if found.ticks > 20 * found.variables else "controller.horizon"
     steps = "plant.mujoco.step_s" if scenario.plant.engine == "mujoco" else "plant.step_s"
@@ -109,7 +103,6 @@ def check_budget(scenario: Scenario, source: str) -> Budget:
     ):
         if got > most:
             raise ScenarioError(source, field, f"expected at most {most:,g} {unit}, got {got:,.9g} ({ADMITTED})")
-    return found
 
 
 def most_workers(scenarios: Iterable[Scenario]) -> int:

@@ -20,10 +20,7 @@ S = TypeVar("S", bound=BaseModel)
 
 
 class ScenarioError(TransportError, ValueError):
-    """An invalid scenario: `file or option: field: expected ..., got ...`.
-
-    The field is the dotted path of the key, list entries counted from 1; it may be empty.
-    """
+    """An invalid scenario: `file or option: dotted key, with list entries from 1: expected ..., got ...`."""
 
     exit_code = EXIT_SCENARIO
 
@@ -53,7 +50,7 @@ def building(source: str, field: str, build: Callable[[], T]) -> T:
     """Return a model object built from a scenario's values; its errors become a `ScenarioError` of that field."""
     try:
         return build()
-    except (FeedbackError, ParameterError, SettingsError, ShapeError) as error:
+    except (FeedbackError, ParameterError, RequestError, SettingsError, ShapeError) as error:
         raise ScenarioError(source, field, str(error)) from error
 
 
@@ -85,18 +82,24 @@ def _short(text: str) -> str:
 
 
 def validated(section: type[S], tree: Any, source: str = "", folder: Path | None = None) -> S:
-    """Return a section made from plain data; the paths of its files are relative to a folder.
-
-    Raises: ScenarioError: with the first problem, an unknown key first: a mistyped one is also missing.
-    """
+    """Return a section of plain data, with files relative to a folder; raise ScenarioError with the first problem."""
     try:
         found = section.model_validate(tree, context=folder)
     except ValidationError as error:
+        # An unknown key first: a mistyped one is also missing.
         problem = min(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
         raise ScenarioError(source, *_problem(problem, section)) from error
     for field, text in out_of_range(found):
         raise ScenarioError(source, field, text)
     return found
+
+
+def requested(section: type[S], tree: Any) -> S:
+    """Return what a request asks for. Raises: RequestError: it is not valid, whatever the run."""
+    try:
+        return validated(section, tree)
+    except ScenarioError as error:
+        raise RequestError(str(error)) from error
 
 
 def _problem(problem: Any, section: type[BaseModel]) -> tuple[str, str]:

@@ -1,7 +1,4 @@
-"""Scripted faults: kills, stops and restarts of processes, failures of UAVs, each at a tick.
-
-A process kills or stops itself on the message that opens the tick for it; its parent restarts or continues it.
-"""
+"""Scripted faults of processes, which kill or stop themselves and are brought back by their parent, and of UAVs."""
 
 import math
 from collections.abc import Sequence
@@ -11,8 +8,7 @@ from typing import Literal
 from protocol.scenario.schema import Scenario
 from protocol.wire.messages import Measurement, Message, Tick
 
-# Faults that the plant applies to its UAVs.
-OF_UAVS = ("motor_off", "release", "degrade")
+OF_UAVS = ("motor_off", "release", "degrade")  # applied by the plant
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,16 +33,14 @@ def failures(faults: Sequence[Fault]) -> list[Fault]:
 
 def scripted(scenario: Scenario) -> tuple[Fault, ...]:
     """Return the faults of a scenario in the order of time; a restart is a kill, unless already down, and a start."""
-    period_s = scenario.controller.sampling_period_s
     found: list[Fault] = []
     down: dict[str, int] = {}  # processes that do not run, and since which tick
     for event in sorted(scenario.faults.event, key=lambda event: event.at_s):
-        tick, target = math.ceil(event.at_s / period_s - 1e-9), event.target
+        tick, target = math.ceil(event.at_s / scenario.controller.sampling_period_s - 1e-9), event.target
         if event.do == "restart" or event.do == "continue":
             if target not in down:
                 found.append(Fault(tick, "kill", target))
-            # A process is back at the next tick at the earliest.
-            tick = max(tick, down.pop(target, tick) + 1)
+            tick = max(tick, down.pop(target, tick) + 1)  # at the earliest
             found.append(Fault(tick, "start" if event.do == "restart" else "continue", target))
         else:
             found.append(Fault(tick, event.do, target, event.efficiency or 1.0))
@@ -57,8 +51,7 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
 
 def due(faults: Sequence[Fault], name: str, message: Message) -> Literal["kill", "stop"] | None:
     """Return the fault a process is to inject into itself on a message received or about to be sent, if any."""
-    if isinstance(message, Measurement | Tick):
-        for fault in faults:
-            if fault.target == name and fault.tick == message.tick and (fault.do == "kill" or fault.do == "stop"):
-                return fault.do
+    for fault in faults if isinstance(message, Measurement | Tick) else ():
+        if fault.target == name and fault.tick == message.tick and (fault.do == "kill" or fault.do == "stop"):
+            return fault.do
     return None

@@ -17,14 +17,10 @@ __all__ = ["ScenarioError", "find_scenario", "read_scenario", "read_tree", "vali
 
 
 def find_scenario(name: str, package: str = "scenarios") -> Path:
-    """Return the file of a scenario, or of what else is in a package: a path, or the name of a ready one.
-
-    Raises: ScenarioError: no file has the name, the text lists the names.
-    """
+    """Return the file of a scenario or of another package: a path, or the name of a ready one, else ScenarioError."""
     path = Path(name)
     if os.path.exists(name) or path.suffix == ".toml" or "/" in name:  # noqa: PTH110 - false for impossible names
         return path
-    # Both packages lie side by side, in the source folder and where they are installed.
     folder = Path(str(importlib.resources.files("scenarios"))).parent / package
     known = sorted(file.stem for file in folder.glob("*.toml"))
     if name not in known:
@@ -34,9 +30,8 @@ def find_scenario(name: str, package: str = "scenarios") -> Path:
 
 
 def read_scenario(path: Path, settings: Sequence[str] = (), *, allow_large: bool = False) -> Scenario:
-    """Read and validate a TOML file with settings on top, which may exceed the limits of `protocol.scenario.budget`.
+    """Read and validate a TOML file with settings "dotted.key=value" on top; entries of lists count from 1.
 
-    A setting is "dotted.key=value" in TOML; list entries by number from 1, files relative to the current folder.
     Raises: ScenarioError: naming file, or the setting that gave the field, field, expected and got.
     """
     return with_settings(read_tree(path), settings, str(path), allow_large=allow_large)

@@ -1,7 +1,4 @@
-"""Files that a scenario names: tables of paths and of measured delays.
-
-They become part of the scenario when that is read, so of its fingerprint and of the run folder.
-"""
+"""Files that a scenario names, tables of paths and of measured delays, which become part of it when it is read."""
 
 from pathlib import Path
 from typing import Any
@@ -9,8 +6,6 @@ from typing import Any
 import numpy as np
 
 from protocol.wire.errors import TransportError
-
-COLUMNS = "t_s,x_m,y_m,z_m"
 
 
 class TableError(TransportError, ValueError):
@@ -27,16 +22,16 @@ def anchored(value: Any, key: str) -> Any:
 
 
 def delays_of(path: Path) -> list[float]:
-    """Return the measured delays in a file, s. Raises: TableError: it cannot be read."""
+    """Return the measured delays in a file, s, in ascending order. Raises: TableError: it cannot be read."""
     try:
-        return [float(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()]
+        return sorted(map(float, path.read_text(encoding="utf-8").replace(",", " ").split()))
     except (OSError, ValueError) as error:
         raise TableError(f"{path}: expected delays in seconds ({error})") from error
 
 
 def way_of(path: Path) -> list[list[float]]:
-    """Return rows of time and position, relative to the first, of a CSV file with `COLUMNS`. Raises: TableError."""
-    _, rows = _table(path, COLUMNS)
+    """Return rows of time and position, relative to the first, of a CSV file. Raises: TableError."""
+    _, rows = _table(path, "t_s,x_m,y_m,z_m")
     return [[value - first for value, first in zip(row, rows[0], strict=True)] for row in rows]
 
 

@@ -1,8 +1,4 @@
-"""Keys of a scenario, as its sections describe them: paths, units, ranges, labels, meanings.
-
-Unit and range of a number follow from the ending of its key. Beyond the ranges, far wider than anything that
-flies, float64 overflows or loses all digits somewhere, so such numbers are refused by name.
-"""
+"""Keys of a scenario, as its sections describe them: paths, units, ranges, labels, meanings."""
 
 import ast
 import inspect
@@ -18,6 +14,7 @@ from mpc.settings import Key
 from protocol.scenario.schema import Scenario
 
 # Unit, smallest magnitude apart from zero, and largest, by the ending of the key; the longest one that fits counts.
+# Beyond these ranges, far wider than anything that flies, float64 overflows or loses all digits somewhere.
 UNITS: Mapping[str, tuple[str, float, float]] = {
     "": ("", 1e-12, 1e12),
     "_s": ("s", 1e-9, 1e9),  # decades, still countable in ticks and nanoseconds
@@ -90,10 +87,7 @@ def short_names() -> dict[str, str]:
 
 
 def meanings(section: type[BaseModel]) -> dict[str, str]:
-    """Return the meaning of each key of a section, one sentence in Markdown: the docstring of its field.
-
-    They are read when asked for: pydantic's `use_attribute_docstrings` would read the source at every start.
-    """
+    """Return the meaning of each key of a section: the docstring of its field, which pydantic would always read."""
     found: dict[str, str] = {}
     for owner in reversed([owner for owner in section.__mro__ if issubclass(owner, BaseModel)][:-1]):
         (body,) = ast.parse(inspect.getsource(owner)).body
@@ -108,8 +102,7 @@ def out_of_range(value: object, place: str = "", within: tuple[float, float] = (
     if isinstance(value, BaseModel):
         for key, name in names_of(type(value)).items():
             if name in value.model_fields_set:
-                _, *by_ending = UNITS[ending_of(key)]
-                limits = key_of(type(value).model_fields[name]).within or (by_ending[0], by_ending[1])
+                limits = key_of(type(value).model_fields[name]).within or UNITS[ending_of(key)][1:]
                 yield from out_of_range(getattr(value, name), f"{place}.{key}".lstrip("."), limits)
     elif isinstance(value, list | tuple):
         for number, entry in enumerate(value, start=1):

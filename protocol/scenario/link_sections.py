@@ -4,7 +4,6 @@ from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Interval
 from pydantic import (
-    AfterValidator,
     BeforeValidator,
     Field,
     SerializerFunctionWrapHandler,
@@ -27,14 +26,6 @@ def _read(value: Any, info: ValidationInfo) -> Any:
     return delays_of(info.context / value) if isinstance(value, str) and info.context is not None else value
 
 
-Delays = Annotated[
-    list[NotNegative],
-    BeforeValidator(_read),
-    Field(min_length=1),
-    AfterValidator(sorted),
-]
-
-
 class GilbertElliottSection(Section):
     """Bursts of loss: a chain between a good state without and a bad state with loss, one step per tick."""
 
@@ -47,10 +38,7 @@ class GilbertElliottSection(Section):
 
 
 class LinkSection(Section):
-    """Impairments of a link: all random, in scenario time, independent for each message (but for bursts).
-
-    The default of each key means a link without that impairment.
-    """
+    """Impairments of a link, in scenario time, independent for each message but for bursts; none by default."""
 
     delay_s: Annotated[NotNegative, Key(label="delay of plans", shown="ms", option="--delay", short="delay_s")] = 0.0
     """fixed part of the delay"""
@@ -64,7 +52,9 @@ class LinkSection(Section):
         Key(label="delay distribution", option="--distribution"),
     ] = "uniform"
     """distribution of the random part of the delay; empirical draws whole delays from `samples`"""
-    samples: Annotated[Delays | None, Key(type="file, or list of numbers >= 0", unit="s")] = None
+    samples: Annotated[list[NotNegative] | None, BeforeValidator(_read), Key(type="file, or list of numbers >= 0")] = (
+        None
+    )
     """measured delays for empirical, or a file of them, separated by blanks or commas, relative to the scenario's
     folder (in `--set`: to the current one), which becomes part of the scenario when that is read"""
     loss: Annotated[Probability, Key(label="loss of plans", shown="%", option="--loss", short="loss")] = 0.0
@@ -79,12 +69,11 @@ class LinkSection(Section):
     )
     """extra delay of a message that is held back"""
     rate_hz: Annotated[Positive | None, Key(label="plans per second on a link", option="--rate")] = None
-    """messages per second of scenario time that the link carries, evenly spread; those beyond are dropped. There is
-    one per tick: half of 1 / T_s drops every other"""
+    """messages per second of scenario time that the link carries, evenly spread: half of 1 / T_s drops every other"""
 
     @model_validator(mode="after")
     def _has_samples(self) -> Self:
-        if self.distribution == "empirical" and self.samples is None:
+        if self.distribution == "empirical" and not self.samples:
             raise ValueError("samples: expected measured delays, got nothing")
         return self
 
@@ -95,8 +84,7 @@ class LinkSection(Section):
 
     def settings(self) -> dict[str, Any]:
         """Return the keys of a link that were given, as plain data."""
-        given = self.model_dump(mode="json", exclude_unset=True)
-        return {key: value for key, value in given.items() if key in LinkSection.model_fields}
+        return self.model_dump(mode="json", exclude_unset=True, include=set(LinkSection.model_fields))
 
 
 class LinkOverrideSection(LinkSection):
@@ -130,8 +118,8 @@ class PartitionSection(Section):
     """Interval in which no message passes between the named processes and the other agents."""
 
     between: Annotated[list[str], Field(min_length=1), Key(type=f"list of {_PROCESS}")]
-    """processes of one side: no message passes between them and the processes that are not in the list. A list without
-    the plant does not change the links to the plant; `["plant"]` cuts all of them"""
+    """processes of one side: no message passes between them and those not in the list; the links to the plant change
+    only if it is in the list"""
     start_s: NotNegative
     """first time of sending"""
     end_s: Annotated[Positive, Key(type="number > `start_s`, s", unit="")]
@@ -146,9 +134,3 @@ class LinksSection(LinkSection):
     override: list[LinkOverrideSection] = []
     partition: list[PartitionSection] = []
     change: list[LinkChangeSection] = []
-
-    def all(self) -> dict[str, LinkSection]:
-        """Return every section of a link by its place below `links`, such as "override.1"."""
-        overrides = {f"override.{i}": section for i, section in enumerate(self.override, start=1)}
-        changes = {f"change.{i}": section for i, section in enumerate(self.change, start=1)}
-        return {"": self, "measurement": self.measurement, "actuation": self.actuation, **overrides, **changes}

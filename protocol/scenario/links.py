@@ -1,7 +1,6 @@
-"""Impairments of the network: delay, jitter, loss, bursts, duplication, reordering, rate limits, partitions.
+"""Impairments of the network, which act at the receiver, in scenario time.
 
-They act at the receiver, in scenario time. Random numbers are drawn from a counter keyed by seed, sender, receiver,
-kind and the message's tick, so they do not depend on when or in which order anything arrives.
+Random numbers come from a counter keyed by seed, link and tick: they do not depend on the order of arrivals.
 """
 
 import hashlib
@@ -16,7 +15,7 @@ import numpy.typing as npt
 from numpy.random import Generator, Philox
 
 from model.arrays import Array
-from protocol.scenario.errors import RequestError, ScenarioError, validated
+from protocol.scenario.errors import RequestError, requested
 from protocol.scenario.keys import UNITS
 from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
 from protocol.wire.errors import MessageError
@@ -39,12 +38,9 @@ def generator(key: Key, tick: int, stream: int = 0) -> Generator:
 
 # Uniform numbers drawn for each message, by their first use; jitter takes two. A new one goes to the end.
 _LOSS, _BURST, _JITTER, _DUPLICATE, _ECHO, _REORDER, _DRAWS = 0, 1, 2, 4, 5, 7, 8
-# Stream of the burst chain at each tick; those of the message and of the negotiation before it are 0, 1, ...
-_CHAIN = 2**32
-# Rounding of a delay that is a whole number of sampling periods must not cost one more.
-_SLACK = 1e-9
-# Longest delay: that of a key in seconds.
-*_, _LONGEST_S = UNITS["_s"]
+_CHAIN = 2**32  # stream of the burst chain at each tick; those of the message and the negotiation are 0, 1, ...
+_SLACK = 1e-9  # rounding of a delay that is a whole number of sampling periods must not cost one more
+*_, _LONGEST_S = UNITS["_s"]  # longest delay: that of a key in seconds
 # Settings of a link that make it perfect: the defaults.
 PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.model_fields.items()}
 
@@ -73,10 +69,7 @@ class Link:
             self.change(math.ceil(change.at_s / period_s - _SLACK), change)
 
     def change(self, tick: int, change: LinkOverrideSection) -> None:
-        """Apply the given keys to the messages of a tick and later ones, if the change covers this link.
-
-        The change of the latest tick is in force; among changes of the same tick, the one received last.
-        """
+        """Apply the given keys from a tick on, if the change covers this link; the latest change is in force."""
         if change.covers(self.sender, self.receiver):
             given = {key: getattr(change, key) for key in change.model_fields_set & LinkSection.model_fields.keys()}
             self._changes = sorted([*self._changes, (tick, given)], key=itemgetter(0))
@@ -90,10 +83,7 @@ class Link:
         return self._in_force(tick)[0]
 
     def delays(self, tick: int, negotiation: int = 0) -> list[float]:
-        """Return the delays with which the message of a tick arrives, s: none if it is lost, two if duplicated.
-
-        Messages of a negotiation before the one it ends with are numbered from 1.
-        """
+        """Return the delays of a tick's message, s: none if lost, two if duplicated; proposals count from 1."""
         section, perfect = self._in_force(tick)
         sent_s = tick * self._period_s
         if any(start <= sent_s + _SLACK < end for start, end in self._partitions):
@@ -175,10 +165,7 @@ class LinkChanges:
 
 
 def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
-    """Return a change of links: both ends, empty for any agent, and a JSON object of a link's keys and new values.
-
-    Raises: RequestError: it is invalid.
-    """
+    """Return a change of links: ends, empty for any agent, and a JSON object of keys. Raises: RequestError: invalid."""
     try:
         given = json.loads(settings)
     except (ValueError, RecursionError):
@@ -186,15 +173,16 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
     if not isinstance(given, dict):
         raise RequestError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
     ends = {key: name for key, name in (("from", source), ("to", target)) if name}
-    try:
-        return validated(LinkOverrideSection, {**given, **ends})
-    except ScenarioError as error:
-        raise RequestError(str(error)) from error
+    return requested(LinkOverrideSection, {**given, **ends})
 
 
 def words_of(change: LinkChange) -> str:
-    """Return the change in a message of the coordinator in words."""
-    return change_in_words(change.source, change.target, json.loads(change.settings))
+    """Return the change in a message of the coordinator in words; its text as it is if it is no valid change."""
+    try:
+        settings = link_change(change.source, change.target, change.settings).settings()
+    except RequestError:
+        return f"links: {change.settings}"
+    return change_in_words(change.source, change.target, settings)
 
 
 def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> str:

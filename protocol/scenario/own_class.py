@@ -15,11 +15,9 @@ from pydantic import AfterValidator
 
 from model.arrays import Array
 
-# Longest text of an error that is passed on, characters: it travels in messages, with the name of the class.
-_LONGEST_TEXT = 400
+_LONGEST_TEXT = 400  # of an error that is passed on, characters: it travels in messages, with the name of the class
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
-# Hashes of the files of imported modules, as they were imported.
-_DIGESTS: dict[str, str] = {}
+_DIGESTS: dict[str, str] = {}  # hashes of the files of imported modules, as they were imported
 
 
 class OwnClassError(ValueError):
@@ -88,10 +86,7 @@ def real_array(given: object) -> Array:
 
 @contextmanager
 def told(what: str) -> Iterator[None]:
-    """Turn any exception of the code of a class into an OwnClassError: what was called, the error, file and line.
-
-    Its output goes to standard error: results are on standard output.
-    """
+    """Turn exceptions of a class into OwnClassError, with file and line; its output goes to standard error."""
     try:
         with redirect_stdout(sys.stderr):
             yield

@@ -8,8 +8,6 @@ from mpc.settings import Key, NotNegative, NotNegativeVector, Positive, Range, S
 from protocol.scenario.own_class import or_class
 
 _NOISE = (1e-12, 1e4)
-
-
 MassFactor = Annotated[float, Interval(gt=0.0, le=100.0)]
 
 
@@ -19,8 +17,8 @@ class MujocoSection(Section):
     step_s: Annotated[float, Interval(gt=0.0, le=0.01)] = 0.005
     """longest integration step; a period is divided into equal steps. Contacts need steps of at most 0.01 s"""
     rod_mass_kg: Annotated[float, Interval(ge=1e-4, le=100.0)] = 0.001
-    """mass of each rod, homogeneous and thin, unknown to the controllers. MuJoCo needs bodies with a mass: the default
-    is so small that the path of the payload is that of massless rods within a millimetre"""
+    """mass of each rod, unknown to the controllers; with the default the payload's path is that of massless rods within
+    a millimetre"""
     suspension: Literal["rods", "cables"] = "rods"
     """rods, or cables, which have no mass, pull at their full length and never push"""
 
@@ -95,10 +93,7 @@ class DelaySection(Section):
 
 
 class NoiseSection(Section):
-    """Errors of the measurements: standard deviations of white noise, and of a vehicle's own sensors bias and delay.
-
-    Position and velocity are those of the payload; with `plant.sensors` vehicle those of each UAV.
-    """
+    """Errors of the measurements: white noise; with `plant.sensors` vehicle also bias and delay, of each UAV."""
 
     position_m: Annotated[NotNegative, Key(within=_NOISE, label="noise of payload position", shown="mm")] = 0.0
     """noise of the payload position; of UAV positions with `plant.sensors` vehicle"""
@@ -122,12 +117,11 @@ class PlantSection(Section):
     """Ground truth: its integration, its difference from the controller's model, limits beyond which a run diverged."""
 
     engine: Annotated[str, or_class("rods", "mujoco"), Key(type="rods, mujoco, package.module:Class")] = "rods"
-    """engine that integrates the plant state: the controllers' own equations, the physics engine MuJoCo, or [your own
-    class](bring-your-own.md#your-own-engine); [engines.md](engines.md) compares the first two"""
+    """the controllers' own equations, MuJoCo ([engines.md](engines.md) compares them), or [your own
+    class](bring-your-own.md#your-own-engine)"""
     ground_m: float | None = None
-    """z of a level ground, inertial frame (z down), that payload and UAVs touch; needs an engine with contacts, so not
-    rods. The payload is a box about its centre of mass that reaches to its attachment points, a UAV a sphere of 0.1
-    m"""
+    """z of a level ground, inertial frame (z down), for engines with contacts, so not rods. The payload is a box that
+    reaches to its attachment points, a UAV a sphere of 0.1 m"""
     mujoco: MujocoSection = MujocoSection()
     step_s: Annotated[Positive, Key(label="integration step", shown="ms")] = 0.01
     """longest integration step of rods; a period is divided into equal steps"""
@@ -144,13 +138,11 @@ class PlantSection(Section):
     uav_mass_factor: Annotated[MassFactor, Key(label="actual over assumed UAV mass")] = 1.0
     """actual mass and inertia of every UAV over those that the controller assumes"""
     inner_loop: Literal["model", "betaflight"] = "model"
-    """inner loop that makes moments from commanded body rates, 1000 times a second, with
-    `controller.inputs=rates`: the one that the controllers predict with, or the flight firmware Betaflight, one process
-    for each UAV ([engines.md](engines.md#flight-firmware); needs the extra `firmware`)"""
+    """moments from commanded body rates, with `controller.inputs=rates`: by the loop that controllers predict with, or
+    the flight firmware Betaflight, a process for each UAV ([engines.md](engines.md#flight-firmware))"""
     motors: MotorsSection = MotorsSection()
     wind: WindSection = WindSection()
     sensors: Literal["state", "vehicle"] = "state"
-    """measurements of an agent: the states of the payload, its UAVs and their rods; or of each of its UAVs position,
-    velocity, attitude, body rates and specific force, as an autopilot has them
+    """measurements of an agent: the states of payload, own UAVs and rods; or what an autopilot has of each own UAV
     ([equations.md](equations.md#estimation-without-a-payload-sensor))"""
     noise: NoiseSection = NoiseSection()

@@ -6,13 +6,11 @@ from operator import attrgetter
 
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.faults import OF_UAVS
-from protocol.scenario.link_sections import LinkOverrideSection
 from protocol.scenario.plant_sections import MujocoSection
 from protocol.scenario.schema import Scenario
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-# Shortest lag of motors other than none, in sampling periods: the discretisation takes exponentials of its reciprocal.
-_SHORTEST_LAG = 0.01
+_SHORTEST_LAG = 0.01  # of motors, sampling periods: the discretisation takes exponentials of its reciprocal
 
 _OTHER = object()  # any value but the default
 # Key and value, then a key and the value that they need.
@@ -44,8 +42,7 @@ _NEEDS = (
     ("maneuver.reference", "flat", "controller.constraint", ()),
 )
 
-# Field, what was expected there, and what came.
-Problems = Iterator[tuple[str, str, object]]
+Problems = Iterator[tuple[str, str, object]]  # field, what was expected there, and what came
 
 
 def check_relations(scenario: Scenario, source: str) -> None:
@@ -58,9 +55,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
 def _needs(scenario: Scenario) -> Problems:
     for cause, value, key, needed in _NEEDS:
         given, got = attrgetter(cause)(scenario), attrgetter(key)(scenario)
-        section, name = cause.split(".")
-        default = type(getattr(scenario, section)).model_fields[name].default
-        if (given == value or (value is _OTHER and given != default)) and got != needed:
+        if (given == value or (value is _OTHER and given not in ("mpc", None))) and got != needed:
             expected = repr(needed) if isinstance(needed, str | int | float) else "no value"
             yield key, f"{expected} with {cause} = {given!r:.60}", f"{got!r:.60}"
 
@@ -77,9 +72,9 @@ def _ownership(scenario: Scenario) -> Problems:
 def _links(scenario: Scenario) -> Problems:
     links, names = scenario.links, _processes(scenario)
     ends: list[tuple[str, str | None]] = []
-    for place, section in links.all().items():
-        if isinstance(section, LinkOverrideSection):
-            ends += [(f"links.{place}.from", section.from_), (f"links.{place}.to", section.to)]
+    for key, sections in (("override", links.override), ("change", links.change)):
+        for i, section in enumerate(sections, start=1):
+            ends += [(f"links.{key}.{i}.from", section.from_), (f"links.{key}.{i}.to", section.to)]
     for i, partition in enumerate(links.partition, start=1):
         ends += [(f"links.partition.{i}.between", name) for name in partition.between]
         if partition.end_s <= partition.start_s:
@@ -151,7 +146,6 @@ def _plant(scenario: Scenario) -> Problems:
 
 
 def _phases(scenario: Scenario) -> Problems:
-    """Take-offs and landings are vertical and need a ground; splines have points; formations end as they begin."""
     maneuver = scenario.maneuver
     for i, phase in enumerate(maneuver.phase, start=1):
         field, times, points = f"maneuver.phase.{i}", phase.times_s, phase.points_m or []
@@ -178,7 +172,6 @@ def _phases(scenario: Scenario) -> Problems:
 
 
 def _obstacles(scenario: Scenario) -> Problems:
-    """An obstacle has the size of its kind, and no other."""
     sizes = {"radius_m": ("sphere", "cylinder"), "size_m": ("box",), "width_m": ("gap",)}
     for i, section in enumerate(scenario.obstacle, start=1):
         for key, kinds in sizes.items():

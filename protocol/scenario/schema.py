@@ -1,10 +1,8 @@
-"""The scenario: one validated tree that describes a run. Units are in the names; ids are 1-based.
-
-Every process of a run reads the same file. The docstring of a field is its meaning in docs/keys.md.
-"""
+"""The scenario: one validated tree that describes a run. The docstring of a field is its meaning in docs/keys.md."""
 
 import hashlib
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
@@ -82,12 +80,9 @@ class PhaseSection(Section):
     displacement_m: Annotated[Vector, Key(within=(0.0, 1e5))]  # that of a path from a file: a difference of its rows
     """displacement of the payload over the phase, inertial frame; up is negative z"""
     kind: PhaseKind = "move"
-    """a take_off begins and a land ends vertically on the ground, `plant.ground_m`, where the payload stands for a
-    quarter of the phase while its weight passes over; after a land only a take_off or hover follows. circle, eight and
-    spline are smooth curves from rest to rest ([bring-your-own.md](bring-your-own.md#your-own-maneuver))"""
-    way: Annotated[
-        list[list[float]] | None, Key(type="list of lists of 4 numbers", unit="s and m", within=(0.0, 1e9))
-    ] = None
+    """take_off and land are vertical, from and to the ground, where the payload stands for a quarter of the phase;
+    circle, eight and spline are curves from rest to rest ([bring-your-own.md](bring-your-own.md#your-own-maneuver))"""
+    way: Annotated[list[list[float]] | None, Key(type="rows of 4 numbers", unit="s and m", within=(0.0, 1e9))] = None
     """the table of `file` after reading, or in its place: times since the start of the phase and positions relative to
     it, from zeros to duration and displacement, which can then be omitted; between rows at constant speed"""
     file: str | None = None
@@ -106,12 +101,9 @@ class PhaseSection(Section):
     """largest speed on a circle, eight or spline without times; it decides over `duration_s`"""
     ramp_s: Positive = 3.0
     """time in which a circle, eight or spline speeds up at its start, and slows down at its end"""
-    formation: Annotated[
-        list[Vector] | None, Key(type="list of lists of 3 numbers", unit="shares of duration, length, width")
-    ] = None
-    """rods lean out or in: rows of a share of the phase's duration, up to 1 at most, and length and width of a team
-    from then on as multiples of those at hover ([equations.md](equations.md#references-that-a-team-can-fly), (66a));
-    at the end of the maneuver both are 1 again. Only with `reference` flat"""
+    formation: Annotated[list[Vector] | None, Key(type="rows of 3 numbers", unit="shares")] = None
+    """rods lean out or in, with `reference` flat: rows of a share of the phase's duration, and length and width of a
+    team from then on over those at hover ([equations.md](equations.md#references-that-a-team-can-fly), (66a))"""
 
     @model_validator(mode="before")
     @classmethod
@@ -128,34 +120,31 @@ class PhaseSection(Section):
                 duration_s, *displacement_m = value["way"][-1]
                 return {"duration_s": duration_s, "displacement_m": displacement_m, **value}
             given = cls.model_construct(**value)
-            if given.kind in get_args(ShapeKind):
+            if (curve := given.curve(2.0 * given.ramp_s)) is not None:
                 if given.times_s is not None:
                     value = {**value, "duration_s": float(given.times_s[-1])}
                 elif given.speed_mps is not None:
-                    duration_s = _curve(given, 2.0 * given.ramp_s).fastest() / given.speed_mps + given.ramp_s
-                    value = {**value, "duration_s": float(duration_s)}
+                    value = {**value, "duration_s": float(curve.fastest() / given.speed_mps + given.ramp_s)}
                 duration_s = value.get("duration_s", 2.0 * given.ramp_s)
-                end_m = _curve(given, duration_s).path(np.array([duration_s]), 1)[0, 0].tolist()
+                end_m = replace(curve, duration_s=duration_s).path(np.array([duration_s]), 1)[0, 0].tolist()
                 value = {"displacement_m": end_m, **value}
         except (TypeError, ValueError, AttributeError, IndexError):
             pass  # a wrong field is refused by its own check
         return value
 
-    def curve(self) -> Curve | None:
-        """Return the curve of a circle, eight or spline; None for other kinds."""
-        return _curve(self, self.duration_s) if self.kind in get_args(ShapeKind) else None
-
-
-def _curve(phase: PhaseSection, duration_s: float) -> Curve:
-    return Curve(
-        kind=phase.kind,  # type: ignore[arg-type]  # for those kinds that are shapes
-        duration_s=duration_s,
-        ramp_s=phase.ramp_s,
-        size_I=tuple(phase.size_m),
-        laps=phase.laps,
-        points_I=phase.points_m or (),
-        times_s=phase.times_s,
-    )
+    def curve(self, duration_s: float | None = None) -> Curve | None:
+        """Return the curve of a circle, eight or spline, over its own duration by default; None for other kinds."""
+        if self.kind not in get_args(ShapeKind):
+            return None
+        return Curve(
+            kind=self.kind,  # type: ignore[arg-type]  # one of those
+            duration_s=self.duration_s if duration_s is None else duration_s,
+            ramp_s=self.ramp_s,
+            size_I=tuple(self.size_m),
+            laps=self.laps,
+            points_I=self.points_m or (),
+            times_s=self.times_s,
+        )
 
 
 class TargetSection(Section):
@@ -195,14 +184,13 @@ class ManeuverSection(Section):
     start_m: Vector = (0.0, 0.0, -10.0)
     """payload position at t = 0, inertial frame; the run starts there at rest in hover"""
     reference: Literal["hover", "flat"] = "hover"
-    """hover moved along the path, or the motion of the whole team that carries the payload along it
-    ([equations.md](equations.md#references-that-a-team-can-fly)), which needs a smooth path within all limits, and
-    closed_loop, along, riccati, preview"""
+    """hover moved along the path, or the motion of the whole team that carries the payload along a smooth one
+    ([equations.md](equations.md#references-that-a-team-can-fly)); needs closed_loop, along, riccati, preview"""
     profile: Profile = "ramp"
-    """speed profile along a straight segment: constant speed, minimum jerk, a step, or smooth to the seventh
-    derivative. smooth also replaces tables by splines from rest to rest, which round corners within some 0.5 s"""
+    """speed along a straight segment: constant, minimum jerk, a step, or smooth to the seventh derivative. smooth also
+    replaces tables by splines from rest to rest, which round corners within some 0.5 s"""
     press_m: NotNegative = 0.2
-    """distance of the controllers' reference below the path of the payload while it stands on the ground
+    """distance of the controllers' reference below the payload that stands on the ground
     ([equations.md](equations.md#on-the-ground)): the larger, the less of its weight the team holds"""
     phase: Annotated[list[PhaseSection], Field(min_length=1), Key(short="phases")]
     target: list[ScriptedTargetSection] = []
@@ -248,15 +236,15 @@ class ControllerSection(ControllerSettings):
     horizon: Annotated[int, Interval(ge=1, le=MAX_HORIZON), Key(label="horizon", shown="steps", short="horizon")] = 20
     """prediction horizon N_p, in sampling periods"""
     relaxation: Relaxation = 1.0  # type: ignore[assignment]  # a number in `Setup.settings`
-    """share w of the new optimum in the published plan, the rest is the previous plan. With closed_loop it acts on the
-    corrections alone; the feedback acts in full. auto: 1 over the number of agents"""
+    """share w of the new optimum in the published plan, the rest is the previous plan; with closed_loop of the
+    corrections alone. auto: 1 over the number of agents"""
     received_plans: Literal["by_age", "by_one", "held"] = "by_age"
     """the others' plans in the horizon: shifted by their actual age; by one period at any age, as published; held"""
     received_states: Literal["predicted", "as_received"] = "predicted"
     """states of the others: predicted from the time of sending to now, or as received"""
     estimator: Literal["measured", "kalman"] = "measured"
-    """state estimate: measured states and a prediction of the others', or an error-state Kalman filter over the whole
-    team, which `plant.sensors` vehicle needs ([equations.md](equations.md#estimation-without-a-payload-sensor))"""
+    """measured states and a prediction of the others', or a Kalman filter over the whole team, which `plant.sensors`
+    vehicle needs ([equations.md](equations.md#estimation-without-a-payload-sensor))"""
     negotiation_iterations: Annotated[
         int, Interval(ge=1, le=MAX_NEGOTIATION_ITERATIONS), Key(label="negotiation iterations")
     ] = 1
@@ -296,8 +284,7 @@ class ClockSection(Section):
     speed: Annotated[NotNegative, Key(within=(1e-4, 1e4))] = 0.0
     """scenario seconds per second. 0: as fast as possible, in lockstep only; real time needs a number > 0"""
     actuation: Literal["immediate", "next_tick"] | None = None
-    """a plan acts from its own tick on, or from the next. If omitted: immediate in lockstep, next_tick in real time,
-    which allows no other"""
+    """a plan acts from its own tick on, or from the next; real time needs next_tick, lockstep prefers immediate"""
     barrier_timeout_s: Annotated[Positive, Key(within=_WAIT_S)] = 5.0
     """wall time after which a silent agent counts as lost, in real time also the plant"""
     join_timeout_s: Annotated[Positive, Key(within=_WAIT_S)] = 30.0
@@ -323,13 +310,10 @@ class FaultSection(Section):
     at_s: NotNegative
     """scenario time of the fault"""
     do: Literal["kill", "stop", "continue", "restart", "motor_off", "release", "degrade"]
-    """kill: SIGKILL; stop: SIGSTOP; continue: SIGCONT to a stopped process; restart: start an agent again, instead of
-    an old one; motor_off: thrust and moments of a UAV are zero; release: it leaves its rod, motors off; degrade: its
-    motors produce only a share of thrust and moments from then on"""
-    target: Annotated[
-        str, Key(type="coordinator, plant, agent1, agent2, ...; uav1, uav2, ... for motor_off, release and degrade")
-    ]
-    """affected process or UAV"""
+    """kill: SIGKILL; stop: SIGSTOP; continue: SIGCONT; restart: start an agent again; motor_off: thrust and moments of
+    a UAV are zero; release: it also leaves its rod; degrade: its motors produce only a share from then on"""
+    target: Annotated[str, Key(type="coordinator, plant, agent1, agent2, ...; or uav1, uav2, ...")]
+    """affected process, or UAV for motor_off, release and degrade"""
     efficiency: Annotated[float, Interval(gt=0.0, le=1.0)] | None = None
     """with degrade, and required there: share of the commands that the motors produce"""
 
@@ -346,8 +330,7 @@ class NetworkSection(Section):
     host: Annotated[str, Field(pattern=r"^[A-Za-z0-9_:%-]{1,63}(\.[A-Za-z0-9_:%-]{1,63}){0,9}$")] = "127.0.0.1"
     """address the processes listen on; beyond the loopback interface only with `keys` or `insecure`"""
     base_port: Annotated[int, Interval(ge=1024, le=65_000)] | None = None
-    """port of the coordinator, then plant, agent 1, ... If omitted: free ports for `transport run`, 7447 and up for
-    processes started by hand"""
+    """port of the coordinator, then plant, agent 1, ... Default: free ports, or 7447 with processes started by hand"""
     router: Annotated[str, Field(pattern=r"^(tcp|tls)/\S+:\d+$")] | None = None
     """address of a router, `tls/192.0.2.1:7447`: all processes are its clients ([deploy.md](deploy.md#topologies))"""
     keys: Annotated[str, Field(pattern=r"^[^\x00]*$")] | None = None
@@ -356,8 +339,8 @@ class NetworkSection(Section):
     insecure: bool = False
     """true: listen unencrypted on an address that other hosts can reach"""
     secret: bool = True
-    """true: for `transport run` without `keys` and `router`, only processes with the random secret of the run connect;
-    false: any local process can ([deploy.md](deploy.md#a-run-on-one-host))"""
+    """false: any local process can connect to a run without `keys` and `router`, also without its random secret
+    ([deploy.md](deploy.md#a-run-on-one-host))"""
 
 
 class Scenario(Section):
@@ -369,7 +352,6 @@ class Scenario(Section):
         str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$"), Key(type="text: letters, digits, `_`, `-`; at most 40")
     ]
     """name of the run, part of every network key and of the run folder"""
-    # Below the limit of TOML's integers, which is that of the format and not of the key.
     seed: Annotated[int, Interval(ge=0, lt=2**63), Key(type="integer >= 0", short="seed")] = 0
     """seed of all random numbers of a run: `[links]`, wind and noise"""
     system: SystemSection

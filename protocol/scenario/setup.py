@@ -23,18 +23,15 @@ from mpc.fail_safe import FailSafe
 from mpc.regulation import KEPT, Ahead, Regulation
 from mpc.settings import ControllerSettings
 from protocol.scenario.budget import ticks_of
-from protocol.scenario.errors import RequestError, ScenarioError, building
+from protocol.scenario.errors import ScenarioError, building
 from protocol.scenario.faults import Fault, failures, scripted
 from protocol.scenario.links import Link
 from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
 from protocol.scenario.targets import ON_GROUND_M, check_scripted, exceeded, least_slowing
 from protocol.wire.node import RunShape
 
-# Field of a scenario; expected and got.
-Problems = Iterator[tuple[str, str]]
-
-# Width of the walls beside a gap, m: no path comes near their ends.
-_WALL_M = 1e5
+Problems = Iterator[tuple[str, str]]  # field of a scenario; expected and got
+_WALL_M = 1e5  # width of the walls beside a gap: no path comes near their ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,13 +55,12 @@ class Setup:
     settings: ControllerSettings  # the same for every agent
     owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
     ahead: Ahead | None = field(default=None, init=False)  # part of the reference that the newest target changes
+    # The same run with a further target, by what that is: shared by the nodes of a process.
+    _headed: WeakValueDictionary[Hashable, Any] = field(default_factory=WeakValueDictionary, init=False, compare=False)
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
-        """Return everything a scenario describes; `source` is its file, for error texts.
-
-        Raises: ScenarioError: a body, path or setting is impossible; naming file, field, expected, got.
-        """
+        """Return everything a scenario describes; raise ScenarioError, which names the source, if it is impossible."""
         section, inner = scenario.system, scenario.controller
         body, gains = section.payload, None if inner.inputs == "moments" else 1.0 / np.array(inner.rate_time_constant_s)
         payload = building(source, "system.payload", lambda: Payload(mass=body.mass_kg, inertia=body.inertia_kgm2))
@@ -84,16 +80,8 @@ class Setup:
         for check in (setup._off_ground, setup._off_hover, setup._off_limits, setup._off_obstacles):
             for key, problem in check():
                 raise ScenarioError(source, key, problem)
-        try:
-            check_scripted(setup)
-        except RequestError as error:
-            raise ScenarioError(source, "maneuver.target", str(error)) from error
+        building(source, "maneuver.target", lambda: check_scripted(setup))
         return setup
-
-    @cached_property
-    def _headed(self) -> WeakValueDictionary[Hashable, Any]:
-        """The same run with a further target, by what that is: shared by the nodes of a process."""
-        return WeakValueDictionary()
 
     @cached_property
     def model(self) -> Model:

@@ -12,10 +12,7 @@ from protocol.scenario.setup import Setup
 
 
 class StageCost:
-    """Stage cost of the team as the scripted failures of UAVs leave it.
-
-    Inputs count against the hover of the UAVs with running motors; released UAVs do not count.
-    """
+    """Stage cost of the UAVs that scripted failures leave, whose inputs count against their own hover."""
 
     def __init__(self, setup: Setup) -> None:
         found = failures(setup.faults)

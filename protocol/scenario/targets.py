@@ -1,10 +1,7 @@
-"""Targets given during a run, which become messages of the coordinator, and those a new reference.
-
-The coordinator decides the timing once, so that every process makes the same reference.
-"""
+"""Targets given during a run: messages of the coordinator, which decides the timing once, and a new reference each."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from itertools import combinations
 from operator import itemgetter
@@ -20,33 +17,29 @@ from model.maneuver import Target
 from model.parameters import System, resting_height
 from model.state import INPUTS, StateView
 from mpc.settings import ControllerSettings
-from protocol.scenario.errors import RequestError, ScenarioError, validated
+from protocol.scenario.errors import RequestError
 from protocol.scenario.schema import TargetSection
 from protocol.wire import messages
 from protocol.wire.errors import MessageError
 from protocol.wire.names import COORDINATOR
 from protocol.wire.node import Outbox
 
-# A `protocol.scenario.setup.Setup`, which imports this module.
-Run = Any
+Run = Any  # a `protocol.scenario.setup.Setup`, which imports this module
 
-# Largest slowing tried, and relative accuracy of the one found.
-_SLOWEST, _ACCURACY = 64.0, 1e-3
+_SLOWEST, _ACCURACY = 64.0, 1e-3  # largest slowing tried, and relative accuracy of the one found
 # Largest speed where none is given, m/s; time of speeding up that is tried first, s; its factors, largest one.
 SPEED_MPS, _RAMP_S, _LONGER, _LONGEST = 1.0, 2.0, 1.25, 64.0
-# Targets of one run: a process that joins receives all of them.
-MOST = 1000
-# How far a payload that takes off or lands may be from the ground, m.
-ON_GROUND_M = 1e-3
+MOST = 1000  # targets of one run: a process that joins receives all of them
+ON_GROUND_M = 1e-3  # how far a payload that takes off or lands may be from the ground
 _SLACK = 1e-9
 
 
 def exceeded(
     path: Array, system: System, hover: Hover, settings: ControllerSettings, released: Collection[int] = ()
 ) -> str | None:
-    """Return the first limit that the team exceeds along a path, as expected and got; None if it keeps all.
+    """Return the first limit that the team exceeds along a path, given by its jets, (7, k, 3); None if it keeps all.
 
-    Given are the jets of the path, (7, k, 3), and UAVs, 0-based, released before it. Source: docs/equations.md (69).
+    UAVs, 0-based, were released before it. Source: docs/equations.md (69).
     """
     left = [uav for uav in range(system.N) if uav not in released]
     held = hover.tensions[left]
@@ -101,28 +94,18 @@ def least_slowing(
     return high
 
 
-def asked(given: Mapping[str, Any]) -> TargetSection:
-    """Return what a request asks for. Raises: RequestError: it is not valid, whatever the run."""
-    try:
-        return validated(TargetSection, dict(given))
-    except ScenarioError as error:
-        raise RequestError(str(error)) from error
-
-
 def target_of(message: messages.Target, period_s: float) -> Target:
     """Return the target in a message. Raises: MessageError: its numbers make no curve."""
     first, further = message.points[0], message.points[1:] - message.points[0]
     approach = Curve(kind=None, duration_s=message.approach_s, ramp_s=message.approach_ramp_s, size_I=(1.0, 0.0, 0.0))
-    way = None
-    if len(further):
-        times_s = message.times[1:].tolist() if message.times.any() else None
-        way = _spline(further, message.way_s, message.way_ramp_s, times_s)
+    times_s = message.times[1:].tolist() if message.times.any() else None
+    way = _spline(further, message.way_s, message.way_ramp_s, times_s) if len(further) else None
     return Target(since_s=message.tick * period_s, point_I=first, approach=approach, way=way)
 
 
 def headed(setup: Run, message: messages.Target) -> Run:
     """Return a run with the target in a message."""
-    key = (message.number, message.tick, message.points.tobytes(), message.approach_s, message.way_s)
+    key = message.number, message.tick, message.points.tobytes(), message.approach_s, message.way_s
     return setup.headed(target_of(message, setup.settings.sampling_period_s), key)
 
 
@@ -143,8 +126,7 @@ def check_target(setup: Run, message: messages.Target) -> None:
 def target_in_words(message: messages.Target) -> str:
     """Return a target in words."""
     x, y, z = message.points[0].tolist()
-    further = f" and {len(message.points) - 1} way points" if len(message.points) > 1 else ""
-    return f"target ({x:g}, {y:g}, {z:g}) m{further}"
+    return f"target ({x:g}, {y:g}, {z:g}) m"
 
 
 def scripted(setup: Run) -> list[tuple[int, TargetSection]]:
@@ -165,8 +147,7 @@ def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
     points, period_s = np.array(section.points_m), setup.settings.sampling_period_s
     since_s = tick * period_s
     _check_places(setup, points, since_s)
-    speed_mps = section.speed_mps or SPEED_MPS
-    approach = _approach(setup, points[0], since_s, speed_mps)
+    approach = _approach(setup, points[0], since_s, section.speed_mps or SPEED_MPS)
     way, times = None, np.zeros(len(points))
     if len(points) > 1:
         way = _way(setup, points[1:] - points[0], section)
@@ -196,12 +177,9 @@ def _check_places(setup: Run, points: Array, since_s: float) -> None:
     """Check that points are above the ground (without one z = 0, or as low as it has been), and the payload flies."""
     ground_m = setup.scenario.plant.ground_m
     flown = setup.maneuver.path(np.array([0.0, since_s]))[0]
-    if ground_m is None:
-        lowest_m, why = max(0.0, *flown[:, 2]), "as z points down"
-    else:
-        lowest_m, why = resting_height(setup.system, ground_m), "where the payload stands on the ground"
+    lowest_m = max(0.0, *flown[:, 2]) if ground_m is None else resting_height(setup.system, ground_m)
     if points[:, 2].max() > lowest_m + _SLACK:
-        raise RequestError(f"points_m: expected z of at most {lowest_m:g} m, {why}, got {points[:, 2].max():g}")
+        raise RequestError(f"points_m: expected z (down) of at most {lowest_m:g} m, got {points[:, 2].max():g}")
     phase = setup.maneuver.phase_at(since_s)
     if ground_m is not None and (phase.kind in ("take_off", "land") or flown[1, 2] > lowest_m - ON_GROUND_M):
         raise RequestError(f"expected a payload in flight, got phase {phase.name!r} at t = {since_s:.2f} s")

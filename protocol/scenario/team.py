@@ -11,11 +11,8 @@ from protocol.scenario.file import find_scenario, read_tree, validate
 from protocol.scenario.schema import Inertia, Scenario
 from protocol.wire.names import MAX_UAVS
 
-# One rod leaves the payload free to turn about it: no force along the rods changes its heading.
-FEWEST, MOST = 2, MAX_UAVS
-
-# Decimals of lengths and inertias, m and kg m^2: readable, and fine enough not to affect a run.
-_DECIMALS = 6
+FEWEST, MOST = 2, MAX_UAVS  # one rod leaves the payload free to turn about it
+_DECIMALS = 6  # of lengths and inertias, m and kg m^2: readable, and fine enough not to affect a run
 
 
 class AirframeSection(Section):
@@ -88,24 +85,15 @@ def resized(
     vehicle: str | None = None,
     load_kg: float | None = None,
 ) -> Scenario:
-    """Return a scenario for a ring of UAVs, the keys of their vehicle, and all others of the template.
+    """Return a scenario for a ring of `FEWEST` to `MOST` UAVs, with the keys of their vehicle and of the template.
 
-    Args:
-        template: Source of controller, clock, links, maneuver, ... and gravity; its keys alone are given.
-        uavs: N, from `FEWEST` to `MOST`.
-        group: UAVs per agent, the last may have fewer; None: as many as the template's first agent, or all if it has.
-        name: Of the scenario; the template's with the number of UAVs when None.
-        source: Name of the template in error texts.
-        vehicle: File or name of a vehicle; the paper's UAV when None.
-        load_kg: Mass of the payload, kg; half the mass of the UAVs when None.
-    Raises: ScenarioError: the template names agents that this team does not have, or the name is invalid.
+    By default the group, UAVs per agent, is that of the template's first agent, or all; the name is the template's with
+    the number of UAVs; the vehicle, a file or name, is the paper's; the load has half the mass of the UAVs. `source`
+    names the template in errors. Raises: ScenarioError: the template names agents that are gone, or a value is invalid.
     """
     chosen = None if vehicle is None else read_vehicle(vehicle)
-    if group is None:
-        group = uavs if len(template.owned) == 1 else len(template.owned[0])
-    ids = list(range(1, uavs + 1))
-    tree: dict[str, Any] = given(template)
-    basis = template.name
+    group = group or (uavs if len(template.owned) == 1 else len(template.owned[0]))
+    ids, basis, tree = list(range(1, uavs + 1)), template.name, given(template)
     if chosen is not None:
         tree = _merged(tree, {"controller": chosen.controller, "plant": chosen.plant})
         basis = f"{template.name}-{chosen.name}"

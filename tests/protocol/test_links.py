@@ -259,5 +259,5 @@ def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
     assert delays == {0.01, 0.02, 0.03}
     for content in ("0.01 fast", "", "-0.1", "inf"):
         (tmp_path / "delays.csv").write_text(content)
-        with pytest.raises(ScenarioError, match=r"links\.samples"):
+        with pytest.raises(ScenarioError, match=r"links: samples|links\.samples"):
             Setup.of(validate(tree, source), source)

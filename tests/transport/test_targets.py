@@ -8,9 +8,10 @@ import pytest
 
 from model.state import R0
 from mpc.controller import Controller
-from protocol.scenario.errors import RequestError, ScenarioError
+from protocol.scenario.errors import RequestError, ScenarioError, requested
+from protocol.scenario.schema import TargetSection
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import asked, headed, planned, with_targets
+from protocol.scenario.targets import headed, planned, with_targets
 from protocol.wire.messages import Measurement, Message, Request, Roster, Target
 from protocol.wire.node import Outbox
 from tests.coordinator.test_requests import answer_to
@@ -40,7 +41,7 @@ def flown(name: str, *settings: str) -> RunLog:
 
 def message(run: Any, tick: int, number: int = 1, **given: Any) -> Target:
     """Return the coordinator's message for a target."""
-    return Outbox("coordinator", 0).stamp(Target, number=number, **planned(run, asked(given), tick))
+    return Outbox("coordinator", 0).stamp(Target, number=number, **planned(run, requested(TargetSection, given), tick))
 
 
 @pytest.mark.slow
@@ -110,7 +111,7 @@ def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
         ({"points_m": [[0.0, float("nan"), 0.0]]}, "points_m"),
         ({"points_m": [[0.0, 0.0, 2e6]]}, "expected a magnitude of at most 1e+06"),
         ({"points_m": [[0.0, 0.0, -9.0]], "speed_mps": -1.0}, "speed_mps"),
-        ({"points_m": [[3.0, 0.0, 2.0]]}, "expected z of at most 0 m, as z points down, got 2"),
+        ({"points_m": [[3.0, 0.0, 2.0]]}, "expected z (down) of at most 0 m, got 2"),
         ({"points_m": [[200.0, 0.0, -9.0]]}, "expected a target before the end of the run"),
         ({"points_m": [[0, 0, -9.0], [0, 0, -9.0]]}, "expected each way point away from the one before"),
         ({"points_m": [[0, 0, -9.0], [1, 0, -9.0]], "times_s": [0.0, 0.5]}, "feasible in"),
@@ -131,9 +132,9 @@ def test_what_cannot_be_flown_is_refused(given: dict[str, Any], problem: str) ->
 def test_a_target_on_the_ground_or_below_it_is_refused() -> None:
     """No target while the payload takes off, and none below the ground; a scenario with one is refused as a whole."""
     run = runs.ready("delivery")
-    for tick, point, problem in ((2, [0.0, 0.0, -3.0], "in flight"), (160, [0.0, 0.0, 5.0], "z of at most")):
+    for tick, point, problem in ((2, [0.0, 0.0, -3.0], "in flight"), (160, [0.0, 0.0, 5.0], r"z \(down\) of at most")):
         with pytest.raises(RequestError, match=problem):
-            planned(run, asked({"points_m": [point]}), tick)
+            planned(run, requested(TargetSection, {"points_m": [point]}), tick)
     with pytest.raises(ScenarioError, match=r"maneuver\.target.*before the end of the run"):
         runs.ready("resilient", "maneuver.target=[{at_s=24.0,points_m=[[0,0,-9]]}]")
 

@@ -13,12 +13,12 @@ from typer import Argument, Option
 
 from protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
 from protocol.network.session import BusError, ask
+from protocol.scenario.errors import requested
 from protocol.scenario.files import points_of
 from protocol.scenario.keys import key_of, meanings
 from protocol.scenario.link_sections import LinkSection
 from protocol.scenario.links import PERFECT, link_change
-from protocol.scenario.schema import Scenario
-from protocol.scenario.targets import asked
+from protocol.scenario.schema import Scenario, TargetSection
 from protocol.wire.keys import Keys
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from transport.cli.lazy import with_options
@@ -288,7 +288,7 @@ def target(
             given["points_m"], times_s = points_of(file)
         given |= {} if times_s is None else {"times_s": times_s}
     given |= {} if speed is None else {"speed_mps": speed}
-    asked(given)
+    requested(TargetSection, given)
     answer = run.ask(COORDINATOR, "target", given)
     show(
         output,

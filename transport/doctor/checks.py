@@ -8,6 +8,7 @@ from contextlib import closing
 from importlib import metadata
 from typing import Literal, NamedTuple
 
+import joblib
 import threadpoolctl
 
 from agent.node import AgentNode
@@ -109,13 +110,10 @@ def kernels(_: Setup) -> Finding:
     found, folder = compiler.find_compiler(), compiler.cache_folder()
     if native.AVAILABLE:
         return Finding("ok", f"compiled for this processor, in {folder}")
+    reason = f"{found} fails, or {folder} cannot be written" if found else "no C compiler"
+    advice = "install gcc or clang, or set $CC or $PAYLOAD_TRANSPORT_CACHE"
     if not compiler.enabled():
         reason, advice = "switched off", "unset PAYLOAD_TRANSPORT_NATIVE"
-    elif found is None:
-        reason, advice = "no C compiler", "install gcc or clang"
-    else:
-        reason = f"{found} fails, or {folder} cannot be written"
-        advice = f"make {found} compile shared libraries, or set $CC or $PAYLOAD_TRANSPORT_CACHE"
     return Finding("warn", f"{reason}: a step takes nearly twice as long", advice)
 
 
@@ -126,16 +124,14 @@ def wake_up(_: Setup) -> Finding:
         begun = time.monotonic()
         time.sleep(1e-3)
         late_ms.append(1e3 * (time.monotonic() - begun) - 1.0)
-    found = f"after 1 ms of sleep late by {statistics.median(late_ms):.2f} ms"
-    found += f" (longest of {_NAPS}: {max(late_ms):.2f} ms)"
+    found = f"after 1 ms of sleep late by {statistics.median(late_ms):.2f} ms, at most {max(late_ms):.2f} ms"
     advice = "the host is busy or saves power; for real time: priority, cores, governor (docs/realtime.md)"
     return judged(found, max(late_ms) > _LATE_MS, advice)
 
 
 def cores(setup: Setup) -> Finding:
-    """Compare the cores this process may use with the processes of a run and its recorder."""
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    wanted = len(process_names(setup.scenario)) + 1
+    """Compare the cores this process may use, also by its quota, with the processes of a run and its recorder."""
+    usable, wanted = joblib.cpu_count(), len(process_names(setup.scenario)) + 1
     found = f"{usable} for {wanted} processes ({setup.scenario.name}), of {os.cpu_count()} in this machine"
     advice = "lockstep works, but slower; real time needs a core for each process: more cores, or fewer agents"
     return judged(found, usable < wanted, advice)

@@ -26,8 +26,7 @@ from transport.log.run_folder import open_run
 from transport.log.run_log import Recorded, RunLog
 from transport.report.report import write_report
 
-# Shortest time between two updates, wall time, s.
-_EVERY_S = 0.1
+_EVERY_S = 0.1  # shortest time between two updates, wall time
 RUNS = Path("runs")
 
 
@@ -48,9 +47,8 @@ def fly(
 ) -> Run:
     """Simulate a run and return it, also if it diverges.
 
-    In memory by default: the whole team in this process, unpaced, nothing written, with the same results bit for bit as
-    with processes. With `processes=True` each agent, the plant and the coordinator is a process of its own, as in
-    `transport run`, recorded into a run folder.
+    In memory by default: the whole team in this process, unpaced, nothing written, with the same bits as with
+    processes, which are those of `transport run` and recorded.
 
     >>> import transport
     >>> hover = [{"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]}]
@@ -66,7 +64,7 @@ did you mean 'horizon'?
     Args:
         scenario: Scenario file, name of one that comes with the package, or a `Scenario`.
         settings: Changes by dotted key; list entries count from 1.
-        processes: Start a process for each part of the run.
+        processes: Start a process for each agent, the plant and the coordinator.
         folder: Run folder to create; by default none in memory, and runs/<time>-<scenario> with processes.
         progress: Show the progress on standard error.
         path: Path of the payload in place of the maneuver: rows of time and position, (t_s, x_m, y_m, z_m), as an array

@@ -12,7 +12,7 @@ from transport.analysis.series import counted, steps_rows
 from transport.flight.run_files import create
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries
-from transport.interface.settings import ArgumentError, printed, require_pandas
+from transport.interface.settings import printed
 from transport.log.run_log import RunLog
 from transport.log.writer import LogWriter
 from transport.report.report import summary_table, write_report
@@ -26,14 +26,11 @@ if TYPE_CHECKING:
 FigureName = Literal["performance", "inputs", "trajectories", "timing", "estimate"]
 TableName = Literal["series", "steps"]
 
-# Width of the printed summary, characters.
-_WIDTH = 100
+_WIDTH = 100  # of the printed summary, characters
 
 
 class Run:
     """A run: its scenario, its messages, and what follows from them.
-
-    A run that diverged is a run as well: `completed` tells.
 
     >>> import transport
     >>> run = transport.fly("paper", phases=[{"name": "hover", "duration_s": 0.5, "displacement_m": [0, 0, 0]}])
@@ -82,33 +79,25 @@ class Run:
     def to_pandas(self, table: TableName = "series") -> "pd.DataFrame":
         """Return a table: "series" has a row per tick, "steps" one per agent and tick, as steps.csv (docs/summary.md).
 
-        Columns of "series" are those of `RunSeries.columns`, with time as index.
-
-        Raises: ArgumentError: no such table, or pandas is missing.
+        Columns of "series" are those of `RunSeries.columns`, with time as index. Needs the extra `pandas`.
         """
-        pandas = require_pandas()
-        if table == "series":
-            return pandas.DataFrame(self.series.columns()).set_index("time_s")
+        import pandas as pd
+
         if table == "steps":
-            return pandas.DataFrame(list(steps_rows(self._setup, self._counted)))
-        raise ArgumentError(f"table: expected 'series' or 'steps', got {table!r}")
+            return pd.DataFrame(list(steps_rows(self._setup, self._counted)))
+        return pd.DataFrame(self.series.columns()).set_index("time_s")
 
     def plot(self, figure: FigureName = "performance") -> "RunFigure":
-        """Return a figure of the report: "performance", "inputs", "trajectories", "timing" or "estimate".
+        """Return a figure of the report, of matplotlib: a notebook shows it, `savefig("name.png")` writes it.
 
-        It is a matplotlib figure: a notebook shows it, `savefig("name.png")` writes it, its axes can be changed.
-
-        Raises: ArgumentError: no such figure, or a run without a tick.
+        Raises: ArgumentError: no such figure, or a run without data for it.
         """
         from transport.interface.figure import run_figure  # loads matplotlib, 0.5 s that runs without figures save
 
         return run_figure(figure, self._setup, self._counted, self.series.source)
 
     def view(self, host: str = "127.0.0.1", port: int = 8080) -> "RunViewer":
-        """Show the run in the browser; return the viewer, which shows until it is closed or this process ends.
-
-        Raises: ViewerError: viser is missing (extra `view`), or the address cannot be used.
-        """
+        """Show the run in the browser until the viewer is closed; raise ViewerError without viser (extra `view`)."""
         from transport.interface.viewing import RunViewer  # loads the viewer, which other uses do not need
 
         return RunViewer(self._setup, self.log, host, port)
@@ -116,8 +105,7 @@ class Run:
     def save(self, folder: "str | PathLike[str]", *, figures: bool = True) -> Path:
         """Write the run folder that `transport run` writes, to a folder that does not exist yet; return its path.
 
-        Raises: RunError, or OSError for a recorded run: the folder exists or cannot be created. LogError: the log
-            cannot be written.
+        Raises: RunError, or OSError for a recorded run: it exists or cannot be created. LogError: no log is written.
         """
         target = Path(folder)
         if self.folder is not None:

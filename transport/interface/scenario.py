@@ -28,9 +28,8 @@ class Section:
         self._owner, self._key = owner, key
 
     @property
-    def _data(self) -> BaseModel:
-        found: BaseModel = self._owner._found(self._key)
-        return found
+    def _data(self) -> Any:
+        return self._owner._found(self._key)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -109,12 +108,7 @@ class Scenario(Section):
             self._change(read_tree(self._path), changes)
 
     def set(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> None:
-        """Make several changes at once, such as those that are valid only together.
-
-        >>> import transport
-        >>> scenario = transport.Scenario("paper")
-        >>> scenario.set({"clock.mode": "realtime", "clock.speed": 1.0})
-        """
+        """Make several changes at once, such as those that are valid only together."""
         self._change(given(self._tree), settings_of(settings, short))
 
     def __getitem__(self, key: str) -> Any:
@@ -166,15 +160,9 @@ class Scenario(Section):
         vehicle: "str | PathLike[str] | None" = None,
         load_kg: float | None = None,
     ) -> "Scenario":
-        """Return a scenario with a team of another size or vehicle, as `transport scenario new` makes it.
-
-        Vehicle and load are those of `team`. An agent owns `group` UAVs, by default as many as in this scenario, whose
-        name, with the vehicle's and the number of UAVs, is the default of `name`.
-        """
+        """Return a scenario with another team, as `team`; an agent owns `group` UAVs, by default as many as here."""
         if not FEWEST <= uavs <= MOST:
             raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs}")
-        if group is not None and group < 1:
-            raise ArgumentError(f"group: expected at least 1 UAV per agent, got {group}")
         source, chosen = str(self._path), None if vehicle is None else str(vehicle)
         data = resized(self._tree, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg)
         made = Scenario(self)
@@ -245,10 +233,7 @@ def team(
 
 
 def path_phase(path: Sequence[Sequence[float]], *, flat: bool) -> dict[str, Any]:
-    """Return the phase of a maneuver along rows of time and position, (t_s, x_m, y_m, z_m), counted from the first.
-
-    Raises: ArgumentError: rows of another kind.
-    """
+    """Return the phase of a maneuver along rows of time and position, (t_s, x_m, y_m, z_m), counted from the first."""
     rows = np.asarray(path, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 4 or len(rows) < 2:
         raise ArgumentError(f"path: expected two or more rows of t_s, x_m, y_m, z_m, got {path!r:.60}")

@@ -1,7 +1,6 @@
 """Arguments of the Python interface: settings by dotted key or short name, and errors about them."""
 
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from os import PathLike
 from typing import Any, Literal, TypedDict
 
@@ -44,15 +43,11 @@ class ShortSettings(TypedDict, total=False):
     gust_mps: Sequence[float]
 
 
-# Keys of the scenario by their short names.
-KEY_OF: Mapping[str, str] = short_names()
+KEY_OF: Mapping[str, str] = short_names()  # keys of the scenario
 
 
 def key_of(name: str) -> str:
-    """Return the dotted key of a setting given by its key or its short name.
-
-    Raises: ArgumentError: a name without a dot that is neither a short name nor a key of the top level.
-    """
+    """Return the dotted key of a setting given by its key or its short name; raise ArgumentError for another name."""
     if name in KEY_OF:
         return KEY_OF[name]
     if "." in name or name in ("name", "seed", "schema", "obstacle"):
@@ -92,11 +87,3 @@ def printed(table: RenderableType, width: int) -> str:
     with console.capture() as capture:
         console.print(table)
     return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
-
-
-def require_pandas() -> Any:
-    """Return the module pandas; raise ArgumentError if it is not installed."""
-    try:
-        return import_module("pandas")
-    except ModuleNotFoundError as error:
-        raise ArgumentError("pandas is not installed: pip install 'payload-transport[pandas]'") from error

@@ -19,15 +19,14 @@ from transport.flight.progress import compile_model
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.fly import console
 from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, key_of, plain, printed, require_pandas
+from transport.interface.settings import ArgumentError, key_of, plain, printed
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Base = str | PathLike[str] | Scenario
 
-_NAME = "sweep"
-_CURVE = "settings"  # label of all keys but the one along the axis
+_NAME, _CURVE = "sweep", "settings"  # the latter is the label of all keys but the one along the axis
 
 
 def sweep(
@@ -81,8 +80,7 @@ def sweep(
             cases += cases_of_point(len(points), changed.validated, changed.file, seeds)
             points.append(Point(scenario=label, labels=labels, text=text, baseline=number == 0))
             sizes.add(changed.setup.system.N)
-    first = next(iter(values))
-    experiment = Experiment(name=_NAME, points=tuple(points), x=axis(first))
+    experiment = Experiment(name=_NAME, points=tuple(points), x=axis(next(iter(values))))
     shown = console(shown=progress)
     target = None if folder is None else Path(folder)
     with Results(_NAME, target) as results:
@@ -101,11 +99,7 @@ class Sweep:
 
     def __init__(self, swept: experiment_sweep.Swept) -> None:
         self._swept = swept
-        # Statistics of each point: means over completed runs with 95 % confidence intervals.
-        self.points: list[PointStatistics] = swept.measured
-
-    def __len__(self) -> int:
-        return len(self.points)
+        self.points: list[PointStatistics] = swept.measured  # means over completed runs with 95 % confidence intervals
 
     def __repr__(self) -> str:
         return f"Sweep({len(self.points)} points, {len(self._swept.results)} runs)"
@@ -115,23 +109,19 @@ class Sweep:
         return printed(table_of(means_in_words(self.points), self.points), WIDTH)
 
     def rows(self, table: Literal["points", "runs"] = "points") -> list[dict[str, Any]]:
-        """Return a row for each point, or for each run: values by column, as points.csv and cases.csv have them.
-
-        Columns are described in docs/experiments.md; the cost ratio is relative to the first combination of the grid.
-        """
+        """Return a row for each point, or each run, as points.csv and cases.csv have them (docs/experiments.md)."""
         return self._swept.rows(table)
 
     def to_pandas(self, table: Literal["points", "runs"] = "points") -> "pd.DataFrame":
         """Return the rows as a table of pandas (extra `pandas`)."""
-        return require_pandas().DataFrame(self.rows(table))
+        import pandas as pd
+
+        return pd.DataFrame(self.rows(table))
 
     def plot(self, x: str | None = None, kind: Literal["curves", "map"] = "curves") -> RunFigure:
-        """Return a figure: completed runs, mean cost and payload attitude over a setting; or a map of two settings.
+        """Return a figure: completed runs, mean cost and payload attitude over a setting x, by default the first.
 
-        Args:
-            x: Setting along the horizontal axis, as named in the grid; by default the first one.
-            kind: Curves, one for each combination of the other settings; or a map of cost over exactly two settings.
-
+        There is a curve for each combination of the other settings; or it is a map of cost over exactly two settings.
         Raises: ArgumentError: no such setting, or no map of these settings.
         """
         experiment, measured = self._drawn_as(x, kind)

@@ -26,11 +26,8 @@ class RunViewer(Viewer):
         return f'<iframe src="{address}" width="100%" height="600" style="border:0"></iframe><p>{address}</p>'
 
     def wait(self) -> None:
-        """Wait until the viewer is closed; Ctrl-C closes it."""
-        try:
-            self._closed.wait()
-        except KeyboardInterrupt:
-            self.close()
+        """Wait until the viewer is closed."""
+        self._closed.wait()
 
     def close(self) -> None:
         """Stop the server and disconnect the browsers; a second time does nothing."""

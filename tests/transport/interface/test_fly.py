@@ -124,8 +124,6 @@ def test_tables(run: transport.Run) -> None:
     np.testing.assert_array_equal(table["payload_error_m[z]"], run.series["payload_error_m"][:, 2])
     np.testing.assert_array_equal(table["uav_error_m[3,y]"], run.series["uav_error_m"][:, 2, 1])
     assert len(run.to_pandas("steps")) == 30 * 4
-    with pytest.raises(transport.ArgumentError, match="table: expected 'series' or 'steps'"):
-        run.to_pandas("plans")  # type: ignore[arg-type]
 
 
 def test_a_run_is_shown_by_notebooks(run: transport.Run) -> None:
