@@ -5,6 +5,7 @@ minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A 
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import clarabel
@@ -17,8 +18,7 @@ from mpc.settings import SolverName
 
 Status = Literal["solved", "infeasible", "limit", "numerical"]
 
-# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to 1e-6 relative, where
-# 1e-3 is required.
+# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to 1e-6.
 RESIDUAL_TOLERANCE = 1e-6
 # A usual QP needs one guess of its active bounds, others two or three; the limit ends a cycle.
 MOST_GUESSES = 8
@@ -30,7 +30,7 @@ _CLARABEL: dict[str, Status] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class QP:
     """The data of one program; equalities are rows with equal bounds, missing bounds are infinite."""
 
@@ -42,9 +42,9 @@ class QP:
     row_lower: Array  # bounds on A z, (r,)
     row_upper: Array
 
-    @property
+    @cached_property
     def addresses(self) -> list[int]:
-        """Addresses of the data, row by row, for the compiled kernels."""
+        """Addresses of the data, row by row, for the compiled kernels; copies need new ones (`replace`)."""
         data = self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper
         return [native.at(array) for array in data]
 
@@ -87,14 +87,10 @@ class Solution:
 
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
     """Return the Karush-Kuhn-Tucker residuals; arguments as in `Solution`. Source: docs/equations.md (28)."""
-    if not native.AVAILABLE:
-        return _residuals(qp, z, bound_multipliers, row_multipliers)
-    (rows, n), found, answer = qp.A.shape, np.empty(3), map(native.at, (z, bound_multipliers, row_multipliers))
-    native.KERNELS.residuals(n, rows, *qp.addresses, *answer, native.at(found), native.work("residuals", n))
-    return Residuals(*found.tolist())
-
-
-def _residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
+    if native.AVAILABLE:
+        (rows, n), found, answer = qp.A.shape, np.empty(3), map(native.at, (z, bound_multipliers, row_multipliers))
+        native.KERNELS.residuals(n, rows, *qp.addresses, *answer, native.at(found), native.work("residuals", n))
+        return Residuals(*found.tolist())
     values = np.concatenate([z, qp.A @ z])
     multipliers = np.concatenate([bound_multipliers, row_multipliers])
     lower = np.concatenate([qp.lower, qp.row_lower])

@@ -14,7 +14,6 @@ from model.parameters import System
 SolverName = Literal["daqp", "clarabel"]
 PredictionName = Literal["open_loop", "closed_loop"]
 PenalisedInput = Literal["deviation", "absolute"]
-InputsName = Literal["moments", "rates"]
 
 
 class SettingsError(ValueError):
@@ -123,9 +122,7 @@ class Weights(Section):
 
     def terms(self, N: int) -> tuple["CostTerm", ...]:
         """Return the weights of N UAVs that are not on outputs of the model, as terms of the cost."""
-        if not self.tilt_rate:
-            return ()
-        rates = [f"omega{uav}[{axis}]" for uav in range(1, N + 1) for axis in (0, 1)]
+        rates = [f"omega{uav}[{axis}]" for uav in range(1, N + 1) for axis in (0, 1) if self.tilt_rate]
         return tuple(CostTerm(expression=rate, weight=self.tilt_rate) for rate in rates)
 
 
@@ -228,7 +225,7 @@ class ControllerSettings(Section):
     solver: Annotated[SolverName, Key(short="solver")] = "daqp"
     """first QP solver. daqp: the program with bounds alone is tried first, and Clarabel solves any program whose
     solution fails the residual check"""
-    inputs: InputsName = "moments"
+    inputs: Literal["moments", "rates"] = "moments"
     """what agents command beside the thrust: moments, or body rates that an inner loop on each UAV follows,
     [equations.md](equations.md#body-rates) (57)"""
     rate_time_constant_s: Annotated[
@@ -248,14 +245,15 @@ class ControllerSettings(Section):
 
     def lower(self, uavs: int) -> Array:
         """Return the smallest inputs of that many UAVs, (4 uavs,)."""
-        return np.tile([self.limits.thrust_N[0], *-self.upper(1)[1:]], uavs)
+        turning = self.limits.rates_rads if self.inputs == "rates" else self.limits.moments_Nm
+        return np.array([self.limits.thrust_N[0], *(-largest for largest in turning)] * uavs)
 
     def upper(self, uavs: int) -> Array:
         """Return the largest inputs of that many UAVs, (4 uavs,)."""
         turning = self.limits.rates_rads if self.inputs == "rates" else self.limits.moments_Nm
-        return np.tile([self.limits.thrust_N[1], *turning], uavs)
+        return np.array([self.limits.thrust_N[1], *turning] * uavs)
 
     def step(self, uavs: int) -> Array:
         """Return the largest change of the inputs over one sampling period, (4 uavs,)."""
         turning = self.limits.rate_slopes_rads2 if self.inputs == "rates" else self.limits.moment_rates_Nm_s
-        return np.tile([self.limits.thrust_rate_N_s, *turning], uavs) * self.sampling_period_s
+        return np.array([self.limits.thrust_rate_N_s, *turning] * uavs) * self.sampling_period_s
