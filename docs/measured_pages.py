@@ -40,10 +40,6 @@ SENSORS = (
     "controller.estimator=kalman",
     "plant.noise={position_m=0.01,velocity_mps=0.02,attitude_rad=0.0087,rate_rads=0.0175,specific_force_mps2=0.3}",
 )
-SWING = cell("swing_m", "{:.1f} cm", 100.0)
-DISTANCE = cell("separation_min_m", "{:.3f} m", of=np.min)
-PAYLOAD = unless_diverged(cell("payload_rms_m", "{:.2f} cm rms", 100.0), cell("payload_max_m", "{:.2f} cm", 100.0))
-PAYLOAD_RMS = cell("payload_rms_m", "{:.1f} cm", 100.0)
 DETAILS = {
     "result": outcome,
     "mean cost": COST,
@@ -118,13 +114,6 @@ GUARANTEES = (
 
 # docs/engines.md and docs/vehicles.md
 
-SUSPENSIONS: Mapping[str, tuple[str, ...]] = {
-    "rods of 1 g": (),
-    "rods of 10 g": ("plant.mujoco.rod_mass_kg=0.01",),
-    "rods of 100 g": ("plant.mujoco.rod_mass_kg=0.1",),
-    "rods of 100 g, with `controller.disturbance.estimate`": ("plant.mujoco.rod_mass_kg=0.1", ESTIMATE),
-    "cables": (CABLES,),
-}
 # A maneuver that descends almost as fast as bodies fall.
 FALL = (
     'maneuver.phase=[{name="hover",duration_s=1.0,displacement_m=[0.0,0.0,0.0]},'
@@ -165,13 +154,7 @@ ENGINES = (
             for name in ("resilient", "precise")
             for network, settings in {"perfect": (), "200 ms delay, 30 % packet loss": LATE}.items()
         },
-        PAYLOAD,
-    ),
-    listed(
-        "suspensions",
-        "`resilient` in MuJoCo with",
-        {text: Run("resilient", (MUJOCO, *settings)) for text, settings in SUSPENSIONS.items()},
-        {"payload error": PAYLOAD},
+        unless_diverged(cell("payload_rms_m", "{:.2f} cm rms", 100.0), cell("payload_max_m", "{:.2f} cm", 100.0)),
     ),
     listed(
         "cables",
@@ -245,13 +228,6 @@ WITH_ESTIMATE = {
     "with estimate": (ESTIMATE,),
     "with estimate, 100 ms delay, 30 % loss": (ESTIMATE, *IMPAIRED),
 }
-PENALTIES = ("separation.penalty", "constraint.1.penalty", "constraint.2.penalty")
-COLLISION = {
-    "as it is": (),
-    "`controller.separation.minimum_m=0.001`": ("controller.separation.minimum_m=0.001",),
-    "`agents.owned=[[1,2,3,4]]`": ("agents.owned=[[1,2,3,4]]",),
-    "all three penalties 60": tuple(f"controller.{key}=60" for key in PENALTIES),
-}
 OPEN_LOOP = ("controller.prediction=open_loop", "controller.terminal=multiple", "controller.preview=false")
 WINDY = {
     "as it is": (),
@@ -268,10 +244,10 @@ VALUES = (
             "cost, mean": COST,
             "payload attitude": cell("attitude_max_deg", "{:.2f} deg"),
             "UAV error, rms": cell("uav_rms_m", "{:.1f} cm", 100.0),
-            "payload error, rms": PAYLOAD_RMS,
+            "payload error, rms": cell("payload_rms_m", "{:.1f} cm", 100.0),
             "largest payload error": cell("payload_max_m", "{:.1f} cm", 100.0),
-            "the same in the last 4 s": SWING,
-            "smallest distance of two UAVs": DISTANCE,
+            "the same in the last 4 s": cell("swing_m", "{:.1f} cm", 100.0),
+            "smallest distance of two UAVs": cell("separation_min_m", "{:.3f} m"),
         },
     ),
     grid(
@@ -293,12 +269,6 @@ VALUES = (
             for text, setting in PLANTS.items()
         },
         unless_diverged(cell("uav_last_m", "{:.2f} cm", 100.0), COST),
-    ),
-    listed(
-        "collision",
-        "",
-        {text: Run("collision", settings) for text, settings in COLLISION.items()},
-        {"smallest distance": DISTANCE, "front pair, largest x": cell("front_m", "{:.3f} m")},
     ),
     listed(
         "windy",
