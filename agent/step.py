@@ -146,7 +146,7 @@ class Planner:
             start, u0 = k + 1, announced.at(k, before=k, x=x)
             x0, _ = motors.integrate(controller.model, x, u0, period_s, STEPS, setup.settings.motor_lag_s, forces)
         else:
-            start, x0, u0 = k, x, team.inputs_until(k)
+            start, x0, u0 = k, x, team.estimator.inputs_until(k, announced)
         U = announced.sequence(start, steps, before=k)
         c = announced.corrections(start, steps, before=k)
         law = controller.law(x0, setup.X_ref[start : start + steps], c, forces, start)
