@@ -8,27 +8,15 @@ it again when a tick is opened.
 from collections.abc import Collection, Sequence
 from enum import Enum
 
-from coordinator.clock import Clock, TeamRoster, names
-from coordinator.links import Changes
+from coordinator.clock import Clock
+from coordinator.roster import TeamRoster, names
 from protocol.admission.plausibility import check_tick
 from protocol.scenario.errors import RequestError
-from protocol.scenario.links import words_of
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import target_in_words
+from protocol.scenario.targets import asked
 from protocol.wire.errors import MessageError
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
-from protocol.wire.messages import (
-    Control,
-    Event,
-    LinkChange,
-    Message,
-    Plan,
-    PlantState,
-    Presence,
-    Request,
-    Target,
-    Tick,
-)
+from protocol.wire.messages import Control, Event, Message, Plan, PlantState, Presence, Request, Target, Tick
 from protocol.wire.names import COORDINATOR, PLANT
 from protocol.wire.node import Outbox
 
@@ -61,7 +49,6 @@ class CoordinatorNode:
         self._out = Outbox(self.name, incarnation)
         self._clock = Clock(setup)
         self._roster = TeamRoster(setup, self._out)
-        self._changes = Changes(setup, self._out)
         self._awaited = {PLANT, *self._roster.agents, *observers}
         self._observers = set(observers)  # that have not left
         self._answered: set[int] = set()
@@ -210,29 +197,21 @@ class CoordinatorNode:
                 raise RequestError(f"what: expected status, link or target, got {request.what!r}")
             if self.state is State.WAITING or self._is_last:
                 raise RequestError("expected a running simulation")
-            change: LinkChange | Target
+            messages: Sequence[Message]
             if request.what == "target":
-                change = self._changes.target(request.given, self.tick + 1)
+                messages = self._roster.target(asked(request.given), self.tick + 1)
             else:
-                change = self._changes.link(request.given, self.tick + 1)
+                messages = self._roster.link(request.given, self.tick + 1)
         except RequestError as error:
             request.reply({"error": str(error)})
             return ()
-        since_s = change.tick * self._period_ns / 1e9
+        change, since_s = messages[0], (self.tick + 1) * self._period_ns / 1e9
         reached = {}
         if isinstance(change, Target):
             reached_s = since_s + change.approach_s
             reached = {"reached_s": reached_s, "ends_s": reached_s + change.way_s}
-        request.reply({"tick": change.tick, "t_s": since_s, **reached})
-        return self._announced(change)
-
-    def _announced(self, change: LinkChange | Target | RequestError) -> list[Message]:
-        """Return a change with a roster, whose version ticks name: no process opens the next one without knowing it."""
-        if isinstance(change, RequestError):
-            return [self._roster.message(f"target refused: {change}", self.tick)]
-        words = words_of(change) if isinstance(change, LinkChange) else target_in_words(change)
-        tick = self.tick if isinstance(change, LinkChange) else change.tick
-        return [change, self._roster.message(f"{words}, from {self._roster.time(change.tick)} on", tick)]
+        request.reply({"tick": self.tick + 1, "t_s": since_s, **reached})
+        return messages
 
     def _drop_silent(self, silent: set[int], now_ns: int) -> Sequence[Message]:
         """Take agents that have not answered in time off the roster."""
@@ -288,11 +267,7 @@ class CoordinatorNode:
     def _open(self, now_ns: int) -> list[Message]:
         """Open the next tick, also for agents that have returned."""
         tick = self.tick + 1
-        changes = self._changes.repeated() if self._roster.joining else []
-        joined, rosters = self._roster.join(tick)
-        messages: list[Message] = [*changes, *rosters, *self._roster.fail_uavs(tick)]
-        for target in self._changes.due(tick):
-            messages += self._announced(target)
+        joined, messages = self._roster.begin(tick)
         late_ns, overrun_ns = self._clock.lateness_ns(tick, now_ns)
         opened = self._out.stamp(
             Tick,
