@@ -13,17 +13,15 @@ _AWAY_NS = 200_000_000
 class Clock:
     """Sampling clock of a run. Ticks are due relative to the first one, so that delays do not add up.
 
-    In lockstep it waits for the answers of all agents; a speed above 0 holds the next tick until it is due. In real
-    time it opens ticks at their deadlines; `clock.on_overrun` says what happens when plans miss them.
-
-    All times are ns on a clock that only goes forward. `missing` are the agents on the roster that have not answered
-    the open tick.
+    In lockstep it waits for all answers, and at a speed above 0 until the next tick is due. In real time it opens ticks
+    at their deadlines; `clock.on_overrun` says what happens when plans miss them. Times are ns of a steady clock;
+    `missing` are the agents on the roster that have not answered the open tick.
     """
 
     def __init__(self, setup: Setup) -> None:
         self.waiting_since_ns = 0  # start of the barrier timeout
         self._settings, self._period_ns = setup.scenario.clock, setup.period_ns
-        self.is_realtime = self._settings.mode == "realtime"
+        self.is_realtime, self._holds = self._settings.mode == "realtime", self._settings.on_overrun == "hold"
         self._barrier_ns = round(self._settings.barrier_timeout_s * 1e9)
         self._start_ns = self._plant_ns = 0
         self._owed_since_ns: dict[int, int] = {}  # by agent: since when it owes an answer
@@ -41,6 +39,11 @@ class Clock:
     def expires_ns(self) -> int:
         """End of the barrier timeout."""
         return self.waiting_since_ns + self._barrier_ns
+
+    @property
+    def hold_ends_ns(self) -> int:
+        """End of the time for which a tick waits for agents that the scenario's faults bring back."""
+        return self.waiting_since_ns + round(self._settings.join_timeout_s * 1e9)
 
     def excuse_absence(self, tick: int, wake_ns: int | None, now_ns: int) -> None:
         """Restart all timeouts if the coordinator woke up late: answers that came meanwhile are still to be read.
@@ -83,7 +86,7 @@ class Clock:
         if not self.is_realtime:
             return 0, 0
         late_ns = max(0, now_ns - self.due_ns(tick)) if tick > 0 else 0
-        if self._settings.on_overrun == "hold":
+        if self._holds:
             self._start_ns += late_ns  # all later deadlines move by the wait
         return late_ns, self._overrun_ns
 
@@ -123,4 +126,4 @@ class Clock:
 
     def waits_for(self, missing: set[int]) -> bool:
         """Return whether the open tick waits for answers."""
-        return bool(missing) and (not self.is_realtime or self._settings.on_overrun == "hold")
+        return bool(missing) and (not self.is_realtime or self._holds)

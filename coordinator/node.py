@@ -44,11 +44,8 @@ class CoordinatorNode:
         self.state, self.tick = State.WAITING, -1
         self.incarnation = incarnation
         self.finished: Control | None = None
-        self._ticks, self._period_ns, self._settings = setup.ticks, setup.period_ns, setup.scenario.clock
-        self._negotiation_iterations = setup.scenario.controller.negotiation_iterations
-        self._out = Outbox(self.name, incarnation)
-        self._clock = Clock(setup)
-        self._roster = TeamRoster(setup, self._out)
+        self._setup, self._ticks, self._out = setup, setup.ticks, Outbox(self.name, incarnation)
+        self._clock, self._roster = Clock(setup), TeamRoster(setup, self._out)
         self._awaited = {PLANT, *self._roster.agents, *observers}
         self._observers = set(observers)  # that have not left
         self._answered: set[int] = set()
@@ -63,7 +60,7 @@ class CoordinatorNode:
         if self.state in (State.WAITING, State.STOPPED):
             return None
         if self.state is State.HELD:
-            return self._hold_ends_ns
+            return self._clock.hold_ends_ns
         waits = self._awaits_plant or self._clock.waits_for(self._missing)
         return self._clock.expires_ns if waits else self._clock.due_ns(self.tick + 1)
 
@@ -103,7 +100,7 @@ class CoordinatorNode:
             return ()
         self._clock.excuse_absence(self.tick, self.wake_ns, now_ns)
         if self.state is State.HELD:
-            if now_ns < self._hold_ends_ns:
+            if now_ns < self._clock.hold_ends_ns:
                 return ()
             return [self._roster.give_up(self.tick + 1), *self._advance(now_ns)]
         expired = now_ns >= self._clock.expires_ns
@@ -136,10 +133,6 @@ class CoordinatorNode:
         """Agents on the roster that have not answered the open tick."""
         return self._roster.members - self._answered
 
-    @property
-    def _hold_ends_ns(self) -> int:
-        return self._clock.waiting_since_ns + round(self._settings.join_timeout_s * 1e9)
-
     def check_moment(self, message: Message) -> None:
         """Refuse answers to other ticks than the open one, and plans of agents off the roster.
 
@@ -156,13 +149,12 @@ class CoordinatorNode:
 
     def _process_ready(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Note that a process is ready; open the first tick when all are."""
-        if event.name in {PLANT, *self._roster.agents} | self._awaited:
-            self._awaited.discard(event.name)
-            known = self._roster.incarnations.get(event.name, -1)
-            self._roster.incarnations[event.name] = max(event.incarnation, known)
-            if not self._awaited:
-                return [self._roster.message("all processes are ready", 0), *self._open(now_ns)]
-        return ()
+        if event.name not in {PLANT, *self._roster.agents} | self._awaited:
+            return ()
+        self._awaited.discard(event.name)
+        known = self._roster.incarnations.get(event.name, -1)
+        self._roster.incarnations[event.name] = max(event.incarnation, known)
+        return () if self._awaited else [self._roster.message("all processes are ready", 0), *self._open(now_ns)]
 
     def _agent_returned(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Let a new incarnation of an agent join at the next tick."""
@@ -205,7 +197,7 @@ class CoordinatorNode:
         except RequestError as error:
             request.reply({"error": str(error)})
             return ()
-        change, since_s = messages[0], (self.tick + 1) * self._period_ns / 1e9
+        change, since_s = messages[0], (self.tick + 1) * self._setup.period_ns / 1e9
         reached = {}
         if isinstance(change, Target):
             reached_s = since_s + change.approach_s
@@ -216,7 +208,8 @@ class CoordinatorNode:
     def _drop_silent(self, silent: set[int], now_ns: int) -> Sequence[Message]:
         """Take agents that have not answered in time off the roster."""
         # An agent that is behind in a negotiation blocks the others: drop it alone and restart their timeout.
-        left = {agent: self._negotiating.get(agent, self._negotiation_iterations) for agent in silent}
+        iterations = self._setup.scenario.controller.negotiation_iterations
+        left = {agent: self._negotiating.get(agent, iterations) for agent in silent}
         behind = {agent for agent in silent if left[agent] == max(left.values())}
         if behind < silent:
             silent, self._clock.waiting_since_ns = behind, now_ns
@@ -229,7 +222,7 @@ class CoordinatorNode:
     def _lose(self, agents: Collection[int], reason: str, now_ns: int) -> Sequence[Message]:
         """Take agents off the roster, and continue or end the run by `clock.on_agent_loss`."""
         reason = f"{reason} at {self._roster.time(max(self.tick, 0))}"
-        if self._settings.on_agent_loss == "abort" or self.state is State.WAITING:
+        if self._setup.scenario.clock.on_agent_loss == "abort" or self.state is State.WAITING:
             return self._stop(EXIT_UNREACHABLE, reason)
         self._roster.members.difference_update(agents)
         if not self._roster.members:
@@ -245,7 +238,9 @@ class CoordinatorNode:
             return self._stop(EXIT_DIVERGED, self._divergence)
         if not self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last) or self._awaits_plant:
             return ()
-        if self._is_held(now_ns):
+        if self.state is not State.DIVERGED and not self._is_last and self._roster.awaited(self.tick + 1):
+            if self.state is not State.HELD:
+                self.state, self._clock.waiting_since_ns = State.HELD, now_ns
             return ()
         overrun = self._clock.overrun(self.tick, self._missing, now_ns)
         if overrun:
@@ -254,15 +249,6 @@ class CoordinatorNode:
             return self._stop(EXIT_DIVERGED if self.state is State.DIVERGED else 0, self._divergence)
         opened = self._open(now_ns)
         return [*opened, *self._advance(now_ns)] if self.state is State.DIVERGED else opened
-
-    def _is_held(self, now_ns: int) -> bool:
-        """Return whether the next tick waits for agents that scripted faults bring back at it."""
-        if self._is_last or self.state is State.DIVERGED or not self._roster.awaited(self.tick + 1):
-            return False
-        if self.state is not State.HELD:
-            self.state = State.HELD
-            self._clock.waiting_since_ns = now_ns
-        return True
 
     def _open(self, now_ns: int) -> list[Message]:
         """Open the next tick, also for agents that have returned."""
@@ -280,7 +266,8 @@ class CoordinatorNode:
             overrun_ns=overrun_ns,
         )
         self.tick = tick
-        self.state = State.DIVERGED if self.state is State.DIVERGED else State.OPEN
+        if self.state is not State.DIVERGED:
+            self.state = State.OPEN
         self._answered, self._shared, self._negotiating = set(), set(), {}
         self._clock.open(tick, self._roster.members, joined, now_ns)
         if self._plant_tick + 1 == tick:
