@@ -14,8 +14,8 @@ from model.arrays import Array
 from model.linearisation import Model
 from model.parameters import System
 from model.state import StateView
+from plant.actuators import checked_firmware
 from plant.environment import Environment
-from plant.inner_loop import checked_firmware
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.own_class import OwnClassError, made, own_class, real_array, told, version_of
 from protocol.scenario.plant_sections import PlantSection

@@ -14,11 +14,9 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from model.failure import motor_off_state, no_inputs, released_state
+from plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
 from plant.engines import UNKNOWN_ERROR, Engine
 from plant.environment import Environment, Sensors
-from plant.inner_loop import INNER_STEP_S, inner_loop
-from plant.motors import Motors
-from plant.schedule import MOTOR_OFF, ActuatorSchedule
 from protocol.admission.arrivals import Arrivals
 from protocol.admission.membership import Membership
 from protocol.scenario.faults import degradations, uav_faults
@@ -79,7 +77,6 @@ class PlantNode:
         self._u: Array = setup.hover.u.copy()  # in force until now
         self._sensors = Sensors(setup) if setup.sensors.vehicle else None
         self._acted: tuple[Array, Array | None] = self._u, None  # actual inputs and forces until now
-        self._restart_inner_loop()
         self._state_tick = 0  # self._x is the state at this tick
         self._measured_tick = -1
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
@@ -213,11 +210,8 @@ class PlantNode:
                 self._x = motor_off_state(self._x, uav)
                 self.engine.reset(self._x)
             self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
-            self._restart_inner_loop()
-
-    def _restart_inner_loop(self) -> None:
-        if self._inner_loop is not None:
-            self._inner_loop.reset(self._x, self._u)
+            if self._inner_loop is not None:
+                self._inner_loop.reset(self._x)
 
     def _integrate(self, now_ns: int) -> list[Message]:
         k, x = self._state_tick, self._x
@@ -231,11 +225,11 @@ class PlantNode:
         end, error, mean = x, UNKNOWN_ERROR, np.zeros_like(u)
         tensions = np.full(len(self.engine.tensions), np.inf)
         part_s = self._period_s / self._parts
-        for part in range(self._parts):
+        for _ in range(self._parts):
             command = u
             if self._inner_loop is not None:
                 rates = u.reshape(-1, state.INPUTS)
-                command = self._inner_loop.moments(k * self._period_s + part * part_s, rates, end).reshape(-1)
+                command = self._inner_loop.moments(rates, end).reshape(-1)
             for actual, duration_s in self._motors.inputs(command, part_s, self._steps):
                 end, local_error = self.engine.advance(actual, forces, duration_s)
                 error, mean = max(local_error, error), mean + duration_s / self._period_s * actual

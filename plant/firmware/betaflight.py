@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from model.arrays import Array
 from model.parameters import Uav
 from model.state import OMEGA, THETA, StateView
+from plant.actuators import Rotors
 from plant.firmware.process import FirmwareError, Process, executable, settings, virtual_time
-from plant.motors import Rotors
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.plant_sections import RotorsSection
 from protocol.scenario.setup import Setup
@@ -109,11 +109,11 @@ class Betaflight:
         if np.min(outputs) < _IDLE:
             raise FirmwareError(f"the firmware of UAV{np.argmin(np.min(outputs, axis=1)) + 1} does not arm")
 
-    def reset(self, x: Array, u: Array) -> None:  # noqa: ARG002
+    def reset(self, x: Array) -> None:  # noqa: ARG002
         """Forget the velocity: the state may have jumped."""
         self._velocity = None
 
-    def moments(self, time_s: float, command: Array, x: Array) -> Array:  # noqa: ARG002
+    def moments(self, command: Array, x: Array) -> Array:
         """Return thrust and moments that the rotors of the firmwares give, (N, 4), N and N m."""
         try:
             outputs = np.array([process.outputs() for process in self._processes])

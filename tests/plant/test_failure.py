@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from model import state
-from plant.schedule import MOTOR_OFF
+from plant.actuators import MOTOR_OFF
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, PlantState
 from tests.support.nodes import PlantNode

@@ -13,7 +13,7 @@ from rich.text import Text
 from typer import Option
 
 from model.state import StateView
-from plant.schedule import FAIL_SAFE
+from plant.actuators import FAIL_SAFE
 from protocol.admission.gate import Gate
 from protocol.network.bus import Bus
 from protocol.network.endpoints import Endpoints, default_mesh, security_of
