@@ -2,11 +2,11 @@
 
 import importlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import metadata
 from importlib.util import find_spec
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -53,10 +53,9 @@ class Rods:
 class Physics(Protocol):
     """Integration of the ground truth: N UAVs, one payload, in the layout and the signs of `model.state`.
 
-    An engine is called with the actual `System` of the plant and its section of the scenario. Wind, drag, noise, mass
-    errors and failures of UAVs are the plant's. An engine with cables may have an attribute `tensions`, the least
-    tension of each in the last interval, (N,), N. Errors may be raised as any exception: the run
-    then ends with its text.
+    An engine is made of the plant's actual `System` and its section of the scenario. Wind, drag, noise, mass errors and
+    failures are the plant's. `version`, if there is one, is recorded, else a hash of its file; `tensions`, of one with
+    cables, are their least tensions in the last interval, (N,), N. A run ends with the text of any exception.
     """
 
     def reset(self, x: Array) -> None:
@@ -76,10 +75,6 @@ class Physics(Protocol):
     def state(self) -> Array:
         """Return the present state, (12 + 12 N,), SI, with |e_i| = 1 and e_i . Omega_i = 0."""
 
-
-# What makes an engine: its class, or any function with the same arguments. Its attribute `version`, if there is
-# one, is recorded, else a hash of its file.
-EngineClass = Callable[[System, PlantSection], Physics]
 
 # How far the state that an engine reads out after `reset` may be from the given one, SI.
 _SAME_STATE = 1e-6
@@ -107,19 +102,16 @@ class Engine:
     def warm_up(self, setup: Setup) -> None:
         """Integrate a period and go back to the initial state: the first period may compile what others use."""
         self.advance(setup.hover.u, None, setup.settings.sampling_period_s)
-        self.reset(setup.initial_state())
+        self.restart(setup.initial_state())
 
-    def replace(self, system: System, x: Array) -> None:
-        """Continue from a state, (n,), with other bodies."""
+    def restart(self, x: Array, system: System | None = None) -> None:
+        """Continue from a state, (n,), with other bodies if they are given."""
         self._x = x
         with self._failing():
-            self._build(system)
-
-    def reset(self, x: Array) -> None:
-        """Continue from a state, (n,)."""
-        self._x = x
-        with self._failing():
-            self._reset()
+            if system is None:
+                self._reset()
+            else:
+                self._build(system)
 
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> tuple[Array, float]:
         """Integrate an interval under held inputs, (4 N,), and forces, (3 + 3 N,), or none.
@@ -134,8 +126,8 @@ class Engine:
         if not self.failure:
             with self._failing():
                 with told("advance"):
-                    estimate = self._physics.advance(u, forces, duration_s)
-                    error = error if estimate is None or not math.isfinite(estimate) else float(estimate)
+                    found = self._physics.advance(u, forces, duration_s)
+                    error = float(found) if found is not None and math.isfinite(found) else error
                 self._x = self._read()
         return self._x, error
 
@@ -155,10 +147,8 @@ class Engine:
         found = self._read()
         furthest = int(np.argmax(np.abs(found - x)))
         if not abs(found[furthest] - x[furthest]) <= _SAME_STATE:
-            raise OwnClassError(
-                f"state: expected the state given to reset, got {found[furthest]:g} instead of {x[furthest]:g} "
-                f"at index {furthest}"
-            )
+            got = f"{found[furthest]:g} instead of {x[furthest]:g} at index {furthest}"
+            raise OwnClassError(f"state: expected the state given to reset, got {got}")
 
     def _read(self) -> Array:
         """Return a copy of the state of the engine; it need not be finite."""
@@ -193,23 +183,17 @@ def checked_engine(setup: Setup) -> str:
 
 
 def engine_version(name: str) -> str:
-    """Return the version of an engine: of its package, or what its class has as `version`, or a hash of its file.
+    """Return the version of an engine: what its class has as `version`, or a hash of its file.
 
     Raises: OwnClassError: it is not found.
     """
     return version_of(_engine_class(name))
 
 
-def _engine_class(name: str) -> EngineClass:
-    """Return the class of an engine, or another callable that makes one.
-
-    Raises: OwnClassError: it is not found.
-    """
-    found: EngineClass = Rods
+def _engine_class(name: str) -> Any:
+    """Return the class of an engine, or another callable that makes one. Raises: OwnClassError: it is not found."""
+    if name == "mujoco" and find_spec("mujoco") is None:
+        raise OwnClassError("expected the package mujoco, got none; pip install 'payload-transport[mujoco]'")
     if name == "mujoco":
-        if find_spec("mujoco") is None:
-            raise OwnClassError("expected the package mujoco, got none; pip install 'payload-transport[mujoco]'")
-        found = importlib.import_module("plant.mujoco_engine").MujocoEngine
-    elif name != "rods":
-        found = own_class(name)
-    return found
+        return importlib.import_module("plant.mujoco_engine").MujocoEngine
+    return Rods if name == "rods" else own_class(name)

@@ -205,10 +205,10 @@ class PlantNode:
                 self._released.add(uav)
                 self.environment.release([uav])
                 self._x = released_state(self._x, uav)
-                self.engine.replace(self.environment.system, self._x)
+                self.engine.restart(self._x, self.environment.system)
             else:
                 self._x = motor_off_state(self._x, uav)
-                self.engine.reset(self._x)
+                self.engine.restart(self._x)
             self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
             if self._inner_loop is not None:
                 self._inner_loop.reset(self._x)
