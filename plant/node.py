@@ -17,42 +17,21 @@ from model.failure import motor_off_state, no_inputs, released_state
 from plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
 from plant.engines import UNKNOWN_ERROR, Engine
 from plant.environment import Environment, Sensors
-from protocol.admission.arrivals import Arrivals
-from protocol.admission.membership import Membership
+from protocol.admission.participant import Participant
 from protocol.scenario.faults import degradations, uav_faults
-from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import check_target, headed
-from protocol.wire.messages import (
-    ActualInputs,
-    Control,
-    Event,
-    LinkChange,
-    Measurement,
-    Message,
-    Plan,
-    PlantState,
-    Presence,
-    Roster,
-    Target,
-    Tick,
-)
-from protocol.wire.names import COORDINATOR, PLANT, agent_name
-from protocol.wire.node import Outbox, lost
+from protocol.wire.messages import ActualInputs, Measurement, Message, PlantState, Target, Tick
+from protocol.wire.names import PLANT
 
 
-class PlantNode:
+class PlantNode(Participant):
     """Plant of one run."""
 
-    name = PLANT
     wake_ns = None
-    publish_ns = 0
 
     def __init__(self, setup: Setup, incarnation: int = 0) -> None:
-        section, clock, self._setup = setup.scenario.plant, setup.scenario.clock, setup
-        self.incarnation = incarnation
-        self.finished: Control | None = None
-        self._out = Outbox(self.name, incarnation)
+        section = setup.scenario.plant
+        super().__init__(setup, PLANT, incarnation, after=int(setup.scenario.clock.next_tick))
         self.environment = Environment(setup)
         self.engine = Engine(setup, self.environment.system)
         self._period_s = setup.settings.sampling_period_s
@@ -60,12 +39,6 @@ class PlantNode:
         self._parts = 1 if setup.settings.inputs == "moments" else math.ceil(self._period_s / INNER_STEP_S - 1e-9)
         self._inner_loop = inner_loop(setup, self._period_s / self._parts)
         self._steps = math.ceil(self._period_s / self._parts / section.step_s - 1e-9)
-        self._delay = 1 if clock.next_tick else 0
-        self._waits = clock.mode == "lockstep"
-        links = {name: setup.link(name, self.name) for name in map(agent_name, setup.agents)}
-        speed = None if self._waits else clock.speed
-        self._plans: Arrivals[Plan] = Arrivals(links, after=self._delay, speed=speed)
-        self._link_changes = LinkChanges(links.values(), setup.samples_s)
         self._path, _ = setup.maneuver.path(self._period_s * np.arange(setup.ticks + 1, dtype=np.float64))
         self._schedule = ActuatorSchedule(setup.hover.u, setup.fail_safe, setup.settings)
         self._uav_faults = deque(uav_faults(setup.faults))  # still to come
@@ -77,59 +50,21 @@ class PlantNode:
         self._u: Array = setup.hover.u.copy()  # in force until now
         self._sensors = Sensors(setup) if setup.sensors.vehicle else None
         self._acted: tuple[Array, Array | None] = self._u, None  # actual inputs and forces until now
-        self._state_tick = 0  # self._x is the state at this tick
+        self._tick = 0  # self._x is the state at this tick
         self._measured_tick = -1
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
-        self._arrived: dict[int, set[int]] = {}  # agents whose plans have been received, by tick
-        self._membership = Membership()
         self._diverged = False
-
-    def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
-        """Take in ticks, plans and the roster."""
-        match event:
-            case Message():
-                self._handle(event, now_ns)
-            case Presence(alive=False) if event.name == COORDINATOR:
-                self.finished = lost(self._out, self._state_tick, "coordinator is gone")
-        return self._work(now_ns) if self.finished is None else ()
 
     def poll(self, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
         """Return nothing: the plant acts on messages only."""
         return ()
 
-    def _handle(self, message: Message, now_ns: int) -> None:
-        match message:
-            case Control():
-                self.finished = message
-            case Roster():
-                for plan in self._membership.update(message):
-                    self._handle(plan, now_ns)
-            case LinkChange():
-                self._link_changes.apply(message)
-            case Target() if message.number == len(self._setup.maneuver.targets) + 1:
-                self._head(message)
-            case Tick():
-                self._pending.append(message)
-            case Plan(negotiation=0) if self._membership.admits(message):
-                self._plans.put(message, now_ns)
-                self._arrived.setdefault(message.tick, set()).add(message.agent)
-
-    def check_moment(self, message: Message) -> None:
-        """Refuse plans of earlier starts, and impossible changes.
-
-        Raises: MessageError: with the reason.
-        """
-        match message:
-            case LinkChange():
-                self._link_changes.check(message)
-            case Target():
-                check_target(self._setup, message)
-            case Plan():
-                self._membership.check(message)
+    def _take(self, message: Message, now_ns: int) -> None:  # noqa: ARG002
+        if isinstance(message, Tick):
+            self._pending.append(message)
 
     def _head(self, target: Target) -> None:
         """Take in a target: the path and the fail-safe before its tick stay as they were, bit for bit."""
-        self._setup = headed(self._setup, target)
         instants = np.arange(target.tick, len(self._path), dtype=np.float64)
         self._path[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
         self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
@@ -139,7 +74,7 @@ class PlantNode:
         out: list[Message] = []
         while not self._diverged:
             tick = self._pending[0] if self._pending else None
-            if tick and tick.tick == self._state_tick and tick.roster <= self._membership.version:
+            if tick and tick.tick == self._tick and tick.roster <= self._membership.version:
                 out += self._measure(self._pending.popleft())
             elif self._can_integrate():
                 out += self._integrate(now_ns)
@@ -149,10 +84,10 @@ class PlantNode:
 
     def _can_integrate(self) -> bool:
         """Return whether the inputs from t_k on are decided: tick k is measured, and its plans have been received."""
-        k = self._state_tick
+        k = self._tick
         if self._measured_tick != k:
             return False
-        decisive = k - self._delay
+        decisive = k - self._after
         if decisive < 0 or not self._waits:
             return True
         senders = self._membership.took_part(decisive)
@@ -214,7 +149,7 @@ class PlantNode:
                 self._inner_loop.reset(self._x)
 
     def _integrate(self, now_ns: int) -> list[Message]:
-        k, x = self._state_tick, self._x
+        k, x = self._tick, self._x
         for plan in self._plans.take(k, now_ns)[0]:
             self._schedule.add(plan)
         u, sources = self._schedule.inputs(k, x, self._u)
@@ -238,8 +173,8 @@ class PlantNode:
                     tensions = np.minimum(tensions, self.engine.tensions)
         reason = self.engine.failure or (self._inner_loop and self._inner_loop.failure) or self._divergence(k + 1, end)
         self._diverged = bool(reason)
-        self._x, self._u, self._state_tick = end, u, k + 1
-        self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._delay}
+        self._x, self._u, self._tick = end, u, k + 1
+        self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._after}
         recorded: list[Message] = [
             self._out.stamp(
                 PlantState,
