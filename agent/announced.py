@@ -38,17 +38,9 @@ class AnnouncedInputs:
         alignment: Alignment of the others' plans with the horizon.
         own: The agent itself, 1-based, whose plans are always aligned by age; 0 for none.
         law: Shared control law, followed after the first step of a plan.
-        past: State estimates, to evaluate that law at the first step of a plan; the difference of that step from the
-            law holds for later ones. None where the error of the sender's estimate, which differs from tick to tick,
-            is most of it.
+        past: State estimates: the difference of the first step of a plan from that law holds for later ones. None where
+            the error of the sender's estimate, which differs from tick to tick, is most of it.
         settings: Bounds of the actuators, applied to that law.
-
-    Attributes:
-        off_roster: Agents that make no more plans.
-        fail_safe: Control law after the last plan of one of them.
-        law_since: Tick from which on the shared control law is that of the present team.
-        failed_since: Tick of the newest failure of a UAV: from then on every agent follows the control law of the UAVs
-            that are left; earlier plans apply until then.
     """
 
     def __init__(
@@ -61,9 +53,12 @@ class AnnouncedInputs:
         past: Past | None = None,
         settings: ControllerSettings | None = None,
     ) -> None:
-        self.off_roster: set[int] = set()
-        self.fail_safe: FailSafe | None = None
-        self.law_since = self.failed_since = 0
+        self.off_roster: set[int] = set()  # agents that make no more plans
+        self.fail_safe: FailSafe | None = None  # control law after the last plan of one of them
+        self.law_since = 0  # tick from which on the shared control law is that of the present team
+        # Tick of the newest failure of a UAV: from then on every agent follows the control law of the UAVs that are
+        # left; earlier plans apply until then.
+        self.failed_since = 0
         self._owned, self._u_hover, self._alignment, self._own = owned, u_hover, alignment, own
         self._law, self._past = law, past
         uavs = sum(map(len, owned))

@@ -1,10 +1,4 @@
-"""Estimate of constant external forces: low-pass filtered prediction errors of the velocities.
-
-Unmodelled payload mass and wind both act as a force on the payload. Wind acts on the UAVs, too: its horizontal force
-shows in their own motion and is assumed equal for all of them. A vertical force on a UAV passes through the stiff rod
-and is counted as one on the payload. The forces enter the prediction, so that the error vanishes once they are right
-(disturbance model of offset-free MPC: Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
-"""
+"""Estimate of constant external forces from prediction errors of the velocities."""
 
 import math
 from collections.abc import Sequence
@@ -22,9 +16,12 @@ _UNKNOWNS = 5
 
 
 class DisturbanceEstimator:
-    """Disturbance estimate of an agent that measures the motion of its UAVs, 0-based, with a low-pass filter.
+    """Estimate of constant external forces by an agent that measures its UAVs, 0-based: a low-pass filter of errors.
 
-    Its `forces` are (3 + 3 N,), inertial frame, N; zero at first.
+    Unmodelled payload mass and wind both act as a force on the payload. Wind acts on the UAVs, too: its horizontal
+    force shows in their own motion and is assumed equal for all of them. A vertical force on a UAV passes through the
+    stiff rod and is counted as one on the payload. The `forces`, (3 + 3 N,), inertial frame, N, zero at first, enter
+    the prediction, so that its error vanishes once they are right (offset-free MPC: Pannocchia, Rawlings 2003).
     """
 
     def __init__(

@@ -87,23 +87,20 @@ class OwnStep:
 
 
 class OwnPlanner:
-    """Planner of an agent, 1-based, whose controller is a class of the user; see `agent.step.Planner`.
-
-    Raises: ScenarioError: the class cannot be used.
-    """
+    """Planner of an agent, 1-based, whose controller is a class of the user; ScenarioError: it cannot be used."""
 
     def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
         self._setup, self._agent, self._stopwatch = setup, agent, stopwatch
         self._name, self._owned = setup.scenario.agents.controller, setup.owned[agent - 1]
         self._peers = tuple(other for other in setup.agents if other != agent)
         self._controller: Any = None
-        try:
-            self._start()
-        except OwnClassError as error:
-            raise ScenarioError(setup.scenario.name, "agents.controller", str(error)) from error
+        self.restart()
+        if self._problem:
+            raise ScenarioError(setup.scenario.name, "agents.controller", self._problem)
 
-    def _start(self) -> None:
-        """Make and start an object of the class, without knowledge of the run so far."""
+    def restart(self) -> None:
+        """Start a new object of the class, without knowledge of the run so far."""
+        self.stop()
         setup, uavs = self._setup, len(self._owned)
         self._run = Run(
             agent=self._agent,
@@ -126,16 +123,11 @@ class OwnPlanner:
         self._previous = 0, setup.hover.u[input_indices(self._owned)][None]  # first tick and rows of the last plan
         self._problem = ""  # why the class did not start
         self._idle_since_ns = self._stopwatch()
-        controller = made(own_class(self._name), ("start", "step", "stop"))
-        with told("start"):
-            controller.start(self._run)
-        self._controller = controller
-
-    def restart(self) -> None:
-        """Start a new object of the class, as this process comes back to the roster."""
-        self.stop()
         try:
-            self._start()
+            controller = made(own_class(self._name), ("start", "step", "stop"))
+            with told("start"):
+                controller.start(self._run)
+            self._controller = controller
         except OwnClassError as error:
             self._problem = str(error)
 
@@ -205,26 +197,30 @@ class OwnPlanner:
             out,
             status=status,
             solver=self._name,
+            fallback=False,
+            iterations=0,
+            residual=-1.0,
+            force=np.zeros(3),
             peers=self._peers,
             plan_ages=ages,
             state_ages=ages,
             measurement_age=-1 if measured is None else k - measured.tick,
             times_ns={**dict.fromkeys(STAGES, 0), **spent_ns, "total": now_ns - known.started_ns},
         )
-        note = [self._note(k, problem, data, out)] if problem or data else []
+        note = self._note(k, problem, data, out)
         self._idle_since_ns = self._stopwatch()
         return [*note, plan, report]
 
     def end(self, tick: int, out: Outbox) -> list[Message]:
         """End the run for the class; return a note if that failed."""
-        problem = self.stop()
-        return [self._note(tick, problem, {}, out)] if problem else []
+        return self._note(tick, self.stop(), {}, out)
 
-    def _note(self, tick: int, problem: str, data: Mapping[str, float], out: Outbox) -> Note:
+    def _note(self, tick: int, problem: str, data: Mapping[str, float], out: Outbox) -> list[Message]:
+        if not problem and not data:
+            return []
         said = f"controller {self._name}: {problem}" if problem else ""
-        return out.stamp(
-            Note, tick=tick, agent=self._agent, problem=said, names=tuple(data), values=list(data.values())
-        )
+        names, values = tuple(data), list(data.values())
+        return [out.stamp(Note, tick=tick, agent=self._agent, problem=said, names=names, values=values)]
 
     def _stepped(self, known: Known, previous: Array) -> tuple[Array, Mapping[str, float]]:
         """Return the inputs of a step, (rows, 4 owned), within the limits, and its numbers for the log.

@@ -33,26 +33,18 @@ _NOTED_S = 1.0
 
 @dataclass(slots=True, kw_only=True)
 class Step:
-    """A tick's problem, common to all iterations of the negotiation, and the newest result.
+    """A tick's problem, common to all iterations of the negotiation, and the newest result."""
 
-    Attributes:
-        known: What the problem was formed from.
-        uav_states: Estimated states of the owned UAVs, (owned, 12); with vehicle sensors what they reported.
-        start: First tick the plan is for.
-        discrete: None if out-of-range states have no discrete model.
-        negotiation: Exchanges of plans still to come.
-    """
-
-    known: Known
-    uav_states: Array
-    start: int
+    known: Known  # what it was formed from
+    uav_states: Array  # estimates of the owned UAVs, (owned, 12); with vehicle sensors what they reported
+    start: int  # first tick the plan is for
     y_ref: Array
     U: Array
     law: FeedbackLaw | None
     end: CostToGo | None
     linear: Linear
-    discrete: Discrete | None
-    negotiation: int
+    discrete: Discrete | None  # None if out-of-range states have no discrete model
+    negotiation: int  # exchanges of plans still to come
     times_ns: dict[str, int]
     result: StepResult | None = None
 
@@ -204,7 +196,10 @@ class Planner:
         step.times_ns["publish"] = publish_ns
         step.times_ns["total"] = sum(step.times_ns[stage] for stage in _COMPUTATION)
         report = self._report(step, result, out)
-        notes = self._notes(k, out)
+        # What a Kalman filter knows of the payload, once in a while: the covariance of each tick is work.
+        notes, every = [], max(1, round(_NOTED_S / self._setup.settings.sampling_period_s))
+        if self.belief is not None and k > 0 and k % every == 0:
+            notes = [out.stamp(Note, tick=k, agent=self._agent, problem="", names=TOLD, values=told(self.belief))]
         self._lapped_ns = self._stopwatch()
         return [*notes, plan, report]
 
@@ -214,7 +209,7 @@ class Planner:
 
     def adopt(self, step: Step, proposals: Sequence[Plan]) -> None:
         """Take the others' proposals and the own one into the next iteration of the negotiation."""
-        U, c = step.U.copy(), None if step.law is None else step.law.c.copy()
+        U, law = step.U.copy(), step.law and replace(step.law, c=step.law.c.copy())
         known = [(plan.agent, plan.inputs, plan.corrections) for plan in proposals]
         if step.result is not None:
             known.append((self._agent, step.result.U, step.result.c))
@@ -222,11 +217,9 @@ class Planner:
             columns = input_indices(self._setup.owned[agent - 1])
             if len(inputs) == len(U):
                 U[:, columns] = inputs
-            if c is not None and len(corrections) == len(c):
-                c[:, columns] = corrections
-        step.U = U
-        if step.law is not None and c is not None:
-            step.law = replace(step.law, c=c)
+            if law is not None and len(corrections) == len(law.c):
+                law.c[:, columns] = corrections
+        step.U, step.law = U, law
 
     def _lap(self, times_ns: dict[str, int], stage: str) -> None:
         """Count the time since the end of the last stage as that of a stage."""
@@ -252,12 +245,6 @@ class Planner:
                 self._team.expect(step.start, prediction, result.U)
         return result
 
-    def _notes(self, k: int, out: Outbox) -> list[Message]:
-        """Return what a Kalman filter knows of the payload, once in a while: the covariance of each tick is work."""
-        if self.belief is None or k == 0 or k % max(1, round(_NOTED_S / self._setup.settings.sampling_period_s)):
-            return []
-        return [out.stamp(Note, tick=k, agent=self._agent, problem="", names=TOLD, values=told(self.belief))]
-
     def _report(self, step: Step, result: StepResult, out: Outbox) -> StepReport:
         k, solution, team = step.known.measurement.tick, result.solution, self._team
         newest = [team.announced.newest(agent, before=k) for agent in team.peers]
@@ -281,8 +268,7 @@ class Planner:
 
 
 def step_report(known: Known, agent: int, out: Outbox, *, times_ns: Mapping[str, int], **fields: Any) -> StepReport:
-    """Return the report of a step of an agent, 1-based; of a step without solver unless its fields are given."""
-    without_solver = {"fallback": False, "iterations": 0, "residual": -1.0, "force": np.zeros(3)}
+    """Return the report of a step of an agent, 1-based, from what it knew, the times of stages, and other fields."""
     return out.stamp(
         StepReport,
         tick=known.measurement.tick,
@@ -291,5 +277,5 @@ def step_report(known: Known, agent: int, out: Outbox, *, times_ns: Mapping[str,
         lost=known.lost,
         late=sum(plan.tick < known.measurement.tick - 1 for plan in known.plans),
         times_ms=np.array([times_ns[stage] / 1e6 for stage in STAGES]),
-        **{**without_solver, **fields},
+        **fields,
     )

@@ -6,7 +6,7 @@ not depend on the order of calls.
 
 import math
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -49,11 +49,11 @@ class Environment:
         uav = [noise.rod_direction_rad, noise.rod_rate_rads, noise.attitude_rad, noise.rate_rads]
         self._deviations = np.repeat([*payload, *uav * N], 3)
 
-    def release(self, uavs: Collection[int]) -> None:
-        """Replace UAVs, 0-based, by bobs of negligible mass and drag. Source: docs/equations.md (50)."""
-        self.system = with_released(self.system, uavs)
+    def release(self, uav: int) -> None:
+        """Replace a UAV, 0-based, by a bob of negligible mass and drag. Source: docs/equations.md (50)."""
+        self.system = with_released(self.system, [uav])
         self.model = Model(self.system)
-        self._drag[[1 + uav for uav in uavs]] = 0.0
+        self._drag[1 + uav] = 0.0
 
     def wind(self, tick: int) -> Array:
         """Return the velocity of the air, (3,), inertial frame, m/s. Source: docs/equations.md (43)."""
@@ -69,10 +69,8 @@ class Environment:
     def _gust(self, interval: int) -> Array:
         """Return the gust at the beginning of an interval, (3,), in units of its standard deviation."""
         while len(self._gusts) <= interval:
-            gust = drawn(self._seed, "wind", len(self._gusts), 3)
-            if self._gusts:
-                gust = self._gust_decay * self._gusts[-1] + math.sqrt(1.0 - self._gust_decay**2) * gust
-            self._gusts.append(gust)
+            new, decay = drawn(self._seed, "wind", len(self._gusts), 3), self._gust_decay
+            self._gusts.append(decay * self._gusts[-1] + math.sqrt(1.0 - decay**2) * new if self._gusts else new)
         return self._gusts[interval]
 
     def forces(self, tick: int, x: Array) -> Array | None:

@@ -138,7 +138,7 @@ class PlantNode(Participant):
             self._motors.degrade(uav, 0.0)
             if fault == "release":
                 self._released.add(uav)
-                self.environment.release([uav])
+                self.environment.release(uav)
                 self._x = released_state(self._x, uav)
                 self.engine.restart(self._x, self.environment.system)
             else:
