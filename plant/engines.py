@@ -102,13 +102,13 @@ class Engine:
     def warm_up(self, setup: Setup) -> None:
         """Integrate a period and go back to the initial state: the first period may compile what others use."""
         self.advance(setup.hover.u, None, setup.settings.sampling_period_s)
-        self.restart(setup.initial_state())
+        self.restart(setup.initial_state(), self._system)
 
-    def restart(self, x: Array, system: System | None = None) -> None:
-        """Continue from a state, (n,), with other bodies if they are given."""
+    def restart(self, x: Array, system: System) -> None:
+        """Continue from a state, (n,); with other bodies by a new object."""
         self._x = x
         with self._failing():
-            if system is None:
+            if system is self._system:
                 self._reset()
             else:
                 self._build(system)
@@ -137,6 +137,7 @@ class Engine:
         return np.asarray(getattr(self._physics, "tensions", ()), dtype=np.float64)
 
     def _build(self, system: System) -> None:
+        self._system = system
         self._physics: Physics = made(self._make, ("reset", "advance", "state"), system, self._section)
         self._reset()
 

@@ -132,11 +132,6 @@ class Sensors:
 
 def _scaled(system: System, payload: float, uavs: float) -> System:
     """Return the bodies with masses and inertias of payload and UAVs multiplied by factors; inputs are moments."""
-    return System(
-        payload=Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia),
-        uavs=[
-            Uav(mass=uavs * uav.mass, inertia=uavs * uav.inertia, rho=uav.rho, rod_length=uav.rod_length)
-            for uav in system.uavs
-        ],
-        gravity=system.gravity,
-    )
+    body, of = Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia), system.uavs
+    scaled = [Uav(mass=uavs * u.mass, inertia=uavs * u.inertia, rho=u.rho, rod_length=u.rod_length) for u in of]
+    return System(payload=body, uavs=scaled, gravity=system.gravity)

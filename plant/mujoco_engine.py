@@ -58,10 +58,13 @@ class MujocoEngine:
                 swing_P = uav.rod_length * np.cross(Omega_P, e_P)
                 v_I = R0 @ (view.v0_P + np.cross(view.omega0_P, uav.rho) - swing_P)
                 _set(data.joint(f"uav{i}"), [*r_I, *_quaternion(R)], [*v_I, *omega_B])
-                continue
-            rod_P = _rotation_to(e_P)
-            _set(data.joint(f"rod{i}"), _quaternion(rod_P), rod_P.T @ (Omega_P - view.omega0_P))
-            _set(data.joint(f"uav{i}"), _quaternion((R0 @ rod_P).T @ R), omega_B - R.T @ R0 @ Omega_P)
+            else:
+                # A rotation whose third column is e, from the axis farthest from it.
+                first = np.cross(np.eye(3)[np.argmin(np.abs(e_P))], e_P)
+                first = first / np.linalg.norm(first)
+                rod_P = np.column_stack([first, np.cross(e_P, first), e_P])
+                _set(data.joint(f"rod{i}"), _quaternion(rod_P), rod_P.T @ (Omega_P - view.omega0_P))
+                _set(data.joint(f"uav{i}"), _quaternion((R0 @ rod_P).T @ R), omega_B - R.T @ R0 @ Omega_P)
         self._turns = np.vstack([view.Theta0[None], view.Theta])
 
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> None:
@@ -87,16 +90,14 @@ class MujocoEngine:
 
     def state(self) -> Array:
         """Return the present state, (n,)."""
-        system, data = self._system, self._data
-        x = np.zeros(system.n)
-        view = StateView(x)
-        payload = data.joint("payload")
+        data, x = self._data, np.zeros(self._system.n)
+        view, payload = StateView(x), data.joint("payload")
         R0 = _matrix(payload.qpos[3:])
         view.r0_I[:] = payload.qpos[:3]
         view.v0_P[:] = R0.T @ payload.qvel[:3]
         view.omega0_P[:] = payload.qvel[3:]
         attitudes = [R0]
-        for i, uav in enumerate(system.uavs):
+        for i, uav in enumerate(self._system.uavs):
             joint = data.joint(f"uav{i}")
             if self._cables:
                 R = _matrix(joint.qpos[3:])
@@ -117,21 +118,13 @@ class MujocoEngine:
             attitudes.append(R)
         angles = euler_angles(np.array(attitudes))
         # Roll and yaw continue beyond half a turn, as when they are integrated.
-        angles += 2.0 * math.pi * np.round((self._turns - angles) / (2.0 * math.pi))
-        self._turns = angles
-        view.Theta0[:], view.Theta[:] = angles[0], angles[1:]
+        self._turns = angles + 2.0 * math.pi * np.round((self._turns - angles) / (2.0 * math.pi))
+        view.Theta0[:], view.Theta[:] = self._turns[0], self._turns[1:]
         return x
 
 
 def _set(joint: Any, qpos: Any, qvel: Any) -> None:
     joint.qpos[:], joint.qvel[:] = qpos, qvel
-
-
-def _rotation_to(e: Array) -> Array:
-    """Return a rotation whose third column is e, (3, 3)."""
-    least = np.eye(3)[np.argmin(np.abs(e))]  # the axis farthest from e, so that the product is far from zero
-    first = np.cross(least, e) / np.linalg.norm(np.cross(least, e))
-    return np.column_stack([first, np.cross(e, first), e])
 
 
 def _quaternion(R: Array) -> Array:

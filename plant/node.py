@@ -101,30 +101,27 @@ class PlantNode(Participant):
         self._fail_uavs(tick.tick)
         if self._sensors is not None:
             self._sensors.observe(self.environment.model, self._x, *self._acted)
-        u = self._u.reshape(-1, state.INPUTS)
-        found: list[Message] = []
-        for agent in sorted(self._membership.incarnations):
-            owned = list(self._setup.owned[agent - 1])
-            if self._sensors is not None:
-                payload, uav_states = np.zeros(0), self._sensors.measured(tick.tick, owned)
-            else:
-                x = self.environment.measured(tick.tick, agent, self._x)
-                payload, uav_states = x[: state.PAYLOAD], state.StateView(x).uavs[owned]
-            found.append(
-                self._out.stamp(
-                    Measurement,
-                    tick=tick.tick,
-                    agent=agent,
-                    answered=tick.answered,
-                    shared=tick.shared,
-                    roster=tick.roster,
-                    payload=payload,
-                    uavs=tuple(i + 1 for i in owned),
-                    uav_states=uav_states,
-                    inputs=u[owned],
-                )
-            )
-        return found
+        return [self._measurement(tick, agent) for agent in sorted(self._membership.incarnations)]
+
+    def _measurement(self, tick: Tick, agent: int) -> Measurement:
+        owned = list(self._setup.owned[agent - 1])
+        if self._sensors is not None:
+            payload, uav_states = np.zeros(0), self._sensors.measured(tick.tick, owned)
+        else:
+            x = self.environment.measured(tick.tick, agent, self._x)
+            payload, uav_states = x[: state.PAYLOAD], state.StateView(x).uavs[owned]
+        return self._out.stamp(
+            Measurement,
+            tick=tick.tick,
+            agent=agent,
+            answered=tick.answered,
+            shared=tick.shared,
+            roster=tick.roster,
+            payload=payload,
+            uavs=tuple(i + 1 for i in owned),
+            uav_states=uav_states,
+            inputs=self._u.reshape(-1, state.INPUTS)[owned],
+        )
 
     def _fail_uavs(self, tick: int) -> None:
         """Apply the scenario's failures of UAVs due at a tick, before it is measured."""
@@ -136,14 +133,11 @@ class PlantNode(Participant):
             _, fault, uav = self._uav_faults.popleft()
             self._off.add(uav)
             self._motors.degrade(uav, 0.0)
+            self._x = released_state(self._x, uav) if fault == "release" else motor_off_state(self._x, uav)
             if fault == "release":
                 self._released.add(uav)
                 self.environment.release(uav)
-                self._x = released_state(self._x, uav)
-                self.engine.restart(self._x, self.environment.system)
-            else:
-                self._x = motor_off_state(self._x, uav)
-                self.engine.restart(self._x)
+            self.engine.restart(self._x, self.environment.system)
             self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
             if self._inner_loop is not None:
                 self._inner_loop.reset(self._x)
@@ -175,28 +169,15 @@ class PlantNode(Participant):
         self._diverged = bool(reason)
         self._x, self._u, self._tick = end, u, k + 1
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._after}
+        known = error if np.isfinite(end).all() else UNKNOWN_ERROR
         recorded: list[Message] = [
-            self._out.stamp(
-                PlantState,
-                tick=k,
-                x=x,
-                u=u,
-                plan_ticks=sources,
-                local_error=error if np.isfinite(end).all() else -1.0,
-                diverged=reason,
-            )
+            self._out.stamp(PlantState, tick=k, x=x, u=u, plan_ticks=sources, local_error=known, diverged=reason)
         ]
         if not self._motors.ideal or self._inner_loop is not None or len(tensions):
-            uavs = tuple(range(1, len(sources) + 1))
+            uavs, inputs = tuple(range(1, len(sources) + 1)), mean.reshape(-1, state.INPUTS)
+            cables = uavs[: len(tensions)]
             recorded.append(
-                self._out.stamp(
-                    ActualInputs,
-                    tick=k,
-                    uavs=uavs,
-                    inputs=mean.reshape(-1, state.INPUTS),
-                    cables=uavs[: len(tensions)],
-                    tensions=tensions,
-                )
+                self._out.stamp(ActualInputs, tick=k, uavs=uavs, inputs=inputs, cables=cables, tensions=tensions)
             )
         return recorded
 
