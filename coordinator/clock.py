@@ -23,7 +23,8 @@ class Clock:
         self._settings, self._period_ns = setup.scenario.clock, setup.period_ns
         self.is_realtime, self._holds = self._settings.mode == "realtime", self._settings.on_overrun == "hold"
         self._barrier_ns = round(self._settings.barrier_timeout_s * 1e9)
-        self._start_ns = self._plant_ns = 0
+        self._start_ns = 0
+        self.plant_ns = 0  # when the plant answered, or was first asked for the next interval
         self._owed_since_ns: dict[int, int] = {}  # by agent: since when it owes an answer
         self._overrun_ns = 0  # largest overrun of a plan since the last tick
         self._overruns = 0  # missed deadlines
@@ -54,7 +55,7 @@ class Clock:
         if wake_ns is None or self._excused_tick == tick or now_ns <= max(wake_ns, called_ns) + _AWAY_NS:
             return
         self._excused_tick = tick
-        self.waiting_since_ns = self._plant_ns = now_ns
+        self.waiting_since_ns = self.plant_ns = now_ns
         self._owed_since_ns = dict.fromkeys(self._owed_since_ns, now_ns)
 
     def open(self, tick: int, members: Collection[int], joined: Collection[int], now_ns: int) -> None:
@@ -73,10 +74,6 @@ class Clock:
         if plan.tick == tick:
             del self._owed_since_ns[plan.agent]
         self._overrun_ns = max(self._overrun_ns, now_ns - self.due_ns(plan.tick + 1))
-
-    def plant_answer(self, now_ns: int) -> None:
-        """Note that the plant has answered, or that it has only now been asked for the next interval."""
-        self._plant_ns = now_ns
 
     def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:
         """Return how late a tick opens, and by how much the latest plan since the tick before missed its deadline.
@@ -101,7 +98,7 @@ class Clock:
 
         In lockstep agents without measurements do not answer either.
         """
-        return self.is_realtime and now_ns >= self._plant_ns + self._barrier_ns
+        return self.is_realtime and now_ns >= self.plant_ns + self._barrier_ns
 
     def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
         """Return whether the open tick may be closed; in lockstep the last one closes with its last answer."""

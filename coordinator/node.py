@@ -80,7 +80,7 @@ class CoordinatorNode:
                 return self._process_gone(event, now_ns)
             case PlantState():
                 self._plant_tick = event.tick
-                self._clock.plant_answer(now_ns)
+                self._clock.plant_ns = now_ns
                 if event.diverged and not self._divergence:
                     self._divergence = f"{event.diverged} at {self._roster.time(event.tick)}"
                     self.state = State.DIVERGED
@@ -117,7 +117,7 @@ class CoordinatorNode:
 
     def interrupt(self, reason: str) -> Sequence[Message]:
         """End the run because of a signal."""
-        return () if self.state is State.STOPPED else self._stop(EXIT_INTERRUPTED, reason)
+        return self._stop(EXIT_INTERRUPTED, reason)
 
     @property
     def _is_last(self) -> bool:
@@ -271,10 +271,12 @@ class CoordinatorNode:
         self._answered, self._shared, self._negotiating = set(), set(), {}
         self._clock.open(tick, self._roster.members, joined, now_ns)
         if self._plant_tick + 1 == tick:
-            self._clock.plant_answer(now_ns)  # it owes no earlier interval
+            self._clock.plant_ns = now_ns  # it owes no earlier interval
         return [*messages, opened]
 
     def _stop(self, exit_code: int, reason: str) -> Sequence[Message]:
+        if self.state is State.STOPPED:
+            return ()
         self.state = State.STOPPED
         outcome = {0: "completed", EXIT_DIVERGED: "diverged"}.get(exit_code, "aborted")
         self.finished = self._out.stamp(

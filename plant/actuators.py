@@ -74,8 +74,7 @@ class ActuatorSchedule:
 class InnerLoop(Protocol):
     """The inner loops of all UAVs, with their state; evaluated in equal steps of at most `INNER_STEP_S`."""
 
-    failure: str
-    """Why the run ends, as an inner loop has failed; empty while all work."""
+    failure: str  # why the run ends, as an inner loop has failed; empty while all work
 
     def reset(self, x: Array) -> None:
         """Continue from a plant state, (12 + 12 N,), to which it may have jumped with the failure of a UAV."""
@@ -121,28 +120,21 @@ def inner_loop(setup: Setup, step_s: float) -> InnerLoop | None:
     """
     if setup.settings.inputs == "moments":
         return None
-    if setup.scenario.plant.inner_loop == "betaflight":
-        firmware: InnerLoop = importlib.import_module(_FIRMWARE).Betaflight(setup, step_s)
-        return firmware
-    return RateLoop(setup.system, np.array(setup.settings.limits.moments_Nm))
+    if setup.scenario.plant.inner_loop != "betaflight":
+        return RateLoop(setup.system, np.array(setup.settings.limits.moments_Nm))
+    firmware: InnerLoop = importlib.import_module(_FIRMWARE).Betaflight(setup, step_s)
+    return firmware
 
 
 def checked_firmware(setup: Setup) -> str:
-    """Return name and version of the firmware of a run; empty where the inner loop is none.
-
-    Raises: ScenarioError: it is not installed, or there is no compiler.
-    """
-    if setup.scenario.plant.inner_loop != "betaflight":
-        return ""
-    version: str = importlib.import_module(_FIRMWARE).version(setup)
-    return version
+    """Return name and version of the firmware of a run, if any. Raises: ScenarioError: it is not usable."""
+    is_used = setup.scenario.plant.inner_loop == "betaflight"
+    return str(importlib.import_module(_FIRMWARE).version(setup)) if is_used else ""
 
 
-# Signs of a rotor's arm along y, along x, and of its drag moment: front right, rear left (both turning
-# counterclockwise seen from above), front left, rear right (clockwise); arms at 45 deg to the axes, x forward, z down.
-_ARMS_Y = (1.0, -1.0, -1.0, 1.0)
-_ARMS_X = (1.0, -1.0, 1.0, -1.0)
-_DRAG = (1.0, 1.0, -1.0, -1.0)
+# Signs of thrust, arm along -y, arm along x, and drag moment: front right, rear left (both turning counterclockwise
+# seen from above), front left, rear right (clockwise); arms at 45 deg to the axes, x forward, z down.
+_SIGNS = np.array([[1, 1, 1, 1], [-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1]])
 
 
 class Rotors:
@@ -152,9 +144,7 @@ class Rotors:
         arm = section.arm_m / np.sqrt(2.0)
         self._least, self._most = section.thrust_N
         # A thrust f against z at (x, y) has the moments -y f about x and x f about y.
-        self.mixing = np.vstack(
-            [np.ones(4), -arm * np.array(_ARMS_Y), arm * np.array(_ARMS_X), section.drag_to_thrust_m * np.array(_DRAG)]
-        )
+        self.mixing: Array = np.array([1.0, arm, arm, section.drag_to_thrust_m])[:, None] * _SIGNS
         self._back = np.linalg.inv(self.mixing)
 
     def thrusts(self, inputs: Array) -> Array:
@@ -220,8 +210,8 @@ class Motors:
             change = rotors.thrusts((down - up).reshape(falls.shape))
             return np.asarray(up + (np.where(falls, change, 0.0) @ rotors.mixing.T).reshape(-1))
 
-        first, second = (chosen(*both) for both in zip(rising[0], falling[0], strict=True))
-        return (first, second), chosen(rising[1], falling[1])
+        (first, second), end = rising
+        return (chosen(first, falling[0][0]), chosen(second, falling[0][1])), chosen(end, falling[1])
 
     def _limited(self, u: Array) -> Array:
         """Return commands in steps of the thrust and within the limits of the rotors, (4 N,)."""
