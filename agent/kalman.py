@@ -146,6 +146,12 @@ def _places(sensed: tuple[tuple[int, tuple[int, ...]], ...]) -> tuple[npt.NDArra
     return of, of + state.SENSED * uavs, part, np.flatnonzero((of >= state.THETA.start) & (of < state.THETA.stop))
 
 
+def _rods(x: Array, N: int) -> tuple[Array, Array]:
+    """Return views of rods and their rates, (N, 3) each, in a state."""
+    uavs = x[state.PAYLOAD : state.PAYLOAD + state.PER_UAV * N].reshape(N, -1)
+    return uavs[:, state.E], uavs[:, state.ROD_RATE]
+
+
 class KalmanFilter:
     """Filter of one agent from a run, the gain of the shared control law, and UAVs, 0-based, measured at once.
 
@@ -230,12 +236,9 @@ class KalmanFilter:
 
         Gravity minus acceleration acts on a mass. Its inertia, which turns the payload, is left out.
         """
-        rate = model.derivative(x, u, forces=forces)
-        view = state.StateView(x)
-        lacking = -rotation(view.Theta0) @ (rate[state.V0] + np.cross(view.omega0_P, view.v0_P))
-        lacking[2] += model.system.gravity
-        effects = self._spread[:-1].copy()
-        effects[:3, 2] = lacking
+        rate, view, effects = model.derivative(x, u, forces=forces), state.StateView(x), self._spread[:-1].copy()
+        effects[:3, 2] = -rotation(view.Theta0) @ (rate[state.V0] + np.cross(view.omega0_P, view.v0_P))
+        effects[2, 2] += model.system.gravity
         effects[:, _DRAG] = self._resistance(x)
         return effects
 
@@ -244,7 +247,7 @@ class KalmanFilter:
 
         Source: docs/equations.md (62).
         """
-        e, Omega = self._rods(x)
+        e, Omega = _rods(x, self._N)
         # Two unit vectors across each rod, by the reflection that maps e to the z axis: smooth around the hover.
         w = e.copy()
         w[:, 2] += np.where(e[:, 2] < 0.0, -1.0, 1.0)
@@ -269,16 +272,10 @@ class KalmanFilter:
         by_law: npt.NDArray[np.bool_],
         by_fail_safe: npt.NDArray[np.bool_],
     ) -> Belief:
-        """Return the belief one tick later than `tick`.
+        """Return the belief one tick later than `tick`, under equations of motion from then on.
 
-        Args:
-            belief: At the tick.
-            model: Equations of motion from then on.
-            tick: The earlier tick.
-            ahead: State at the later one, (n,); with motor lag (n + m,), SI.
-            u: Inputs in between, (4 N,), N and N m or rad/s.
-            by_law: Which of them follow the control law from estimates of their agents, (4 N,).
-            by_fail_safe: Which of them follow the fail-safe, which knows its UAV, (4 N,).
+        Given are the state one tick later, (n,), with motor lag (n + m,), SI; the inputs in between, (4 N,); and which
+        of them follow the control law from estimates of their agents, or the fail-safe, which knows its UAV, (4 N,).
         Source: docs/equations.md (63).
         """
         # The law is that of now, whenever the covariance is computed.
@@ -316,12 +313,10 @@ class KalmanFilter:
     def _pushed(self, model: Model, x: Array, u: Array, forces: Array, A: Array) -> Array:
         """Return the effect of the unknown forces over a period, (n, forces), to second order in it."""
         still = np.append(np.zeros(len(forces) - 1), forces[-1])
-        f = model.derivative(x, u, forces=still)
-        effect = np.zeros((len(A), self._spread.shape[1]))
+        f, effect = model.derivative(x, u, forces=still), np.zeros((len(A), self._spread.shape[1]))
         units = np.vstack([self._effects(model, x, u, forces), np.zeros((1, len(_FORCE)))])
         effect[: len(x)] = np.column_stack([model.derivative(x, u, forces=still + unit) - f for unit in units.T])
-        found: Array = self._period_s / 2.0 * (effect + A @ effect)
-        return found
+        return np.asarray(self._period_s / 2.0 * (effect + A @ effect))
 
     def correct(self, belief: Belief, model: Model, sensed: Sequence[tuple[int, tuple[int, ...], Array]]) -> Belief:
         """Return the belief with measurements of its tick; those of released UAVs are ignored.
@@ -329,8 +324,7 @@ class KalmanFilter:
         They are given as UAV, 0-based, sensors of it, and measurements of all its sensors, SI, in the layout of
         `model.state`, (15,); what stands behind these is ignored. Source: docs/equations.md (64).
         """
-        if model.released:
-            sensed = [entry for entry in sensed if entry[0] not in model.released]
+        sensed = [entry for entry in sensed if entry[0] not in model.released]
         if not sensed:
             return belief
         n = model.system.n
@@ -384,8 +378,7 @@ class KalmanFilter:
         self, belief: Belief, within: npt.NDArray[np.intp], error: Array, variance: Array, R: Array
     ) -> tuple[Array, float]:
         """Return slow part and level after innovations of some measurements. Source: docs/equations.md (63b)."""
-        of, slow = self._level, belief.slow.copy()
-        kept = math.exp(-self._period_s / _SLOW_S)
+        of, slow, kept = self._level, belief.slow.copy(), math.exp(-self._period_s / _SLOW_S)
         slow[within] = kept * slow[within] + error * np.sqrt((1.0 - kept**2) / variance)
         weights = 1.0 - R / variance if of.predicted else np.ones(len(R))
         excess = float(weights @ (slow[within] ** 2 - of.white) / weights.sum())
@@ -402,16 +395,11 @@ class KalmanFilter:
     def moved(self, x: Array, dx: Array) -> Array:
         """Return a state, (n,), SI, moved along the manifold by dx, (n,), with |e_i| = 1. Source: equations.md (62)."""
         x = x + dx
-        e, Omega = self._rods(x)
+        e, Omega = _rods(x, self._N)
         e /= np.sqrt(np.einsum("ij,ij->i", e, e))[:, None]
         Omega -= e * np.einsum("ij,ij->i", e, Omega)[:, None]
         x.setflags(write=False)
         return x
-
-    def _rods(self, x: Array) -> tuple[Array, Array]:
-        """Return views of rods and their rates, (N, 3) each, in a state."""
-        uavs = x[state.PAYLOAD : state.PAYLOAD + state.PER_UAV * self._N].reshape(self._N, -1)
-        return uavs[:, state.E], uavs[:, state.ROD_RATE]
 
     def certain(self, belief: Belief, entries: npt.NDArray[np.intp], deviation: float = 1e-3) -> Belief:
         """Return the belief with some entries of the state known, such as those that a failure sets."""

