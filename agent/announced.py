@@ -84,10 +84,7 @@ class AnnouncedInputs:
         self._assumed.pop(agent, None)
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
-        """Assume inputs, (N_p, 4 N), from tick `start` on for an agent that left and whose last plan was not received.
-
-        Source: docs/equations.md (32b).
-        """
+        """Assume inputs, (N_p, 4 N), from a tick on for an agent that left, whose last plan was not received: (32b)."""
         self._assumed[agent] = start, inputs[:, self._columns[agent]]
 
     def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:

@@ -36,10 +36,9 @@ _NEVER = sys.maxsize
 
 
 class StateEstimator:
-    """Estimator of the whole state at the present tick, x, (n,), with motor lag [x, a], (n + m,).
+    """Estimator of the whole state, x, (n,), with motor lag [x, a], (n + m,), from the reference at its first tick on.
 
-    The reference state at the first tick begins it. It has a disturbance estimator, fed with the prediction errors, a
-    Kalman filter of measurements, or neither.
+    It has a disturbance estimator, fed with the prediction errors, a Kalman filter of measurements, or neither.
     """
 
     def __init__(
@@ -59,8 +58,9 @@ class StateEstimator:
         ages = () if kalman is None else kalman.ages
         self._oldest = max(ages, default=0)  # quantity in a message, ticks
         self._sensors_of_age = [(age, tuple(i for i, of in enumerate(ages) if of == age)) for age in sorted(set(ages))]
-        # With disturbance or lag, the inputs reported with a measurement act in the period before.
+        # Periods before a measurement that it changes: inputs reported with it act in the one before.
         self._uses_reports = disturbance is not None or motor_lag_s > 0.0
+        self._changed = int(self._uses_reports) if kalman is None else max(1, self._oldest)
         self._learned = -1  # newest tick whose measurement the disturbance estimator has
         self._first = 0  # tick of the oldest estimate kept
         self._estimates: list[Array] = []
@@ -79,11 +79,11 @@ class StateEstimator:
         self._newest[plan.agent] = max(plan.tick, self._newest.get(plan.agent, -1))
         for uav, values in zip(plan.uavs, plan.uav_states, strict=True):
             if self._kalman is None:
-                self._tell(plan.tick, uav, values, since=plan.tick)
+                self._tell(plan.tick, uav, values, 0)
                 continue
             for age, row in enumerate(values.reshape(state.REPORTS, state.REPORTED)):
                 if row[0] > 0.0:
-                    self._sense(plan.tick - age, uav, row[1:])
+                    self._tell(plan.tick - age, uav, row[1:], self._changed)
 
     def measure(self, measurement: Measurement) -> None:
         """Take in a measurement of a tick not later than the one to be estimated."""
@@ -93,21 +93,15 @@ class StateEstimator:
             return
         self._measured[tick] = measurement
         for uav, values, inputs in zip(measurement.uavs, measurement.uav_states, measurement.inputs, strict=True):
-            if self._kalman is None:
-                self._tell(tick, uav, values, since=tick - self._uses_reports)
-            else:
-                self._sense(tick, uav, np.concatenate([values, inputs]))
+            told = values if self._kalman is None else np.concatenate([values, inputs])
+            self._tell(tick, uav, told, self._changed)
 
-    def _sense(self, tick: int, uav: int, values: Array) -> None:
-        """Take in measurements and inputs of a UAV, 1-based; the inputs acted in the period before."""
-        self._tell(tick, uav, values, since=tick - max(1, self._oldest))
-
-    def _tell(self, tick: int, uav: int, values: Array, since: int) -> None:
-        """Keep, once, what a message says of a UAV, 1-based, at a tick; it changes estimates from another tick on."""
+    def _tell(self, tick: int, uav: int, values: Array, before: int) -> None:
+        """Keep, once, what a message says of a UAV, 1-based; it changes estimates from so many ticks before on."""
         if tick >= self._first and uav - 1 not in self._told.setdefault(tick, {}):
             self._told[tick][uav - 1] = values
             self._sensed_from = min(self._sensed_from, tick - self._oldest)
-            self._stale_from = min(self._stale_from, since)
+            self._stale_from = min(self._stale_from, tick - before)
 
     def reports(self, k: int, uavs: Sequence[int]) -> Array:
         """Return measurements and inputs of UAVs, 0-based, at the last ticks, as a plan holds them, (UAVs, 80)."""
@@ -173,10 +167,7 @@ class StateEstimator:
         return tick - self._newest[agent] if agent in self._newest else -1
 
     def inputs_until(self, k: int, announced: AnnouncedInputs) -> Array:
-        """Return the inputs in force until tick k, after `estimate` for that tick, (4 N,).
-
-        Own ones are those that the actuators report, the others as announced.
-        """
+        """Return the inputs in force until tick k after `estimate` for it, (4 N,): announced, own ones as reported."""
         u = announced.at(k - 1, before=k, x=self.known(k - 1))
         self._report(u, k)
         return u

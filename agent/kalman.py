@@ -111,7 +111,7 @@ class Belief:
         return self.found
 
 
-# Numbers that tell what an agent knows of the payload: estimate, upper triangle of its covariance, surprise.
+# What an agent knows of the payload in numbers: estimate, upper triangle of its covariance, surprise.
 POSE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 _PLACES, _UPPER = np.r_[state.R0, state.THETA0], np.triu_indices(len(POSE))
 TOLD = (*POSE, *(f"covariance_{POSE[i]}_{POSE[j]}" for i, j in zip(*_UPPER, strict=True)), "surprise", "measurements")

@@ -71,10 +71,7 @@ def checked_controller(setup: Setup) -> str:
 
 
 def controller_version(name: str) -> str:
-    """Return the version of a controller: empty for that of the project, which is the package's.
-
-    Raises: OwnClassError: it is not found.
-    """
+    """Return the version of a controller, empty for that of the project. Raises: OwnClassError: it is not found."""
     return "" if name == PROJECT else version_of(own_class(name))
 
 

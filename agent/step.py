@@ -242,7 +242,7 @@ class Planner:
             result = controller.conclude(solution, prediction, step.U, step.law, step.known.ticks_since_start)
             self._lap(step.times_ns, "solve")
             if step.law is not None:
-                self._team.expect(step.start, prediction, result.U)
+                self._team.expected = step.start, prediction, result.U
         return result
 
     def _report(self, step: Step, result: StepResult, out: Outbox) -> StepReport:

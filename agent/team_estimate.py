@@ -41,6 +41,7 @@ class TeamEstimate:
     Attributes:
         announced: Inputs announced by all agents.
         estimator: Estimated states, by tick.
+        expected: Start, prediction and own inputs of the last step, for the inputs of an agent that leaves.
     """
 
     def __init__(self, setup: Setup, agent: int, controller: Controller) -> None:
@@ -75,8 +76,7 @@ class TeamEstimate:
         )
         self.announced.fail_safe = setup.fail_safe
         self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()  # UAVs off, and released
-        # Start, prediction and own inputs of the last step.
-        self._expected: tuple[int, Prediction | Course, Array] | None = None
+        self.expected: tuple[int, Prediction | Course, Array] | None = None
         # Arguments and result of `_law_inputs` by tick.
         self._law_cache: dict[int, tuple[tuple[object, ...], Array | None]] = {}
 
@@ -120,10 +120,6 @@ class TeamEstimate:
             return state.StateView(x[: self._setup.system.n]).uavs[list(self._owned)]
         return self.estimator.reports(k, self._owned)
 
-    def expect(self, start: int, prediction: Prediction | Course, inputs: Array) -> None:
-        """Keep a step's prediction from tick `start` on, from which the inputs of an agent that leaves are taken."""
-        self._expected = start, prediction, inputs
-
     def _update_roster(self, known: Known) -> None:
         """Take in the roster of a tick; all agents do that at the same tick."""
         tick, controller, announced = known.measurement.tick, self._controller, self.announced
@@ -141,8 +137,8 @@ class TeamEstimate:
         for agent in off_roster - self._off_roster:
             # The last plan of an agent that leaves may not have been received: docs/equations.md (32b).
             newest = announced.newest(agent, before=tick)
-            if self._expected is not None and newest is not None and newest.tick < tick - 1:
-                start, prediction, inputs = self._expected
+            if self.expected is not None and newest is not None and newest.tick < tick - 1:
+                start, prediction, inputs = self.expected
                 announced.assume(agent, start, controller.foreseen(prediction, inputs))
         self._off_roster, announced.law_since = off_roster, tick
         controller.without([uav for agent in sorted(off_roster) for uav in self._setup.owned[agent - 1]], since)

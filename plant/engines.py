@@ -51,7 +51,7 @@ class Rods:
 
 
 class Physics(Protocol):
-    """Integration of the ground truth: N UAVs, one payload, in the layout and the signs of `model.state`.
+    """Integration of the ground truth: N UAVs, one payload, in the layout and the signs of `model.state`, SI.
 
     An engine is made of the plant's actual `System` and its section of the scenario. Wind, drag, noise, mass errors and
     failures are the plant's. `version`, if there is one, is recorded, else a hash of its file; `tensions`, of one with
@@ -59,21 +59,17 @@ class Physics(Protocol):
     """
 
     def reset(self, x: Array) -> None:
-        """Continue from a state, (12 + 12 N,), SI; called before the first interval and after the failure of a UAV."""
+        """Continue from a state, (12 + 12 N,); called before the first interval and after the failure of a UAV."""
 
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> float | None:
-        """Integrate an interval, a sampling period or a part of one.
+        """Integrate a sampling period or a part of one; return the largest local error of a component, if known.
 
-        Args:
-            u: Thrust and moments of each UAV, held, (4 N,), N and N m, in its body frame; thrust >= 0 acts along -b3.
-            forces: External forces on the centres of mass of payload and UAVs, held, (3 + 3 N,), inertial frame, N;
-                None without any.
-            duration_s: > 0, s.
-        Returns: The largest local error of any component of the state, SI, if the engine can tell it.
+        Held are thrust and moments of each UAV, (4 N,), N and N m, in its body frame, with thrust >= 0 along -b3, and
+        external forces on the centres of mass of payload and UAVs, (3 + 3 N,), inertial frame, N, or None.
         """
 
     def state(self) -> Array:
-        """Return the present state, (12 + 12 N,), SI, with |e_i| = 1 and e_i . Omega_i = 0."""
+        """Return the present state, (12 + 12 N,), with |e_i| = 1 and e_i . Omega_i = 0."""
 
 
 # How far the state that an engine reads out after `reset` may be from the given one, SI.
@@ -86,7 +82,7 @@ UNKNOWN_ERROR = -1.0
 class Engine:
     """The engine of a plant with the actual bodies; its failure is data: `failure` says why the run ends.
 
-    Raises: ScenarioError: no such engine, a package is missing, or it does not take the initial state.
+    Raises: ScenarioError: no such engine, or it does not take the initial state.
     """
 
     def __init__(self, setup: Setup, system: System) -> None:
@@ -176,7 +172,7 @@ class Engine:
 def checked_engine(setup: Setup) -> str:
     """Return name and version of the engine of a run after building it once, as the plant will, and of a firmware.
 
-    Raises: ScenarioError: no such engine, a package is missing, or it does not take the initial state.
+    Raises: ScenarioError: no such engine or firmware, or it does not take the initial state.
     """
     firmware, name = checked_firmware(setup), setup.scenario.plant.engine
     Engine(setup, Environment(setup).system)
@@ -184,10 +180,7 @@ def checked_engine(setup: Setup) -> str:
 
 
 def engine_version(name: str) -> str:
-    """Return the version of an engine: what its class has as `version`, or a hash of its file.
-
-    Raises: OwnClassError: it is not found.
-    """
+    """Return the version of an engine, or a hash of its file. Raises: OwnClassError: it is not found."""
     return version_of(_engine_class(name))
 
 
