@@ -28,11 +28,9 @@ from protocol.scenario.setup import Setup
 # Gain of the shared control law at a tick, (m, n), with motor lag (m, n + m); of UAVs without agents their fail-safe's.
 Feedback = Callable[[int], Array]
 
-# Standard deviations before the first measurement, about the reference: r0, v0, Theta0, omega0; e, Omega, Theta, omega.
-_PAYLOAD = (0.3, 0.2, 0.06, 0.1)
-_UAV = (0.06, 0.1, 0.1, 0.2)
-# Those of the payload's yaw and its rate: a formation at rest turns its load with it.
-_YAW = (0.015, 0.02)
+# Standard deviations before the first measurement, about the reference: r0, v0, Theta0, omega0; e, Omega, Theta, omega;
+# and of the payload's yaw and its rate: a formation at rest turns its load with it.
+_PAYLOAD, _UAV, _YAW = (0.3, 0.2, 0.06, 0.1), (0.06, 0.1, 0.1, 0.2), (0.015, 0.02)
 # Those of the accelerations that the model lacks, white, m/s^2 and rad/s^2: at most, and beside unknown forces.
 _ACCELERATION, _BESIDE_FORCES = 0.01, 1e-3
 # Smallest standard deviations assumed of sensors, in the order of the sensors: errors of the model show in them.

@@ -48,7 +48,7 @@ class AgentNode(Participant):
 
     def poll(self, now_ns: int) -> Sequence[Message]:
         """In real time, plan from the newest measurement once all received messages are taken in."""
-        return () if self._waits else self._plan_ahead(now_ns)
+        return self._work(now_ns, polled=True)
 
     @property
     def belief(self) -> Belief | None:
@@ -96,12 +96,11 @@ class AgentNode(Participant):
             self._begin(self.incarnation + 1)
         return waiting
 
-    def _work(self, now_ns: int) -> Sequence[Message]:
-        return self._plan_ahead(now_ns) if self._waits else ()
-
-    def _plan_ahead(self, now_ns: int) -> list[Message]:
+    def _work(self, now_ns: int, *, polled: bool = False) -> list[Message]:
         """Begin the open tick and continue its negotiation as far as the messages received allow."""
         out: list[Message] = []
+        if not self._waits and not polled:
+            return out
         if self._measurement is not None and self._step is None and self._has_plans_for(self._measurement):
             measurement, self._measurement = self._measurement, None
             self._tick = measurement.tick

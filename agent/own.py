@@ -54,8 +54,7 @@ class Run:
 
     def reference(self, tick: int) -> Array:
         """Return the reference state at a tick, (12 + 12 N,), held after the end of the maneuver."""
-        state: Array = self._X_ref[min(tick, len(self._X_ref) - 1)].copy()
-        return state
+        return np.array(self._X_ref[min(tick, len(self._X_ref) - 1)])
 
 
 def checked_controller(setup: Setup) -> str:

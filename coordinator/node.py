@@ -1,8 +1,7 @@
 """The coordinator as a state machine: opens tick k + 1 when all agents have answered tick k, or at its deadline.
 
-`coordinator.clock` has the difference between lockstep and real time.
-Agents that are gone or do not answer are taken off the roster; those that return with a higher incarnation are put on
-it again when a tick is opened.
+`coordinator.clock` has the difference between lockstep and real time. Agents that are gone or do not answer are taken
+off the roster; those that return with a higher incarnation are put on it again when a tick is opened.
 """
 
 from collections.abc import Collection, Sequence
@@ -48,8 +47,7 @@ class CoordinatorNode:
         self._clock, self._roster = Clock(setup), TeamRoster(setup, self._out)
         self._awaited = {PLANT, *self._roster.agents, *observers}
         self._observers = set(observers)  # that have not left
-        self._answered: set[int] = set()
-        self._shared: set[int] = set()  # agents that answered with a plan the other agents received
+        self._answered: dict[int, bool] = {}  # agents that answered, and whether with a plan the others received
         self._negotiating: dict[int, int] = {}  # negotiation iterations left in the open tick, by agent
         self._plant_tick = -1  # newest tick the plant has recorded
         self._divergence = ""
@@ -88,9 +86,7 @@ class CoordinatorNode:
                 self._negotiating[event.agent] = left
             case Plan():
                 if event.tick == self.tick:
-                    self._answered.add(event.agent)
-                    if event.shared:
-                        self._shared.add(event.agent)
+                    self._answered[event.agent] = event.shared
                 self._clock.answer(event, self.tick, now_ns)
         return self._advance(now_ns)
 
@@ -131,13 +127,10 @@ class CoordinatorNode:
     @property
     def _missing(self) -> set[int]:
         """Agents on the roster that have not answered the open tick."""
-        return self._roster.members - self._answered
+        return self._roster.members - self._answered.keys()
 
     def check_moment(self, message: Message) -> None:
-        """Refuse answers to other ticks than the open one, and plans of agents off the roster.
-
-        Raises: MessageError: with the reason.
-        """
+        """Raise MessageError for answers to other ticks than the open one, and plans of agents off the roster."""
         match message:
             case PlantState():
                 check_tick(message, self._plant_tick + 1, self.tick)
@@ -198,11 +191,11 @@ class CoordinatorNode:
             request.reply({"error": str(error)})
             return ()
         change, since_s = messages[0], (self.tick + 1) * self._setup.period_ns / 1e9
-        reached = {}
+        reply = {"tick": self.tick + 1, "t_s": since_s}
         if isinstance(change, Target):
-            reached_s = since_s + change.approach_s
-            reached = {"reached_s": reached_s, "ends_s": reached_s + change.way_s}
-        request.reply({"tick": self.tick + 1, "t_s": since_s, **reached})
+            reply["reached_s"] = since_s + change.approach_s
+            reply["ends_s"] = reply["reached_s"] + change.way_s
+        request.reply(reply)
         return messages
 
     def _drop_silent(self, silent: set[int], now_ns: int) -> Sequence[Message]:
@@ -214,7 +207,7 @@ class CoordinatorNode:
         if behind < silent:
             silent, self._clock.waiting_since_ns = behind, now_ns
         members = self._roster.members
-        if len(silent) > 1 and silent == members and self._answered.isdisjoint(members):
+        if len(silent) > 1 and silent == members and members.isdisjoint(self._answered):
             # All at once: more likely the plant, on which all depend.
             return self._stop(EXIT_UNREACHABLE, f"no agent answered tick {self.tick} in time: is the plant alive?")
         return self._lose(silent, f"{names(silent)} did not answer tick {self.tick} in time", now_ns)
@@ -260,7 +253,7 @@ class CoordinatorNode:
             tick=tick,
             members=tuple(sorted(self._roster.members)),
             answered=tuple(sorted(self._answered)),
-            shared=tuple(sorted(self._shared)),
+            shared=tuple(sorted(agent for agent, shared in self._answered.items() if shared)),
             roster=self._roster.version,
             late_ns=late_ns,
             overrun_ns=overrun_ns,
@@ -268,7 +261,7 @@ class CoordinatorNode:
         self.tick = tick
         if self.state is not State.DIVERGED:
             self.state = State.OPEN
-        self._answered, self._shared, self._negotiating = set(), set(), {}
+        self._answered, self._negotiating = {}, {}
         self._clock.open(tick, self._roster.members, joined, now_ns)
         if self._plant_tick + 1 == tick:
             self._clock.plant_ns = now_ns  # it owes no earlier interval
@@ -279,7 +272,6 @@ class CoordinatorNode:
             return ()
         self.state = State.STOPPED
         outcome = {0: "completed", EXIT_DIVERGED: "diverged"}.get(exit_code, "aborted")
-        self.finished = self._out.stamp(
-            Control, tick=max(self.tick, 0), outcome=outcome, reason=reason, exit_code=exit_code
-        )
+        fields = {"outcome": outcome, "reason": reason, "exit_code": exit_code}
+        self.finished = self._out.stamp(Control, tick=max(self.tick, 0), **fields)
         return [self.finished]

@@ -64,10 +64,7 @@ class Participant:
                 self._take(message, now_ns)
 
     def check_moment(self, message: Message) -> None:
-        """Refuse plans of earlier starts, and impossible changes.
-
-        Raises: MessageError: with the reason.
-        """
+        """Raise MessageError for plans of earlier starts, and impossible changes."""
         match message:
             case LinkChange():
                 self._link_changes.check(message)
@@ -88,11 +85,9 @@ class Participant:
 
     def _head(self, target: Target) -> None:
         """Follow a target that the run has from now on."""
-        raise NotImplementedError
 
     def _take(self, message: Message, now_ns: int) -> None:
         """Take in a message of the kinds that only this node uses."""
-        raise NotImplementedError
 
     def _work(self, now_ns: int) -> Sequence[Message]:
         """Work as far as the messages received allow."""
