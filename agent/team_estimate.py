@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.announced import AnnouncedInputs
-from agent.disturbance import DisturbanceEstimator
-from agent.estimator import WINDOW, StateEstimator
+from agent.estimator import WINDOW, DisturbanceEstimator, StateEstimator
 from agent.kalman import KalmanFilter
 from model import state
 from model.arrays import Array
