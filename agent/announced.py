@@ -84,7 +84,7 @@ class AnnouncedInputs:
         self._assumed.pop(agent, None)
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
-        """Assume inputs, (N_p, 4 N), from a tick on for an agent that left, whose last plan was not received: (32b)."""
+        """Assume inputs, (N_p, 4 N), from a tick on for an agent that left: docs/equations.md (32b)."""
         self._assumed[agent] = start, inputs[:, self._columns[agent]]
 
     def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:
@@ -123,10 +123,7 @@ class AnnouncedInputs:
         return [agent for agent, plan in newest.items() if plan and self.failed_since <= plan.tick < self.law_since]
 
     def corrections(self, start: int, steps: int, before: int) -> Array:
-        """Return the announced corrections to the shared control law over the horizon, zero after their end.
-
-        Returns: Corrections over N_p steps from tick `start` on, (N_p, 4 N). Source: docs/equations.md (32).
-        """
+        """Return the announced corrections, (N_p, 4 N), zero after their end. Source: docs/equations.md (32)."""
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
@@ -136,10 +133,7 @@ class AnnouncedInputs:
         return c
 
     def unannounced(self, tick: int, before: int) -> npt.NDArray[np.bool_]:
-        """Return which of the inputs that `at` returns no plan says: by the law, and by the fail-safe, (2, 4 N).
-
-        The first step of a plan was applied as announced, and so were all those of an agent off the roster.
-        """
+        """Return which of the inputs that `at` returns no plan says: by the law, and by the fail-safe, (2, 4 N)."""
         found = np.zeros((2, len(self._u_hover)), dtype=bool)
         by_law, by_fail_safe = found
         for agent, columns in self._columns.items():

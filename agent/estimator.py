@@ -81,10 +81,7 @@ class DisturbanceEstimator:
             self.forces = self.forces + self._gain @ force
 
     def _observed(self, velocities: Array) -> Array:
-        """Return the payload's velocity and the own UAVs' mean horizontal velocity, (5, ...).
-
-        Given are those of all bodies, (1 + N, 3, ...), inertial frame.
-        """
+        """Return payload's and own UAVs' mean horizontal velocity, (5, ...), from those of all, (1 + N, 3, ...)."""
         return np.concatenate([velocities[0], velocities[self._bodies, :2].mean(axis=0)])
 
 
@@ -167,10 +164,7 @@ class StateEstimator:
         return found.reshape(len(uavs), -1)
 
     def change(self, tick: int, model: Model, moved: Callable[[Array], Array]) -> None:
-        """Change the system from a tick on, not before that of the previous change.
-
-        `moved` maps the state before the change to the state after it, (n,) to (n,).
-        """
+        """Change the system from a tick on, not before the previous change; `moved` maps the state there, (n,)."""
         self._breaks.append((tick, model, moved))
         self._stale_from = min(self._stale_from, tick - 1)
 
@@ -240,10 +234,7 @@ class StateEstimator:
         return self._joined(ahead, tick + 1)
 
     def _followed(self, tick: int, u: Array) -> Array:
-        """Return the estimate at the next tick, and correct the disturbance estimate.
-
-        The correction is made once for each period with measurements at both ends.
-        """
+        """Return the estimate at the next tick; correct the disturbance estimate once, if both ends are measured."""
         if self._uses_reports:
             self._report(u, tick + 1)  # a wrong input would look like a force
         disturbance, n = self._disturbance, self._model.system.n
@@ -282,10 +273,7 @@ class StateEstimator:
                 u[state.input_slice(uav - 1)] = inputs
 
     def _predicted(self, tick: int, u: Array, forces: Array | None) -> Array:
-        """Predict the next state from the newest estimate.
-
-        If integration from a received state diverges, use the reference state.
-        """
+        """Predict the next state from the newest estimate; if that diverges, return the reference state."""
         model, steps = self._model_at(tick), STEPS if self._kalman is None else 1
         ahead, _ = motors.integrate(model, self._estimates[-1], u, self._period_s, steps, self._motor_lag_s, forces)
         if np.abs(ahead).max() > state.LARGEST:

@@ -131,10 +131,7 @@ def understood(numbers: Array) -> tuple[Array, Array]:
 
 @lru_cache
 def _places(sensed: tuple[tuple[int, tuple[int, ...]], ...]) -> tuple[npt.NDArray[np.intp], ...]:
-    """Return places of measurements from UAV and sensors of each part.
-
-    Those within the UAV's, within all UAVs', the parts, and which of them are angles.
-    """
+    """Return places within the UAV and within all, and parts, from UAV and sensors of each; which are angles."""
     found = [
         (3 * sensor + axis, uav, part)
         for part, (uav, sensors) in enumerate(sensed)
@@ -241,10 +238,7 @@ class KalmanFilter:
         return effects
 
     def basis(self, x: Array) -> tuple[Array, Array]:
-        """Return T with dx = T xi, and L with xi = L' dx, about a state; both (n, r), with motor lag (n + m, r + m).
-
-        Source: docs/equations.md (62).
-        """
+        """Return T with dx = T xi, and L with xi = L' dx, (n, r); with lag (n + m, r + m). Source: equations.md (62)."""
         e, Omega = _rods(x, self._N)
         # Two unit vectors across each rod, by the reflection that maps e to the z axis: smooth around the hover.
         w = e.copy()

@@ -58,10 +58,7 @@ class Run:
 
 
 def checked_controller(setup: Setup) -> str:
-    """Return name and version of the controller of a run after starting a user's class once, as an agent will.
-
-    Raises: ScenarioError: it is not found, or cannot be started.
-    """
+    """Return name and version of the controller after starting it once. Raises: ScenarioError: it cannot be used."""
     name = setup.scenario.agents.controller
     if name == PROJECT:
         return name
@@ -219,10 +216,7 @@ class OwnPlanner:
         return [out.stamp(Note, tick=tick, agent=self._agent, problem=said, names=names, values=values)]
 
     def _stepped(self, known: Known, previous: Array) -> tuple[Array, Mapping[str, float]]:
-        """Return the inputs of a step, (rows, 4 owned), within the limits, and its numbers for the log.
-
-        Raises: OwnClassError: the class has failed, or what it returned cannot be used.
-        """
+        """Return inputs of a step, (rows, 4 owned), within the limits, and numbers. Raises: OwnClassError: it fails."""
         if self._controller is None:
             raise OwnClassError(self._problem)
         if self._measurement is None:

@@ -1,7 +1,4 @@
-"""One tick's work of an agent: estimate the state, form its problem, solve it, negotiate, conclude.
-
-The node decides which messages count and when a tick may begin.
-"""
+"""One tick's work of an agent: estimate the state, form its problem, solve it, negotiate, conclude."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

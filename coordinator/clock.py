@@ -94,10 +94,7 @@ class Clock:
         return {a for a in members if now_ns >= self._owed_since_ns.get(a, now_ns) + self._barrier_ns}
 
     def plant_is_silent(self, now_ns: int) -> bool:
-        """Return whether the plant has owed an answer for the barrier timeout while agents still answer.
-
-        In lockstep agents without measurements do not answer either.
-        """
+        """Return whether the plant has owed an answer for the barrier timeout; in lockstep agents wait for it, too."""
         return self.is_realtime and now_ns >= self.plant_ns + self._barrier_ns
 
     def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:

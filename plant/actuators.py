@@ -87,10 +87,7 @@ class InnerLoop(Protocol):
 
 
 class RateLoop:
-    """The inner loop that the controllers predict with, in discrete time and within limits of the moments, (3,).
-
-    Source: docs/equations.md (57).
-    """
+    """The inner loop that the controllers predict with, in steps, with limits, (3,). Source: docs/equations.md (57)."""
 
     failure = ""
 
@@ -114,10 +111,7 @@ class RateLoop:
 
 
 def inner_loop(setup: Setup, step_s: float) -> InnerLoop | None:
-    """Return the inner loop of a run, called every `step_s`; None where agents command moments.
-
-    Raises: ScenarioError: a firmware cannot be started.
-    """
+    """Return the inner loop of a run, if any, called every `step_s`. Raises: ScenarioError: no firmware starts."""
     if setup.settings.inputs == "moments":
         return None
     if setup.scenario.plant.inner_loop != "betaflight":
@@ -195,10 +189,7 @@ class Motors:
                 yield self._efficiency * half, period_s / steps / 2.0
 
     def _lagged(self, command: Array, step_s: float) -> tuple[tuple[Array, Array], Array]:
-        """Return two inputs for half a step each, and those at its end, (4 N,). Source: docs/equations.md (54), (56a).
-
-        Under a held command the thrust of a rotor rises or falls all the time.
-        """
+        """Return two inputs for half a step each, and those at its end, (4 N,). Source: equations.md (54), (56a)."""
         rising, rotors = motors.held(self._a, command, self._section.lag_s, step_s), self._rotors
         if rotors is None or self._section.falling_lag_s is None:
             return rising

@@ -23,10 +23,7 @@ from protocol.scenario.setup import Setup
 
 
 class Rods:
-    """Massless rigid rods, no ground; steps of at most `plant.step_s`, halved where their local error is large.
-
-    Source: docs/equations.md (4)-(13).
-    """
+    """Massless rigid rods, no ground; steps halved where their local error is large: docs/equations.md (4)-(13)."""
 
     version = metadata.version("payload-transport")
 

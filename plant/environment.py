@@ -119,10 +119,7 @@ class Sensors:
         self._true.appendleft(model.sense(x, u, forces=forces)[0].reshape(-1, SENSED))
 
     def measured(self, tick: int, uavs: Sequence[int]) -> Array:
-        """Return the measurements of UAVs, 0-based, at the newest tick, (UAVs, 15). Source: docs/equations.md (61).
-
-        Before the first tick the team is at rest.
-        """
+        """Return the measurements of UAVs, 0-based, at the newest tick, (UAVs, 15). Source: docs/equations.md (61)."""
         ages = np.minimum(self._ages, len(self._true) - 1)
         true = np.array(self._true)[ages, :, np.arange(SENSED)].T
         noise = np.array([self._noise * drawn(self._seed, f"sensors/{uav + 1}", tick, SENSED) for uav in uavs])

