@@ -238,7 +238,7 @@ class KalmanFilter:
         return effects
 
     def basis(self, x: Array) -> tuple[Array, Array]:
-        """Return T with dx = T xi, and L with xi = L' dx, (n, r); with lag (n + m, r + m). Source: equations.md (62)."""
+        """Return T, dx = T xi, and L, xi = L' dx, (n, r); with lag (n + m, r + m). Source: equations.md (62)."""
         e, Omega = _rods(x, self._N)
         # Two unit vectors across each rod, by the reflection that maps e to the z axis: smooth around the hover.
         w = e.copy()
