@@ -42,10 +42,7 @@ bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, an
 	@$(BIN)/python -m benchmarks
 
 figures: $(VENV)/.installed-test $(VENV)/.installed-firmware ## run every experiment and renew figures and tables of README and docs (an hour and a half)
-	@$(BIN)/python docs/values_page.py
-	@$(BIN)/python docs/guarantees_page.py
-	@$(BIN)/python docs/engines_page.py
-	@$(BIN)/python docs/flights_page.py
+	@$(BIN)/python docs/measured_pages.py
 	@$(BIN)/python docs/results_page.py
 
 docs: $(VENV)/.installed-docs ## build the site into build/site; open build/site/index.html (no server, no network)

@@ -226,7 +226,7 @@ class OwnPlanner:
             given = self._controller.step(self._measurement, known.plans)
             if isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], Mapping):
                 given, data = given
-            inputs, columns, rows = np.atleast_2d(real_array("step", given)), len(self._run.lower), self._run.horizon
+            inputs, columns, rows = np.atleast_2d(real_array(given)), len(self._run.lower), self._run.horizon
             numbers = {str(name): float(value) for name, value in dict(data).items()}  # type: ignore[call-overload]
         if inputs.ndim != 2 or inputs.shape[1] != columns or not 1 <= len(inputs) <= rows:
             expected = f"expected shape ({columns},) or (1 to {rows}, {columns})"

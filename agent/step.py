@@ -14,8 +14,9 @@ from model import motors
 from model.arrays import Array, ShapeError
 from model.discretisation import Discrete
 from model.state import input_indices
-from mpc.controller import Controller, Linear, StepResult
+from mpc.controller import Controller, StepResult
 from mpc.feedback import FeedbackLaw
+from mpc.prediction import Linear
 from mpc.regulation import CostToGo
 from protocol.scenario.schema import ControllerSection
 from protocol.scenario.setup import Setup

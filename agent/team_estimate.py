@@ -10,7 +10,7 @@ from agent.estimator import WINDOW, DisturbanceEstimator, StateEstimator
 from agent.kalman import KalmanFilter
 from model import state
 from model.arrays import Array
-from model.failure import motor_off_state, released_state
+from model.hover import motor_off_state, released_state
 from mpc.controller import Controller
 from mpc.prediction import Prediction
 from mpc.tracking import Course

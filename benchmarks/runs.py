@@ -1,14 +1,18 @@
-"""Runs in memory, and the times of steps, programs and messages taken from them."""
+"""Runs in memory, and processor times of steps, programs and calls."""
 
+import gc
+import platform
 import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from functools import lru_cache
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import threadpoolctl
 
-from benchmarks.timing import WARM_UP, quiet
 from model.arrays import Array
 from model.compiled import compile_functions
 from mpc.controller import Controller
@@ -18,7 +22,10 @@ from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
 from protocol.wire.messages import Message, StepReport
 from transport.flight import memory
+from transport.flight.header import machine
 
+# Calls that are not counted, while caches fill and modules load.
+WARM_UP = 3
 # A climb that begins at once, so that plans differ from hover from the first tick on.
 CLIMB = "maneuver.phase=[{name='climb',duration_s=1.5,displacement_m=[0.5,0,-1.0]}]"
 
@@ -33,7 +40,7 @@ def setup(name: str, *settings: str, uavs: int | None = None) -> Setup:
     path = find_scenario(name)
     scenario = read_scenario(path, settings)
     if uavs is not None:
-        scenario = resized(scenario, path.parent, uavs, group=1, name=None, source=path.name)
+        scenario = resized(scenario, uavs, group=1, name=None, source=path.name)
     run = Setup.of(scenario, path.name)
     compile_functions(run.system.N)  # as at the start of a run
     return run
@@ -69,3 +76,43 @@ def programs(run: Setup, most: int) -> list[QP]:
     with patch.object(Controller, "solve", observed):
         messages(run)
     return [found[i] for i in np.unique(np.linspace(0, len(found) - 1, most).astype(int))]
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Suspend garbage collection and use one thread for linear algebra, as the processes of a run do."""
+    gc.collect()
+    gc.disable()
+    try:
+        with threadpoolctl.threadpool_limits(1):
+            yield
+    finally:
+        gc.enable()
+
+
+def times_ms(calls: Sequence[Callable[[], object]], repetitions: int = 5) -> list[float]:
+    """Return the processor times of this thread for calls, each repeated after a warm-up, ms."""
+    found = []
+    with quiet():
+        for call in calls:
+            for i in range(WARM_UP + repetitions):
+                start_ns = time.thread_time_ns()
+                call()
+                if i >= WARM_UP:
+                    found.append((time.thread_time_ns() - start_ns) / 1e6)
+    return found
+
+
+def digits(value: float) -> str:
+    """Return a number with three significant digits, more than a machine repeats."""
+    return np.format_float_positional(value, precision=3, fractional=False, unique=False, trim="k").rstrip(".")
+
+
+def spread(ms: Sequence[float]) -> str:
+    """Return median and 99th percentile."""
+    return f"{digits(float(np.median(ms)))} ({digits(float(np.percentile(ms, 99)))})"
+
+
+def origin() -> str:
+    """Return the machine and the date."""
+    return f"{machine()}, Python {platform.python_version()}; {time.strftime('%Y-%m-%d')}"

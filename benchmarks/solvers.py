@@ -11,8 +11,7 @@ from importlib import import_module
 import numpy as np
 from scipy import sparse
 
-from benchmarks.runs import CLIMB, programs, setup
-from benchmarks.timing import spread, times_ms
+from benchmarks.runs import CLIMB, programs, setup, spread, times_ms
 from docs.tables import table
 from model.arrays import Array
 from mpc.qp import QP, solve, solve_clarabel
@@ -55,14 +54,6 @@ def compare(qps: Sequence[QP], repetitions: int = 5) -> dict[str, tuple[list[flo
     return found
 
 
-def _own(qp: QP) -> Array:
-    return np.asarray(solve(qp, "daqp").z)
-
-
-def _clarabel(qp: QP) -> Array:
-    return np.asarray(solve_clarabel(qp).z)
-
-
 def _daqp(qp: QP) -> Array:
     lower, upper = _all_bounds(qp)
     z, *_ = import_module("daqp").solve(
@@ -76,14 +67,6 @@ def _daqp(qp: QP) -> Array:
         dual_tol=1e-9,
     )
     return np.asarray(z)
-
-
-def _quadprog(qp: QP) -> Array:
-    lower, upper = _all_bounds(qp)
-    rows = np.concatenate([np.eye(len(qp.g)), qp.A])
-    below, above = np.isfinite(lower), np.isfinite(upper)
-    C, b = np.concatenate([rows[below], -rows[above]]), np.concatenate([lower[below], -upper[above]])
-    return np.asarray(import_module("quadprog").solve_qp(qp.H, -qp.g, C.T, b)[0])
 
 
 def _osqp(qp: QP) -> Array:
@@ -100,9 +83,8 @@ def _all_bounds(qp: QP) -> tuple[Array, Array]:
 
 
 SOLVERS: Mapping[str, Callable[[QP], Array]] = {
-    "this project's": _own,
+    "this project's": lambda qp: np.asarray(solve(qp, "daqp").z),
     "DAQP alone": _daqp,
-    "Clarabel": _clarabel,
-    "quadprog": _quadprog,
+    "Clarabel": lambda qp: np.asarray(solve_clarabel(qp).z),
     "OSQP": _osqp,
 }

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from protocol.scenario.errors import RequestError
-from protocol.scenario.faults import uav_faults, uav_name
+from protocol.scenario.faults import failures
 from protocol.scenario.links import link_change, words_of
 from protocol.scenario.schema import TargetSection
 from protocol.scenario.setup import Setup
@@ -32,7 +32,7 @@ class TeamRoster:
         self._links: list[LinkChange] = []
         self._targets: list[Target] = []
         self._scripted = deque(scripted(setup))  # targets still to be announced
-        self._uav_faults = deque(uav_faults(setup.faults))  # still to be reported
+        self._uav_faults = deque(failures(setup.faults))  # still to be reported
         self._off: set[int] = set()  # UAVs without motors, 1-based
         self._released: set[int] = set()
         self._returns: dict[int, set[int]] = {}  # agents that scripted faults bring back, by tick
@@ -76,13 +76,13 @@ class TeamRoster:
             self.members |= joined.keys()
             self.incarnations |= {agent_name(agent): incarnation for agent, incarnation in joined.items()}
             messages.append(self.message(f"{names(joined)} joined at {self.time(tick)}", tick))
-        while self._uav_faults and self._uav_faults[0][0] <= tick:
-            _, action, uav = self._uav_faults.popleft()
-            self._off.add(uav + 1)
-            if action == "release":
-                self._released.add(uav + 1)
-            event = "released" if action == "release" else "motors off"
-            messages.append(self.message(f"{uav_name(uav)} {event} at {self.time(tick)}", tick))
+        while self._uav_faults and self._uav_faults[0].tick <= tick:
+            fault = self._uav_faults.popleft()
+            self._off.add(fault.uav + 1)
+            if fault.do == "release":
+                self._released.add(fault.uav + 1)
+            event = "released" if fault.do == "release" else "motors off"
+            messages.append(self.message(f"{fault.target} {event} at {self.time(tick)}", tick))
         while self._scripted and self._scripted[0][0] <= tick:
             try:
                 messages += self.target(self._scripted.popleft()[1], tick)
@@ -103,7 +103,7 @@ class TeamRoster:
             if name and name not in known:
                 raise RequestError(f"{end}: expected one of {', '.join(known)}, got {name!r}")
         settings = json.dumps(given.get("settings"))
-        if not link_change(source, target, settings, self._setup.samples_s).settings():
+        if not link_change(source, target, settings).settings():
             raise RequestError("expected at least one key of a link, got none")
         number = len(self._links) + 1
         change = self._out.stamp(LinkChange, tick=tick, number=number, source=source, target=target, settings=settings)

@@ -18,7 +18,6 @@ from protocol.network.parent import ENVIRONMENT
 from protocol.network.process import PATIENCE_S
 from protocol.network.security import AUTHORITY, Security
 from protocol.network.session import configuration
-from protocol.scenario.files import write_delays
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER, Keys
 from protocol.wire.names import COORDINATOR
@@ -112,7 +111,6 @@ def _host(setup: Setup, inventory: Inventory, own: Sequence[Placement], folder: 
     network |= {"keys": str(etc / "keys")} if security else {"insecure": True}
     text = tomli_w.dumps({**setup.scenario.tree(), "network": network})
     (folder / "scenario.toml").write_text(text, encoding="utf-8")
-    write_delays(setup.samples_s, folder)
     (folder / "zenoh").mkdir(mode=0o700)
     for placement in own:
         name = placement.process

@@ -11,12 +11,10 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from contextlib import redirect_stdout
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-DOCUMENT = ROOT / "docs" / "getting-started.md"
+DOCUMENT = Path(__file__).resolve().parent / "getting-started.md"
 BLOCK = re.compile(r"^```(console|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 SKIPPED = ("git ", "cd ", "python3 -m venv", ". ", "pip ", "transport view")
 # Lines of progress, of a run that takes longer than 10 s or is the first one of a team's size.
@@ -27,20 +25,6 @@ def commands(block: str) -> list[tuple[str, str]]:
     """Return the commands of a console block with their outputs."""
     parts = re.split(r"^\$ (.*)\n", block, flags=re.MULTILINE)[1:]
     return list(zip(parts[::2], parts[1::2], strict=True))
-
-
-def renewed(text: str, run: Callable[[str], str], names: dict[str, object]) -> str:
-    """Return the page with new outputs: those of `run` for commands, and of Python examples with some names."""
-
-    def renew(found: re.Match[str]) -> str:
-        language, block = found.groups()
-        if language == "console":
-            lines = [f"$ {command}\n{run(command)}" for command, _ in commands(block)]
-        else:
-            lines = [example(one, names) for one in doctest.DocTestParser().get_examples(block)]
-        return f"```{language}\n{''.join(lines)}```"
-
-    return BLOCK.sub(renew, text)
 
 
 def example(one: doctest.Example, names: dict[str, object]) -> str:
@@ -76,10 +60,20 @@ def in_shell(command: str) -> str:
 
 def main() -> None:
     """Renew the page."""
+    names: dict[str, object] = {}  # of the Python examples
+
+    def renew(found: re.Match[str]) -> str:
+        language, block = found.groups()
+        if language == "console":
+            lines = [f"$ {command}\n{in_shell(command)}" for command, _ in commands(block)]
+        else:
+            lines = [example(one, names) for one in doctest.DocTestParser().get_examples(block)]
+        return f"```{language}\n{''.join(lines)}```"
+
     text = DOCUMENT.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
-        text = renewed(text, in_shell, {})
+        text = BLOCK.sub(renew, text)
     DOCUMENT.write_text(text, encoding="utf-8")
 
 

@@ -20,7 +20,6 @@ TOLD = {
     "clarabel": "Apache-2.0",
     "eclipse-zenoh": "EPL-2.0 OR Apache-2.0",
     "daqp": "MIT",
-    "quadprog": "GPL-2.0-or-later",
 }
 
 

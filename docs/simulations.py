@@ -139,7 +139,7 @@ def scenario_of(run: Run) -> Scenario:
     path = find_scenario(run.scenario)
     if run.uavs is None:
         return read_scenario(path, run.settings, allow_large=True)
-    team = resized(read_scenario(path), path.parent, run.uavs, group=1, name=None, source=str(path))
+    team = resized(read_scenario(path), run.uavs, group=1, name=None, source=str(path))
     return with_settings(given(team), run.settings, str(path), allow_large=True)
 
 

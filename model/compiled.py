@@ -1,4 +1,4 @@
-"""Compiled model functions: built once per number of UAVs, kept on disk, called through CasADi's buffers."""
+"""Model functions of a number of UAVs: built, or compiled and kept on disk, and called through CasADi's buffers."""
 
 import ctypes
 import hashlib
@@ -76,43 +76,25 @@ class Compiled:
 
 
 def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
-    """Return the CasADi functions of a system of N UAVs: compiled ones, others from the cache if it holds them.
+    """Return the CasADi functions of N UAVs, with thrust and moments or body rates as inputs; compiled if on disk.
 
-    With `rates` the inputs are thrust and commanded body rates.
-
-    derivative  (x, u, p, F) -> x'
-    tensions    (x, u, p, F) -> rod tensions
-    velocities  (x, p) -> velocities of the centres of mass
-    outputs     (x, p) -> y
-    linearise   (x, u, p, F) -> x', y, and, sparse and transposed, the parts of `model.linearisation.Linearisation`
-    step        (x, u, p, F, h) -> x after h seconds of constant u and F by one Dormand-Prince step and projection
-                of the rods, and the local error estimate before projection
-    sense       (x, u, p, F) -> measurements y of the UAVs' own sensors, and their derivatives in parts, those by
-                (x, F) with the payload's acceleration held, sparse, by that acceleration, and its own by (x, F)
-    sensed      (x, u, p, F) -> the measurements alone
+    derivative, tensions, sensed (x, u, p, F) and velocities, outputs (x, p) return what they say; further ones are
+    linearise (x, u, p, F) -> x', y, and, sparse and transposed, the factors of `model.linearisation.Pattern`
+    step (x, u, p, F, h) -> x after h seconds of constant u and F by one Dormand-Prince step and projection of the rods,
+        and the local error estimate before projection
+    sense (x, u, p, F) -> measurements y of the UAVs' own sensors, and their derivatives in parts: those by (x, F) with
+        the payload's acceleration held, sparse, by that acceleration, and its own by (x, F)
     """
-    return _loaded(N, rates, _library(N, rates), compiler.cache_folder())
+    return _loaded(N, rates, _library(N, rates))
 
 
 @lru_cache(maxsize=4)
-def _loaded(N: int, rates: bool, path: Path | None, folder: Path) -> dict[str, ca.Function]:
+def _loaded(N: int, rates: bool, path: Path | None) -> dict[str, ca.Function]:
     compiled: dict[str, ca.Function] = {}
     if path is not None:
         importer = ca.Importer(str(path), "dll")
         compiled = {name: ca.external(name, importer) for name in _FUNCTIONS if importer.has_function(name)}
-    missing = [name for name in _FUNCTIONS if name not in compiled]
-    if not missing:
-        return compiled
-    cached = folder / f"{_name(N, rates)}-{_digest()[:16]}.casadi"
-    try:
-        texts = dict(zip(_FUNCTIONS, cached.read_bytes().decode("latin-1").split("\n"), strict=True))
-    except (OSError, ValueError):
-        found = _build(N, rates)
-        body = "\n".join(found[name].serialize() for name in _FUNCTIONS)
-        compiler.replace_atomically(cached, body.encode("latin-1"))
-        return found | compiled
-    # Only those that are missing, as the functions of large teams are large.
-    return {name: ca.Function.deserialize(texts.pop(name)) for name in missing} | compiled
+    return compiled if len(compiled) == len(_FUNCTIONS) else _build(N, rates) | compiled
 
 
 def needs_compilation(N: int, rates: bool = False) -> bool:
@@ -128,7 +110,7 @@ def compile_functions(N: int, rates: bool = False) -> bool:
             for name, function in functions(N, rates).items()
             if function.n_instructions() <= _MAX_LENGTH
         ]
-        compiler.compile_library(_compiled_file(N, rates), "\n".join(sources).encode(), _FLAGS)
+        compiler.compile_library(_file(N, rates), "\n".join(sources).encode(), _FLAGS)
     return _library(N, rates) is not None
 
 
@@ -140,26 +122,20 @@ def library(N: int, rates: bool = False) -> Any:
 
 
 def _library(N: int, rates: bool) -> Path | None:
-    """Return the file of the functions compiled for this processor; None if there is none."""
-    path = _compiled_file(N, rates)
+    path = _file(N, rates)
     return path if compiler.enabled() and compiler.intact(path) else None
 
 
-def _compiled_file(N: int, rates: bool) -> Path:
-    return compiler.compiled_file(_name(N, rates), _digest().encode(), (*_FLAGS, str(_MAX_LENGTH)))
-
-
-def _name(N: int, rates: bool) -> str:
-    return f"model-{'rates-' if rates else ''}N{N}"
+def _file(N: int, rates: bool) -> Path:
+    return compiler.compiled_file(f"model-{'rates-' if rates else ''}N{N}", _digest(), _FLAGS)
 
 
 @lru_cache
-def _digest() -> str:
+def _digest() -> bytes:
     """Return a hash of all code that determines the functions, as it is when this process first asks."""
-    digest = hashlib.sha256(ca.CasadiMeta.version().encode())
-    for source in (__file__, dynamics.__file__, rotations.__file__, state.__file__):
-        digest.update(Path(str(source)).read_bytes())
-    return digest.hexdigest()
+    files = __file__, dynamics.__file__, rotations.__file__, state.__file__
+    sources = [Path(str(file)).read_bytes() for file in files]
+    return hashlib.sha256(b"".join([ca.CasadiMeta.version().encode(), *sources])).digest()
 
 
 def _source(function: ca.Function) -> str:
@@ -224,6 +200,5 @@ def _step(s: Symbols, f: ca.Function) -> ca.Function:
 
 
 def _weighted(h: ca.MX, coefficients: Sequence[float], slopes: Sequence[ca.MX]) -> ca.MX:
-    """Return h times the weighted sum of slopes."""
     terms = [b * slope for b, slope in zip(coefficients, slopes, strict=True) if b]
     return h * sum(terms[1:], start=terms[0]) if terms else ca.MX(0)

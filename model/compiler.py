@@ -22,22 +22,6 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "payload-transport"
 
 
-def replace_atomically(path: Path, content: bytes) -> bool:
-    """Write a file that other processes see in full or not at all; return False if that fails, as on a full disk."""
-    temporary: Path | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            temporary = Path(file.name)
-            file.write(content)
-        os.replace(temporary, path)
-    except OSError:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-        return False
-    return True
-
-
 def enabled() -> bool:
     """Return whether compiled code is switched on."""
     return os.environ.get("PAYLOAD_TRANSPORT_NATIVE") != "0"
@@ -50,8 +34,7 @@ def find_compiler() -> str | None:
 
 def compiled_file(name: str, source: bytes, flags: Sequence[str]) -> Path:
     """Return the path of a library, with a hash of source, flags and processor in its name."""
-    digest = hashlib.sha256(source)
-    digest.update(repr((tuple(flags), _processor())).encode())
+    digest = hashlib.sha256(source + repr((tuple(flags), _processor())).encode())
     return cache_folder() / f"{name}-{digest.hexdigest()[:16]}.so"
 
 
@@ -64,21 +47,20 @@ def intact(path: Path) -> bool:
 
 
 def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
-    """Compile a C source; return False if there is no compiler, it fails, or the cache cannot be written."""
+    """Compile a C source if it is not; return False if there is no compiler, it fails, or the cache is not writable."""
     compiler = find_compiler()
-    if compiler is None:
-        return False
+    if intact(path) or compiler is None:
+        return intact(path)
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            text, made = Path(folder) / "source.c", Path(folder) / "library.so"
-            text.write_bytes(source)
-            subprocess.run(
-                [compiler, *_COMMON, *flags, "-o", made, text, "-lm"],
-                check=True, capture_output=True, timeout=_TIMEOUT_S, stdin=subprocess.DEVNULL,
-            )  # fmt: skip
-            return replace_atomically(path, made.read_bytes())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            made = str(Path(folder) / path.name)
+            command = [compiler, *_COMMON, *flags, "-o", made, "-x", "c", "-", "-lm"]
+            subprocess.run(command, input=source, check=True, capture_output=True, timeout=_TIMEOUT_S)
+            os.replace(made, path)  # other processes see it in full or not at all
     except (OSError, subprocess.SubprocessError):
         return False
+    return True
 
 
 @lru_cache

@@ -29,10 +29,7 @@ _START = (_step / _step(1.0)).integ()
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """A shape and its timing.
-
-    A circle is (a sin, b (1 - cos), c sin) of the angle 2 pi laps s, an eight (a sin, b sin of twice that, c sin).
-    """
+    """A shape and its timing: circle (a sin, b (1 - cos), c sin) of 2 pi laps s, eight with b sin of twice that."""
 
     kind: ShapeKind | None
     duration_s: float  # from rest to rest
@@ -66,7 +63,6 @@ class Curve:
         return float(np.linalg.norm(self._shape(s)[1], axis=-1).max())
 
     def _shape(self, s: Array) -> Array:
-        """Return the jets of p(s)."""
         if self.kind == "spline":
             values = [self._spline(s[0], order) / factorial(order) for order in range(len(s))]
             return jets.composed(np.array(values), s)

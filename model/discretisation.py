@@ -1,7 +1,4 @@
-"""Zero-order hold of x' = f + A_c dx + B_c du: a Taylor series applied to [A_c B_c f], with A_c in factors.
-
-Its length follows from the remainder bound; long periods are halved until it is short, then doubled back.
-"""
+"""Zero-order hold of x' = f + A_c dx + B_c du: a Taylor series applied to [A_c B_c f], with A_c in factors."""
 
 from dataclasses import dataclass
 
@@ -31,20 +28,21 @@ class Discrete:
 def zero_order_hold(
     linear: Linearisation, period_s: float, known: Discrete | None = None, *, remainder: float = _REMAINDER
 ) -> Discrete:
-    """Discretise with the input held over the sampling period, s, exact but for rounding: equations.md (16)-(17).
-
-    Known is the same for another f: A and B are then taken from it. Raises: ShapeError: A_c or exp(A_c) is not finite.
-    """
+    """Discretise exactly: (16)-(17); A and B of a known one, for another f, stay. Raises: ShapeError: not finite."""
     if not native.AVAILABLE:
         return _zero_order_hold(linear, period_s)
-    bounds, is_known = (_THETA_MAX, _THETA_POSSIBLE, remainder), known is not None
-    theta, A, B, f_d = native.zero_order_hold(linear.pattern, linear.values, linear.f, period_s, bounds, is_known)
+    at, sizes = native.at, (*linear.pattern.shapes[1], linear.pattern.shapes[2][1])
+    A, B, f_d = np.empty((sizes[0], sizes[0])), np.empty(sizes[:2]), np.empty(sizes[0])
+    theta = native.KERNELS.zero_order_hold(
+        *sizes, *linear.pattern.addresses, at(linear.values), at(linear.f), period_s, _THETA_MAX, _THETA_POSSIBLE,
+        remainder, known is not None, at(A), at(B), at(f_d),
+        native.work("hold", native.KERNELS.zero_order_hold_work(*sizes)),
+    )  # fmt: skip
     _check_growth(theta, period_s)
     return Discrete(A=A, B=B, f_d=f_d) if known is None else Discrete(A=known.A, B=known.B, f_d=f_d)
 
 
 def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
-    """Return the same by the exponential of the augmented matrix."""
     from scipy.linalg import expm  # 0.3 s at start, only without compiled kernels
 
     n, m = linear.B_c.shape

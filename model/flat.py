@@ -1,7 +1,4 @@
-"""References that a team can fly: states and inputs that carry the level payload along a smooth path exactly.
-
-By derivatives of the path: differential flatness (Sreenath, Kumar 2013; Mellinger, Kumar 2011).
-"""
+"""References that a team can fly, by differential flatness (Sreenath, Kumar 2013; Mellinger, Kumar 2011)."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -78,7 +75,7 @@ class FlatReference:
 
     def states(self, t_s: Array) -> Array:
         """Return x_ref at times t_s, (k,), s: (k, 12 + 12 N), SI: equations.md (66)-(68)."""
-        return self.flight(t_s).x
+        return flight(self._system, self._hover, self.maneuver.jets(t_s)).x
 
     def followed(self, t_s: Array) -> tuple[Array, Array]:
         """Return outputs and states, which controllers follow, at times t_s, (k, 4 N + 9) and (k, 12 + 12 N)."""
@@ -90,10 +87,6 @@ class FlatReference:
         places = view.r0_I[:, None] + rho - lengths[:, None] * view.e_P
         parts = [places.reshape(len(x), -1), view.Theta0, view.omega_B[:, :, 2], path[0, :, :3], path[1, :, :3]]
         return np.hstack(parts), x
-
-    def flight(self, t_s: Array) -> Flight:
-        """Return the motion of the team at times t_s, (k,), s."""
-        return flight(self._system, self._hover, self.maneuver.jets(t_s))
 
     def track(self, instants: int, period_s: float, first: int = 0) -> Track:
         """Return what controllers follow over a number of instants from the first on, one period apart, s."""
@@ -113,9 +106,8 @@ def track(system: System, hover: Hover, by_instant: Array, first: int = 0, relea
 def flight(system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()) -> Flight:
     """Return the motion of a team whose level payload follows a path: equations.md (66)-(68).
 
-    Given are jets of position, m, and of length and width of the team, relative to hover, (7, k, 5), or (7, k, 3).
-    Forces, of each instant or constant, are external ones and further mass of the payload, (4 + 3 N,), and may be
-    complex. Bobs hang in the place of released UAVs, 0-based, in system and hover too.
+    Given are jets of position, m, and of length and width of the team, relative to hover, (7, k, 5), or (7, k, 3),
+    forces and further mass of the payload, (4 + 3 N,) or of each instant, also complex, and released UAVs, now bobs.
     """
     N, k = system.N, path.shape[1]
     path, formation = path[..., :3], path[..., 3:]

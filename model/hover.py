@@ -1,17 +1,19 @@
-"""Hover: the equilibrium at the start and end of a maneuver."""
+"""Hover, the equilibrium at start and end of a maneuver, also of teams with failed UAVs: equations.md (50), (51)."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from model import state
 from model.arrays import Array, ArrayLike, frozen
 from model.parameters import ParameterError, System
-from model.rotations import euler_angles
+from model.rotations import euler_angles, rotation
 
 # Force and moment that may stay unbalanced, relative to the payload's weight (and 1 m): rounding, not physics.
 _BALANCE_TOLERANCE = 1e-9
+# A released UAV becomes a bob that pulls with 1e-5 N. The equations divide by a mass only where a force acts on it.
+RELEASED_MASS_KG = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,12 +26,10 @@ class Hover:
 
 
 def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int, float] | None = None) -> Hover:
-    """Return the equilibrium with rod directions, (N, 3), payload frame, straight down by default.
+    """Return the equilibrium with rod directions, (N, 3), payload frame, straight down by default: (18)-(19), (51).
 
-    Rod tensions are of least norm. Given thrusts, N, by 0-based numbers, fix those of these UAVs' vertical rods.
-
+    Rod tensions are of least norm; given thrusts, N, by 0-based numbers, fix those of vertical rods.
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
-    Source: docs/equations.md (18)-(19), (51).
     """
     N = system.N
     e = np.tile([0.0, 0.0, 1.0], (N, 1)) if rods_P is None else np.array(rods_P, dtype=np.float64)
@@ -70,3 +70,42 @@ def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int,
         u[state.input_slice(i)][0] = thrust
     frozen(x, u, tensions)
     return Hover(x=x, u=u, tensions=tensions)
+
+
+def with_released(system: System, released: Collection[int]) -> System:
+    """Return the system with bobs in place of released UAVs; they keep the inertia, which has no effect."""
+    uavs = [replace(uav, mass=RELEASED_MASS_KG) if i in released else uav for i, uav in enumerate(system.uavs)]
+    return replace(system, uavs=tuple(uavs))
+
+
+def failed_hover(
+    system: System, off: Collection[int], released: Collection[int], thrusts: Mapping[int, float] | None = None
+) -> Hover:
+    """Return the hover with UAVs off, upright, and given thrusts of others, N. Raises: ParameterError: none."""
+    rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
+    rods[sorted(released)] *= -1.0
+    given = {**(thrusts or {}), **dict.fromkeys(off, 0.0)}
+    return hover(with_released(system, released), rods, given)
+
+
+def motor_off_state(x: Array, uav: int) -> Array:
+    """Return the state with the rotation of a UAV stopped, (n,): undamped it would reach the singularity of (3)."""
+    x = x.copy()
+    x[state.uav_slice(uav)][state.OMEGA] = 0.0
+    return x
+
+
+def released_state(x: Array, uav: int) -> Array:
+    """Return the state with a bob at rest below the attachment point of a UAV, (n,)."""
+    x = x.copy()
+    block = x[state.uav_slice(uav)]
+    block[:] = 0.0
+    block[state.E] = -rotation(x[state.THETA0])[2]  # minus the inertial z axis in the payload frame
+    return x
+
+
+def no_inputs(u: Array, uavs: Collection[int]) -> Array:
+    """Return inputs, (..., m), with those of some UAVs zero."""
+    u = u.copy()
+    u[..., state.input_indices(sorted(uavs))] = 0.0
+    return np.asarray(u)

@@ -1,5 +1,6 @@
 """The numerical model of one system: derivative, outputs, exact linearisation, integration."""
 
+import ctypes
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
@@ -10,60 +11,54 @@ import numpy as np
 import numpy.typing as npt
 
 from model import native
-from model.arrays import Array
+from model.arrays import Array, frozen
 from model.compiled import Compiled, functions, library
-from model.factors import NAMES, Pattern, of_matrices
+from model.hover import with_released
 from model.parameters import System
 from model.state import input_indices
 
 SHORTEST = 2.0**-12  # step, relative to the equal steps: 2.4 us of 10 ms
 MOST_STEPS = 20_000  # tried in one integration: about a second
-_BLOCK = 64  # equal steps in one call, so that memory does not grow with their number
-Held = Sequence[Array]  # inputs, parameters, forces
+NAMES = ("X", "U", "P", "V_x", "V_u", "C")  # of the factors of a linearisation, in the order of their entries
 
 
-class Integrator:
-    """Integrator of one model by its compiled `step` (`model.compiled`)."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pattern:
+    """Places of the entries of the sparse factors A_c = X + P V_x, B_c = U + P V_u, and of C, row by row."""
 
-    def __init__(self, step: ca.Function) -> None:
-        self._step, self._single = step, Compiled(step)
-        self._blocks: dict[int, Compiled] = {}
+    shapes: tuple[tuple[int, int], ...]  # of the factors, in the order of `NAMES`
+    begin: npt.NDArray[np.intp]  # first entry of each row, and the end of the last, (rows of all + 1,)
+    index: npt.NDArray[np.intp]  # column of each entry
 
-    def integrate(self, x: Array, held: Held, duration_s: float, steps: int, tolerance: float) -> tuple[Array, float]:
-        """Return the state at the end of an interval, and the largest local error estimate of the steps taken.
+    @staticmethod
+    def of(factors: Sequence[Array]) -> "Pattern":
+        """Return the pattern of the entries of factors that are not zero."""
+        begin = np.cumsum([0, *np.concatenate([np.count_nonzero(factor, axis=1) for factor in factors])], dtype=np.intp)
+        index = np.concatenate([np.nonzero(factor)[1] for factor in factors])
+        frozen(begin, index)
+        return Pattern(shapes=tuple((len(factor), factor.shape[1]) for factor in factors), begin=begin, index=index)
 
-        Arguments as in `Model.integrate`. Source: docs/equations.md (13b), (13c).
-        """
-        length_s, end, largest = duration_s / steps, x, 0.0
-        for begin in range(0, steps, _BLOCK):
-            count = min(_BLOCK, steps - begin)
-            if count not in self._blocks:
-                x_s, *held_s = (ca.MX.sym(f"argument{i}", self._step.size1_in(i)) for i in range(self._step.n_in()))
-                states, errors = self._step.mapaccum(count)(x_s, *[ca.repmat(each, 1, count) for each in held_s])
-                results = [states[:, -1], ca.mmax(ca.fabs(errors))]  # the last state, the largest error
-                self._blocks[count] = Compiled(ca.Function("integrate", [x_s, *held_s], results))
-            flat = self._blocks[count].flat(end, *held, length_s)
-            end, error = flat[:-1], float(flat[-1])
-            if not error <= tolerance and tolerance < math.inf:
-                return self._halved(steps, x, held, length_s, tolerance)
-            largest = max(largest, error)
-        return end, largest
+    @cached_property
+    def first_rows(self) -> list[int]:
+        """First row of each factor, counted through all."""
+        return np.cumsum([0, *(rows for rows, _ in self.shapes)]).tolist()  # type: ignore[no-any-return]
 
-    def _halved(self, steps: int, x: Array, held: Held, length_s: float, tolerance: float) -> tuple[Array, float]:
-        """Return the state after steps, each halved until its local error estimate is within the tolerance."""
-        ahead_s, largest, tried = [length_s] * steps, 0.0, 0  # steps still to take, the next one last
-        while ahead_s:
-            h = ahead_s.pop()
-            end, estimate = self._single(x, *held, h)
-            error = float(np.abs(estimate).max())
-            tried += 1
-            if not error <= tolerance and tried < MOST_STEPS and h > SHORTEST * length_s:
-                ahead_s += [h / 2.0, h / 2.0]
-                continue
-            x, largest = end, error if math.isnan(error) else max(largest, error)
-            if not np.isfinite(x).all():
-                break
-        return x, largest
+    @cached_property
+    def addresses(self) -> tuple[int, int]:
+        """Addresses of `begin` and `index`, for the compiled kernels."""
+        return native.at(self.begin), native.at(self.index)
+
+    def dense(self, values: Array, name: str) -> Array:
+        """Return a factor, with entries from those of all, as a matrix."""
+        which = NAMES.index(name)
+        begin = self.begin[self.first_rows[which] : self.first_rows[which + 1] + 1]
+        found, entries = np.zeros(self.shapes[which]), slice(begin[0], begin[-1])
+        found[np.repeat(np.arange(len(found)), np.diff(begin)), self.index[entries]] = values[entries]
+        return found
+
+    def numbered(self, name: str) -> Array:
+        """Return a factor with the numbers of its entries among those of all, from 1, as a matrix."""
+        return self.dense(np.arange(1.0, len(self.index) + 1.0), name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +72,11 @@ class Linearisation:
 
     @staticmethod
     def of(f: Array, A_c: Array, B_c: Array, y: Array, C: Array) -> "Linearisation":
-        """Return an expansion whose factors are not known."""
-        pattern, values = of_matrices(A_c, B_c, C)
-        return Linearisation(f=f, y=y, pattern=pattern, values=values)
+        """Return an expansion whose factors are not known: X = A_c, U = B_c, no P and V."""
+        n, m = B_c.shape
+        factors = [A_c, B_c, np.zeros((n, 0)), np.zeros((0, n)), np.zeros((0, m)), C]
+        pattern = Pattern.of([np.ones_like(factor) for factor in factors])
+        return Linearisation(f=f, y=y, pattern=pattern, values=np.concatenate([each.reshape(-1) for each in factors]))
 
     @cached_property
     def A_c(self) -> Array:
@@ -100,30 +97,27 @@ class Linearisation:
 
 
 class Model:
-    """The equations of motion of one system, evaluated numerically.
+    """The equations of motion of one system, evaluated numerically, with UAVs off and released, 0-based.
 
     External forces are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs, (3 + 3 N,), inertial frame, N;
-    the payload's mass beyond the known one, kg, may follow. Inputs of UAVs off, 0-based, and forces on released ones
-    have no effect.
+    the payload's mass beyond the known one, kg, may follow. Inputs of UAVs off and forces on released ones do nothing.
     """
 
     def __init__(self, system: System, off: Collection[int] = (), released: Collection[int] = ()) -> None:
-        self.system, self.released = system, frozenset(released)
+        self.system, self.released = with_released(system, released), frozenset(released)
         self._off = input_indices(sorted(off))
         self._unforced = np.array([3 + 3 * uav + axis for uav in sorted(released) for axis in range(3)], dtype=np.intp)
-        self._p = system.vector()
+        self._p = self.system.vector()
         found = functions(system.N, system.commands_rates)
         self._compiled = {name: Compiled(function) for name, function in found.items()}
-        self._integrator, self._outputs_of = Integrator(found["step"]), found["outputs"]
+        self._outputs_of = found["outputs"]
         self._several_outputs: dict[int, Compiled] = {}
         held = found["sense"].sparsity_out(1)
         self._sensed = np.array(held.row()), np.array(held.get_triplet()[1])
-        # Places of the entries of the factors, which the function returns transposed.
-        factors = [found["linearise"].sparsity_out(2 + i) for i in range(len(NAMES))]
-        shapes = [(factor.size2(), factor.size1()) for factor in factors]
-        columns = [row for factor in factors for row in factor.row()]
-        self._pattern = Pattern.of(shapes, [factor.colind() for factor in factors], columns)
-        self._without_effect = np.concatenate([self._pattern.columns(name, self._off) for name in ("U", "V_u")])
+        places = [found["linearise"].sparsity_out(2 + i) for i in range(len(NAMES))]  # of transposed factors
+        self._pattern = Pattern.of([ca.DM(factor, 1).full().T for factor in places])
+        without_effect = np.hstack([self._pattern.numbered(name)[:, self._off].reshape(-1) for name in ("U", "V_u")])
+        self._without_effect = without_effect[without_effect > 0.0].astype(np.intp) - 1
         self._no_forces = np.zeros(3 + 3 * system.N)
 
     def _acting(self, forces: Array | None) -> tuple[Array, Array]:
@@ -208,7 +202,19 @@ class Model:
         are projected back after each. Source: docs/equations.md (13b), (13c).
         """
         x, *held = self._arguments(x, u, forces)
-        return self._integrator.integrate(x, held, duration_s, steps, tolerance)
+        equal_s, is_limited, largest, tried = duration_s / steps, tolerance < math.inf, 0.0, 0
+        ahead_s = [equal_s] * steps  # still to take, the next one last
+        while ahead_s:
+            h = ahead_s.pop()
+            flat, tried = self._compiled["step"].flat(x, *held, h), tried + 1
+            error = float(np.abs(flat[len(x) :]).max())
+            if is_limited and not error <= tolerance and tried < MOST_STEPS and h > SHORTEST * equal_s:
+                ahead_s += [h / 2.0, h / 2.0]
+                continue
+            x, largest = flat[: len(x)], error if math.isnan(error) else max(largest, error)
+            if is_limited and not np.isfinite(x).all():
+                break
+        return x, largest
 
     def stepper(self, duration_s: float, forces: Array | None = None) -> Callable[[Array, Array], Array]:
         """Return the map from state and input to the state after one step of `integrate`, without its error."""
@@ -219,14 +225,26 @@ class Model:
         self, x: Array, at_x: Array, K: Array, bounds: tuple[Array, Array], duration_s: float, forces: Array | None
     ) -> tuple[Array, Array] | None:
         """Return states and inputs under u = at_x + K (x(k) - x) within bounds, in one call; None if not compiled."""
-        if self._native is None or len(self._off):
+        if self._kernel is None or len(self._off):
             return None
-        return self._native.rollout(x, at_x, K, bounds, self._acting(forces), duration_s)
+        Z, U, at, (step, held, rooms) = np.empty((len(at_x) + 1, len(x))), np.empty(at_x.shape), native.at, self._kernel
+        acting = self._acting(forces)
+        Z[0], held[0], rooms[0][2:4] = x, duration_s, [at(array) for array in acting]
+        arrays = (*rooms, K, at_x, *bounds, Z, U)
+        native.KERNELS.rollout(len(U), len(x), len(K), step, *map(at, arrays))
+        return Z, U
 
     @cached_property
-    def _native(self) -> native.Step | None:
+    def _kernel(self) -> tuple[int | None, Array, list[npt.NDArray[np.intp]]] | None:
+        """The compiled step as the kernels call it: its address, the duration, s, and rooms for its arguments."""
         found = library(self.system.N, self.system.commands_rates) if native.AVAILABLE else None
-        return None if found is None else native.Step(found)
+        if found is None:
+            return None
+        sizes, duration_s = (ctypes.c_longlong * 4)(), np.zeros(1)
+        found.step_work(*(ctypes.byref(sizes, 8 * i) for i in range(4)))
+        rooms = [np.zeros(size + 8, dtype=np.intp) for size in sizes]
+        rooms[0][4] = native.at(duration_s)
+        return ctypes.cast(found.step, ctypes.c_void_p).value, duration_s, rooms
 
 
 def _zeroed(vector: Array, entries: npt.NDArray[np.intp]) -> Array:

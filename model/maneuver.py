@@ -42,29 +42,21 @@ class Phase:
     ) -> None:  # fmt: skip
         displacement_I = checked(f"phase {name!r} displacement", displacement_I, (3,))
         assign(self, name=name, duration_s=float(duration_s), displacement_I=displacement_I, kind=kind, curve=curve)
-        assign(self, way=None if way is None else self._checked_way(way))
-        assign(self, formation=None if formation is None else self._checked_formation(formation))
-
-    def _checked_formation(self, formation: ArrayLike) -> Array:
-        name = f"phase {self.name!r} formation"
-        rows = checked(name, formation, (None, 3))
-        shares = np.concatenate([[0.0], rows[:, 0]])
-        if not (np.diff(shares) > 0.0).all() or shares[-1] > 1.0 or not (rows[:, 1:] > 0.0).all():
-            expected = "expected rows of a share of the duration, rising from above 0 to at most 1, and two numbers > 0"
-            raise ParameterError(f"{name}: {expected}, got {rows.tolist()}")
-        return rows
-
-    def _checked_way(self, way: ArrayLike) -> Array:
-        name = f"phase {self.name!r} way"
-        table = checked(name, way, (None, 4))
-        ends = np.array([np.zeros(4), [self.duration_s, *self.displacement_I]])
-        if len(table) < 2 or np.abs(table[[0, -1]] - ends).max() > _ROUNDING:
-            raise ParameterError(f"{name}: expected rows from {ends[0].tolist()} to {ends[1].tolist()}")
-        late = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
-        if len(late):
-            before, at = table[late[0] : late[0] + 2, 0]
-            raise ParameterError(f"{name}: row {late[0] + 2}: expected a time > {before:g} s, got {at:g}")
-        return table
+        if way is not None:
+            way = checked(f"phase {name!r} way", way, (None, 4))
+            ends = np.array([np.zeros(4), [duration_s, *displacement_I]])
+            if len(way) < 2 or np.abs(way[[0, -1]] - ends).max() > _ROUNDING:
+                raise ParameterError(f"phase {name!r} way: expected rows from {ends[0].tolist()} to {ends[1].tolist()}")
+            for row in np.flatnonzero(np.diff(way[:, 0]) <= 0.0):
+                problem = f"row {row + 2}: expected a time > {way[row, 0]:g} s, got {way[row + 1, 0]:g}"
+                raise ParameterError(f"phase {name!r} way: {problem}")
+        if formation is not None:
+            formation = checked(f"phase {name!r} formation", formation, (None, 3))
+            shares = np.array([0.0, *formation[:, 0]])
+            if not (np.diff(shares) > 0.0).all() or shares[-1] > 1.0 or not (formation[:, 1:] > 0.0).all():
+                expected = "expected rows of shares of the duration, rising above 0 to 1 at most, and two numbers > 0"
+                raise ParameterError(f"phase {name!r} formation: {expected}, got {formation.tolist()}")
+        assign(self, way=way, formation=formation)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -165,10 +157,7 @@ class Maneuver:
         return r, v
 
     def jets(self, t_s: Array) -> Array:
-        """Return the jets of a smooth path and a changing formation at times t_s, (k,): (`ORDERS`, k, 3 or 5): (65).
-
-        Raises: ParameterError: a phase is not smooth.
-        """
+        """Return jets of the path at t_s, (`ORDERS`, k, 3), 5 with formation: (65). Raises: ParameterError."""
         for phase in self.phases:
             if self._curve(phase) is None and (phase.displacement_I.any() or phase.way is not None):
                 expected = "expected a smooth path, that of profile 'smooth'"
@@ -212,7 +201,6 @@ class Maneuver:
         return found
 
     def _curve(self, phase: Phase) -> Curve | None:
-        """Return the curve of a smooth phase."""
         if phase.curve is not None or self.profile != "smooth" or phase.kind != "move" or phase.way is not None:
             return phase.curve
         size_I = tuple(phase.displacement_I.tolist())

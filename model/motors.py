@@ -6,16 +6,15 @@ the rate command that would give the present angular acceleration at once, omega
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
-from model.arrays import Array
-from model.factors import rate_places, with_lag
-from model.linearisation import Linearisation, Model
-from model.state import INPUTS, PAYLOAD, PER_UAV
+from model.arrays import Array, padded
+from model.linearisation import NAMES, Linearisation, Model, Pattern
+from model.state import INPUTS, OMEGA, PAYLOAD, PER_UAV
 
 
 def decay(lag_s: float, duration_s: float) -> float:
@@ -42,11 +41,8 @@ def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, 
 
 @lru_cache
 def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: int) -> Array:
-    """Return what is left of deviations from held commands, (3, 2, 4 uavs): equations.md (54), (58a).
-
-    By row: in the two held inputs and in the actual ones at the end. By column: of actual inputs and of body rates.
-    """
-    found = np.zeros((3, 2, 4))
+    """Return shares left of deviations of actual inputs and rates, in two held inputs and at the end: (54), (58a)."""
+    found = np.zeros((3, 2, 4))  # the two inputs and the end; actual inputs and body rates; inputs of a UAV
     found[:, 0] = np.array([*_deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
     for axis, gain in enumerate(gains or (), start=1):
         M = np.array([[gain - 1.0 / lag_s, -gain], [gain, -gain]])
@@ -60,50 +56,59 @@ def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: i
     return np.tile(found, uavs)
 
 
-def commanded_states(x: Array) -> Array:
-    """Return the body rate that each input commands, (4 N,), zero for thrusts; of a state, (n,)."""
-    rates = np.zeros((len(x) - PAYLOAD) // PER_UAV * INPUTS)
-    inputs, states = rate_places(len(rates))
-    rates[inputs] = x[states]
-    return rates
+def rate_places(m: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return the positions of body rates as inputs, in u of m inputs, and of the rates themselves, in x."""
+    uavs, axes = np.divmod(np.arange(3 * m // INPUTS), 3)
+    return INPUTS * uavs + 1 + axes, PAYLOAD + PER_UAV * uavs + OMEGA.start + axes
 
 
 def integrate(
     model: Model, z: Array, u: Array, duration_s: float, steps: int, lag_s: float, forces: Array | None = None
 ) -> tuple[Array, float]:
-    """Return the state after `duration_s` of constant commands, order 4, and the largest local error: (54), (58a).
-
-    States z are x, (n,), without lag, and [x, a], (n + m,), with lag; the rest as in `Model.integrate`.
-    """
+    """Return x or, with lag, [x, a] after constant commands, order 4, and the largest local error: (54), (58a)."""
     if lag_s == 0.0:
         return model.integrate(z, u, duration_s, steps, forces=forces)
     x, a, worst, step_s = z[: model.system.n], z[model.system.n :], 0.0, duration_s / steps
-    gains = model.system.rate_gains
+    gains, (inputs, states), rates = model.system.rate_gains, rate_places(len(u)), np.zeros_like(u)
     for _ in range(steps):
         if gains is None:
-            halves, a = held(a, u, lag_s, step_s)
+            (first, second), a = held(a, u, lag_s, step_s)
         else:
-            of = shares(lag_s, step_s, tuple(gains.tolist()), model.system.N)
-            first, second, a = u + of[:, 0] * (a - u) + of[:, 1] * (commanded_states(x) - u)
-            halves = first, second
-        for half in halves:
+            of, rates[inputs] = shares(lag_s, step_s, tuple(gains.tolist()), model.system.N), x[states]
+            first, second, a = u + of[:, 0] * (a - u) + of[:, 1] * (rates - u)
+        for half in (first, second):
             x, error = model.integrate(x, half, step_s / 2.0, 1, forces=forces)
             worst = max(worst, error)
     return np.concatenate([x, a]), worst
 
 
-def stepper(
-    model: Model, duration_s: float, lag_s: float, forces: Array | None = None
-) -> Callable[[Array, Array], Array]:
-    """Return the map from state and command to what `integrate` returns after one step, for many of them in turn."""
-    if lag_s == 0.0:
-        return model.stepper(duration_s, forces)
-    return lambda z, u: integrate(model, z, u, duration_s, 1, lag_s, forces)[0]
+@lru_cache(64)
+def _with_lag(pattern: Pattern, rates: bool) -> tuple[Pattern, npt.NDArray[np.intp]]:
+    """Return the pattern of a system [x, a] with motors, and the order of its entries, -1/lag and 1/lag, (m,) each.
+
+        X = [[X, U], [0, -1/lag]],    U = [[0], [1/lag]],    P = [[P], [0]],    V_x = [V_x, V_u],    V_u = 0
+
+    With commanded body rates the row of a' also is that of the body rate, with -1/lag on itself.
+    """
+    X, U, P, V_x, V_u, C = map(pattern.numbered, NAMES)
+    n, m = U.shape
+    follow, command = (np.diag(len(pattern.index) + 1.0 + np.arange(part * m, (part + 1) * m)) for part in (0, 1))
+    moved = np.zeros((m, n))
+    if rates:
+        inputs, states = rate_places(m)
+        moved[inputs] = X[states]
+    below = np.zeros((m, P.shape[1]))
+    factors = [
+        np.block([[X, U], [moved, follow]]), np.vstack([np.zeros((n, m)), command]), np.vstack([P, below]),
+        np.hstack([V_x, V_u]), 0.0 * V_u, padded(C, n + m),
+    ]  # fmt: skip
+    order = np.concatenate([factor[factor > 0.0] for factor in factors]).astype(np.intp) - 1
+    return Pattern.of(factors), order
 
 
 def lagged(linear: Linearisation, a: Array, u: Array, lag_s: float, rates: bool = False) -> Linearisation:
     """Return the expansion of motion and motors in z = [x, a] and the command u from that about x, a: (55), (58a)."""
-    pattern, order = with_lag(linear.pattern, rates)
+    pattern, order = _with_lag(linear.pattern, rates)
     rate = np.full(len(a), 1.0 / lag_s)
     on_itself, moving = -rate, (u - a) / lag_s
     if rates:

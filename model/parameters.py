@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -134,11 +133,6 @@ def payload_half_size(system: System) -> Array:
     """Return half the edges of the payload's box, (3,), payload frame, m: as far as its attachment points."""
     rho = np.array([uav.rho for uav in system.uavs])
     return np.asarray(np.maximum(np.abs(rho).max(axis=0), _LEAST_HALF_M))
-
-
-def payload_corners(system: System) -> Array:
-    """Return the corners of the payload's box, (8, 3), payload frame, m."""
-    return np.array(list(product((-1.0, 1.0), repeat=3))) * payload_half_size(system)
 
 
 def resting_height(system: System, ground_m: float) -> float:

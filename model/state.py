@@ -1,11 +1,7 @@
-"""The layout of the state and input vectors.
+"""The layout of the state and input vectors; indices are 0-based, the ids UAV1..UAVN in scenarios 1-based.
 
-    x = [r0, v0, Theta0, omega0, (e_i, Omega_i, Theta_i, omega_i) for i = 1..N],   12 + 12 N
-    u = [(thrust_i, tau_i) for i = 1..N],                                          4 N
-
-With an inner loop on each UAV, tau_i is replaced by three commanded body rates.
-
-Indices are 0-based; the ids UAV1..UAVN in scenarios and output are 1-based.
+x = [r0, v0, Theta0, omega0, (e_i, Omega_i, Theta_i, omega_i) for i = 1..N],   12 + 12 N
+u = [(thrust_i, tau_i) for i = 1..N],  or three commanded body rates,          4 N
 """
 
 from collections.abc import Iterable

@@ -8,7 +8,6 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from model.discretisation import Discrete, euler, zero_order_hold
-from model.failure import failed_model
 from model.flat import Track
 from model.hover import Hover
 from model.linearisation import Linearisation, Model
@@ -24,8 +23,6 @@ from mpc.regulation import CostToGo, Regulation
 from mpc.rows import Decision
 from mpc.settings import ControllerSettings
 from mpc.tracking import Along, Course, rollout
-
-__all__ = ["Controller", "Linear", "StepResult"]
 
 # A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become singular.
 _STEEPEST = 1.3
@@ -43,8 +40,7 @@ class StepResult:
 class Controller:
     """Model predictive control of the owned UAVs, given the announced inputs of the others.
 
-    The reference is X_ref, (K, n), for the preview, or a flat track, which the shared control law follows, keeping
-    clear of obstacles. Raises: SettingsError: a constraint that cannot be read.
+    The preview follows X_ref, (K, n), the control law a flat track, clear of obstacles. Raises: SettingsError.
     """
 
     def __init__(
@@ -63,7 +59,8 @@ class Controller:
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
         self._along = Along(self._decision, obstacles)
         self._at_hover: Linearisation | None = None
-        self._held: tuple[Array, Discrete] | None = None  # derivatives and difference equation of the newest step
+        # Derivatives and difference equation of the newest step.
+        self._held: tuple[Array | None, Discrete | None] = None, None
         self._curvature: Array | None = None  # outputs along a trajectory beyond their linearisation, (N_p + 1, p)
 
     def step(
@@ -88,38 +85,32 @@ class Controller:
         return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
-        """Linearise about x0, (n,), and u0, (m,), SI, under forces, (3 + 3 N,), N: equations.md (15), (37), (40), (55).
-
-        With motor lag x0 ends with the actual inputs, (n + m,), and the expansion is about these.
-        """
+        """Linearise about x0, (n,), or [x, actual inputs], (n + m,), and u0, (m,), SI: (15), (37), (40), (55)."""
         u_target = self.cost.u_target
         if forces is not None and self.settings.weights.penalised_input == "deviation":
             u_target = u_target + self.regulation.target.M_u @ self.model.at_rest(forces)
-        lag_s, n = self.settings.motor_lag_s, self.model.system.n
-        x, actual = x0[:n], None if lag_s == 0.0 else x0[n:]
-        model = self._expansion(x, u0 if actual is None else actual, forces)
-        if actual is not None:
-            model = lagged(model, actual, u0, lag_s, self.model.system.commands_rates)
-        return Linear(x0=x, u0=u0, model=model, u_target=u_target, actual=actual, forces=forces)
-
-    def _expansion(self, x0: Array, actual: Array, forces: Array | None) -> Linearisation:
-        """Return the expansion about a state and actual inputs; along the control law with the derivatives at hover."""
-        if self.settings.linearisation == "present" or self.settings.prediction == "open_loop":
-            return self.model.linearise(x0, actual, forces=forces)
-        if self._at_hover is None:
+        lag_s, n, settings = self.settings.motor_lag_s, self.model.system.n, self.settings
+        x, actual = x0[:n], x0[n:] if lag_s > 0.0 else u0
+        if settings.linearisation == "present" or settings.prediction == "open_loop":
+            model = self.model.linearise(x, actual, forces=forces)
+        else:  # along the control law, with the derivatives at hover
             at_rest = self.regulation.hover
-            self._at_hover = self.model.linearise(at_rest.x, at_rest.u)
-        f = self.model.derivative(x0, actual, forces=forces)
-        return replace(self._at_hover, f=f, y=self.model.outputs(x0))
+            self._at_hover = self._at_hover or self.model.linearise(at_rest.x, at_rest.u)
+            f = self.model.derivative(x, actual, forces=forces)
+            model = replace(self._at_hover, f=f, y=self.model.outputs(x))
+        if lag_s > 0.0:
+            model = lagged(model, actual, u0, lag_s, self.model.system.commands_rates)
+        return Linear(x0=x, z0=x0, u0=u0, model=model, u_target=u_target, forces=forces)
 
     def discretise(self, linear: Linear) -> Discrete:
         """Return the difference equation over the sampling period. Source: docs/equations.md (16)-(17)."""
         model, period_s = linear.model, self.settings.sampling_period_s
         if self.settings.discretisation == "euler":
             return euler(model, period_s)
-        known = self._held[1] if self._held is not None and self._held[0] is model.values else None
-        self._held = model.values, zero_order_hold(model, period_s, known)
-        return self._held[1]
+        values, known = self._held
+        found = zero_order_hold(model, period_s, known if values is model.values else None)
+        self._held = model.values, found
+        return found
 
     def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction | Course:
         """Predict the team; valid until the next prediction, as is its QP: equations.md (22)-(24), (35)-(36), (73)."""
@@ -132,8 +123,7 @@ class Controller:
 
     def _trajectory(self, linear: Linear, law: FeedbackLaw) -> tuple[Array, Array] | None:
         """Return states and inputs by the law and its corrections, None if too steep; keep their curvature: (35a)."""
-        model, n = self.model, self.model.system.n
-        z0 = linear.x0 if linear.actual is None else np.concatenate([linear.x0, linear.actual])
+        model, n, z0 = self.model, self.model.system.n, linear.z0
         Z, U = rollout(model, self.settings, z0, law, linear.forces)
         view = state.StateView(Z[:, :n])
         angles = np.concatenate([view.Theta0[:, None, :2], view.Theta[..., :2]], axis=1)
@@ -161,10 +151,7 @@ class Controller:
         self, solution: Solution, prediction: Prediction | Course, U: Array, law: FeedbackLaw | None,
         ticks_since_start: int | None = None,
     ) -> StepResult:  # fmt: skip
-        """Return the plan to announce: w U* + (1 - w) U_previous, or the previous plan after a failure: (30a), (36a).
-
-        With a shared control law only the corrections are mixed. Soon after the start of an agent w is larger.
-        """
+        """Return w U* + (1 - w) U_previous, or that of corrections; the previous plan after a failure: (30a), (36a)."""
         w, decision, solved = self._relaxation, self._decision, solution.status == "solved"
         if ticks_since_start is not None:
             w = max(w, 1.0 / (ticks_since_start + 1))
@@ -192,12 +179,10 @@ class Controller:
 
     def foreseen(self, prediction: Prediction | Course, inputs: Array) -> Array:
         """Return the inputs of all UAVs that this controller expects with given owned ones, within bounds, (N_p, m)."""
-        if isinstance(prediction, Course):
-            U: Array = prediction.U.copy()
-        else:
-            U = prediction.U_all + convolve(prediction.feedback, inputs - prediction.U_free)
-        U[:, self.own] = inputs
-        N = self.model.system.N
+        U: Array = prediction.U_all.copy()
+        if isinstance(prediction, Prediction):
+            U += convolve(prediction.feedback, inputs - prediction.U_free)
+        U[:, self.own], N = inputs, self.model.system.N
         return np.clip(U, self.settings.lower(N), self.settings.upper(N))
 
     def adapted(self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, columns: Places) -> FeedbackLaw:
@@ -223,7 +208,7 @@ class Controller:
     def fail(self, off: Collection[int], released: Collection[int], since: int | None = None) -> None:
         """Set the UAVs without motors, 0-based, and those of them that are released from their rods: (50), (51)."""
         self._off, self._released = frozenset(off), frozenset(released)
-        self.model = failed_model(self._whole.system, off, released) if off else self._whole
+        self.model = Model(self._whole.system, off, released) if off else self._whole
         self._form(since)
 
     def _form(self, since: int | None) -> None:

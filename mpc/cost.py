@@ -1,16 +1,13 @@
 """The cost that every agent minimises and that measures every run."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 import numpy as np
 
 from model.arrays import Array
-from model.dynamics import Symbols
 from model.hover import Hover
-from model.linearisation import Model
 from model.parameters import System
-from mpc.expressions import Expressions, read_term
-from mpc.settings import CostTerm, SettingsError, Weights
+from mpc.settings import Weights
 
 
 class Cost:
@@ -33,23 +30,3 @@ class Cost:
         """Return the cost of y and y_ref, (p,), and u, (m,), SI, at one instant: equations.md (21); paper (17)."""
         error, effort = y - y_ref, u - self.u_target
         return float(error @ (self.Q * error) + effort @ (self.R * effort))
-
-
-class UserCosts(Expressions):
-    """Weighted squares of the user's expressions of the state. Raises: SettingsError: one cannot be read."""
-
-    def __init__(self, terms: Sequence[CostTerm], model: Model) -> None:
-        symbols = Symbols.of(model.system.N, model.system.commands_rates)
-        values = [read_term(term.expression, symbols) for term in terms]
-        super().__init__(values, symbols.x, symbols.p, model.system.vector())
-        self._terms = tuple(terms)
-        self.weights = np.array([term.weight for term in terms])  # of each term, per square of its unit, (t,)
-
-    def about(self, x: Array) -> Array:
-        """Return the roots of the weights times the gradients, (t, n). Raises: SettingsError: one is not finite."""
-        values, slopes = self.at(x)
-        for term, value, slope in zip(self._terms, values, slopes, strict=True):
-            if not np.isfinite([value, *slope]).all():
-                expected = "expected a finite value and slope at hover"
-                raise SettingsError(f"cost {term.expression!r}: {expected}, got {value}")
-        return np.asarray(np.sqrt(self.weights)[:, None] * slopes)

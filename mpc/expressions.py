@@ -1,19 +1,14 @@
 """The user's constraints and cost terms as text: "r0[2] <= -2", "norm(r1 - r3) >= 0.8", "thrust1 <= 30"; "e1[0]".
 
-The text is part of the scenario. It is read into a CasADi expression by walking its syntax tree; only the names below,
-numbers, arithmetic and one comparison are allowed.
-
-States: r0, v0, Theta0, omega0 (payload), and for UAV i: ri, ei, Omegai, Thetai, omegai. Inputs: thrusti, taui, or
-with commanded body rates thrusti, ratei.
-Functions: norm, dot, cross, sin, cos, tan, sqrt, exp, fabs, fmin, fmax; the constant pi.
+Allowed are numbers, pi, arithmetic, norm, dot, cross, sin, cos, tan, sqrt, exp, fabs, fmin, fmax, and for UAV i
+r0, v0, Theta0, omega0, ri, ei, Omegai, Thetai, omegai, or thrusti and taui, with commanded body rates ratei.
 """
 
 import ast
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -22,7 +17,8 @@ from model import state
 from model.arrays import Array
 from model.compiled import Compiled
 from model.dynamics import Symbols, uav_positions
-from mpc.settings import SettingsError
+from model.parameters import System
+from mpc.settings import Constraint, CostTerm, SettingsError
 
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
@@ -35,43 +31,35 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(ca, name) for name in
 _FUNCTIONS["norm"] = lambda a: ca.sqrt(ca.sumsqr(a) + _NORM_FLOOR)
 
 
-@dataclass(frozen=True, slots=True)
-class Relation:
+class Relation(NamedTuple):
     """One constraint as an expression that must be <= 0 or = 0."""
 
-    text: str  # as written
     value: ca.SX  # scalar expression over the symbols it was read with
     on: Literal["state", "input"]  # never both, as in paper (18)-(19)
-    kind: Literal["inequality", "equality"]  # value <= 0, value = 0
+    is_equality: bool
 
 
 def read(text: str, symbols: Symbols) -> Relation:
     """Read a constraint: two sides and one of <=, >=, ==. Raises: SettingsError: not readable, or mixed."""
     what = f"constraint {text!r}"
-    tree = _parsed(text, what)
-    if not (isinstance(tree, ast.Compare) and len(tree.ops) == 1):
-        raise SettingsError(f"{what}: expected two sides and one of <=, >=, ==")
-    comparison, sides = tree.ops[0], [tree.left, tree.comparators[0]]
-    if isinstance(comparison, ast.GtE):
-        sides.reverse()
-    elif not isinstance(comparison, ast.LtE | ast.Eq):
-        raise SettingsError(f"{what}: expected one of <=, >=, ==")
+    match _parsed(text, what):
+        case ast.Compare(left=left, ops=[ast.LtE() | ast.GtE() | ast.Eq() as comparison], comparators=[right]):
+            sides = (right, left) if isinstance(comparison, ast.GtE) else (left, right)
+        case _:
+            raise SettingsError(f"{what}: expected two sides and one of <=, >=, ==")
     value = _scalar(ast.BinOp(sides[0], ast.Sub(), sides[1]), symbols, what)
     on_state, on_input = bool(ca.depends_on(value, symbols.x)), bool(ca.depends_on(value, symbols.u))
     if on_state == on_input:
         raise SettingsError(f"{what}: expected states or inputs, got {'both' if on_state else 'neither'}")
-    kind: Literal["inequality", "equality"] = "equality" if isinstance(comparison, ast.Eq) else "inequality"
-    return Relation(text, value, "state" if on_state else "input", kind)
+    return Relation(value, "state" if on_state else "input", isinstance(comparison, ast.Eq))
 
 
 def read_term(text: str, symbols: Symbols) -> ca.SX:
     """Read a cost term, a scalar expression of states alone. Raises: SettingsError: not readable, or another."""
     what = f"cost {text!r}"
     value = _scalar(_parsed(text, what), symbols, what)
-    if ca.depends_on(value, symbols.u):
-        raise SettingsError(f"{what}: expected states, got inputs; their weights are controller.weights")
-    if not ca.depends_on(value, symbols.x):
-        raise SettingsError(f"{what}: expected states, got none")
+    if ca.depends_on(value, symbols.u) or not ca.depends_on(value, symbols.x):
+        raise SettingsError(f"{what}: expected states alone; weights of inputs are controller.weights")
     return value
 
 
@@ -96,6 +84,46 @@ class Expressions:
             return np.zeros(0), np.zeros(self._shape)
         value, slope = self._function(point, self._p)
         return value, slope.reshape(self._shape)
+
+
+class UserCosts(Expressions):
+    """Weighted squares of the user's expressions of the state. Raises: SettingsError: one cannot be read."""
+
+    def __init__(self, terms: Sequence[CostTerm], system: System) -> None:
+        symbols = Symbols.of(system.N, system.commands_rates)
+        values = [read_term(term.expression, symbols) for term in terms]
+        super().__init__(values, symbols.x, symbols.p, system.vector())
+        self._terms = tuple(terms)
+        self.weights = np.array([term.weight for term in terms])  # of each term, per square of its unit, (t,)
+
+    def about(self, x: Array) -> Array:
+        """Return the roots of the weights times the gradients, (t, n). Raises: SettingsError: one is not finite."""
+        values, slopes = self.at(x)
+        for term, value, slope in zip(self._terms, values, slopes, strict=True):
+            if not np.isfinite([value, *slope]).all():
+                expected = "expected a finite value and slope at hover"
+                raise SettingsError(f"cost {term.expression!r}: {expected}, got {value}")
+        return np.asarray(np.sqrt(self.weights)[:, None] * slopes)
+
+
+class UserConstraints(Expressions):
+    """The user's constraints on states or on inputs, in the order given: at most zero, or zero."""
+
+    def __init__(self, constraints: Sequence[Constraint], system: System, on: str) -> None:
+        symbols = Symbols.of(system.N, system.commands_rates)
+        read_all = [(constraint, read(constraint.expression, symbols)) for constraint in constraints]
+        chosen = [(constraint, relation) for constraint, relation in read_all if relation.on == on]
+        variable = symbols.x if on == "state" else symbols.u
+        super().__init__([relation.value for _, relation in chosen], variable, symbols.p, system.vector())
+        self.equality = np.array([relation.is_equality for _, relation in chosen], dtype=bool)  # (c,)
+        # Weight of the slack of a soft constraint, nan for a hard one, (c,).
+        penalty = np.array([constraint.penalty if constraint.soft else np.nan for constraint, _ in chosen])
+        self.penalty = np.where(self.equality | (on == "input"), np.nan, penalty)
+
+
+def compile_constraints(constraints: Sequence[Constraint], system: System) -> tuple[UserConstraints, UserConstraints]:
+    """Read the user's constraints on states and on inputs. Raises: SettingsError: one cannot be read."""
+    return UserConstraints(constraints, system, "state"), UserConstraints(constraints, system, "input")
 
 
 def _parsed(text: str, what: str) -> ast.expr:
@@ -136,7 +164,7 @@ def _names(symbols: Symbols) -> dict[str, Any]:
 
 def _evaluate(node: ast.AST, names: dict[str, Any], what: str) -> Any:
     value = _value(node, names, what)
-    if isinstance(value, int | float | ca.DM) and not np.isfinite(np.asarray(value, dtype=np.float64)).all():
+    if not isinstance(value, ca.SX) and not np.isfinite(np.asarray(value, dtype=np.float64)).all():
         raise SettingsError(f"{what}: {ast.unparse(node)!r} is not a finite number")
     return value
 
@@ -145,11 +173,10 @@ def _value(node: ast.AST, names: dict[str, Any], what: str) -> Any:
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return number
-        case ast.Name(id=name) if name in names:
-            return names[name]
         case ast.Name(id=name):
-            known = ", ".join(sorted(names))
-            raise SettingsError(f"{what}: unknown name {name!r}; known: {known}")
+            if name not in names:
+                raise SettingsError(f"{what}: unknown name {name!r}; known: {', '.join(sorted(names))}")
+            return names[name]
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
             return _OPERATORS[type(op)](_evaluate(operand, names, what))
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:

@@ -7,8 +7,8 @@ import numpy as np
 
 from model import flat, state
 from model.arrays import Array, rows
-from model.failure import failed_hover, failed_model
 from model.flat import Track
+from model.hover import failed_hover, with_released
 from model.parameters import ParameterError, System
 from model.rotations import rotation
 
@@ -20,10 +20,9 @@ _STEEPEST = 0.2  # largest roll or pitch that it asks for, rad
 
 
 class FailSafe:
-    """The fail-safes of all UAVs.
+    """The fail-safes of all UAVs: hover thrusts of u_hover, (4 N,), or the inputs of a flat track.
 
-    They hold the thrusts of u_hover, (4 N,), or with a flat track its inputs. X_ref, (K, n), the last one held, is for
-    UAVs that measure their position and velocity and follow it; None for UAVs that keep level.
+    They follow X_ref, (K, n), the last one held, by measured position and velocity; without it they keep level.
     """
 
     def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None, track: Track | None = None) -> None:
@@ -58,7 +57,7 @@ class FailSafe:
         running = np.repeat([uav not in off for uav in range(len(self._uavs))], state.INPUTS)
         found.u_hover = np.where(running, hover.u, self.u_hover)
         if self.track is not None and released:
-            system = failed_model(self._system, off, released).system
+            system = with_released(self._system, released)
             found.track = flat.track(system, hover, self.track.paths, self.track.first, released)
             if self._X_ref is not None:
                 found._X_ref = np.concatenate([self._X_ref[: self.track.first], found.track.X])

@@ -84,18 +84,15 @@ def regulator(
     model: Model, hover: Hover, cost: Cost, period_s: float, uncontrolled: Mapping[int, Array] | None = None,
     further: Array | None = None, off: Collection[int] = (), released: Collection[int] = (), motor_lag_s: float = 0.0,
 ) -> Regulator:  # fmt: skip
-    """Return the linear-quadratic regulator of the team about hover: equations.md (33)-(34), (45), (55).
+    """Return the linear-quadratic regulator of the team about hover, with motor lag of [x, a]: (33)-(34), (45), (55).
 
     UAVs without an agent, by 0-based numbers, follow a feedback of their own, (4, n). Further terms of the cost are
-    roots of weights times slopes at hover, (t, n). With motor lag inputs are states.
-
-    Raises: FeedbackError: the recursion does not converge, or its feedback does not stabilise the team.
+    roots of weights times slopes at hover, (t, n). Raises: FeedbackError: no feedback, or none that is stable.
     """
     linear = model.linearise(hover.x, hover.u)
-    T = tangent(hover.x, off, released)
+    T = tangent(hover.x, off, released, motors=motor_lag_s > 0.0)
     if motor_lag_s > 0.0:
         linear = lagged(linear, hover.u, hover.u, motor_lag_s, model.system.commands_rates)
-        T = with_motors(T, off)
     discrete = zero_order_hold(linear, period_s)
     K: Array = np.zeros((len(hover.u), len(T)))
     for uav, own in (uncontrolled or {}).items():
@@ -146,34 +143,23 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
     raise FeedbackError(f"{_EXPECTED}, got a Riccati recursion that has not converged after 2^{_DOUBLINGS} steps")
 
 
-def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = ()) -> Array:
-    """Return an orthonormal basis of the directions of x, (n, n - 2 N), less those of attitudes off, UAVs released."""
-    blocks = [np.eye(state.PAYLOAD)]
-    for e in state.StateView(x).e_P:
-        across = np.linalg.svd(e[None, :])[2][1:].T  # two unit vectors across the rod
-        blocks += [across, across, np.eye(state.PER_UAV - 6)]
-    basis = np.zeros((len(x), sum(block.shape[1] for block in blocks)))
-    row = column = 0
-    for block in blocks:
-        basis[row : row + block.shape[0], column : column + block.shape[1]] = block
-        row, column = row + block.shape[0], column + block.shape[1]
-    out = np.zeros(len(x), dtype=bool)
-    for uav in off:
-        out[state.uav_slice(uav)][state.THETA.start :] = True
-    for uav in released:
-        out[state.uav_slice(uav)] = True
-    return np.asarray(basis[:, ~basis[out].any(axis=0)])
-
-
-def with_motors(T: Array, off: Collection[int]) -> Array:
-    """Return a basis of states and actual inputs, but of UAVs that are `off`, from that of states: (n + m, r + m)."""
-    n, r = T.shape
-    m = (n - state.PAYLOAD) // state.PER_UAV * state.INPUTS
-    kept = np.setdiff1d(np.arange(m), input_indices(sorted(off)))
-    basis = np.zeros((n + m, r + len(kept)))
-    basis[:n, :r] = T
-    basis[n + kept, r + np.arange(len(kept))] = 1.0
-    return basis
+def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = (), motors: bool = False) -> Array:
+    """Return an orthonormal basis of directions of x, (n, n - 2 N), or [x, a], but of UAVs off and released."""
+    uavs, out = state.StateView(x).e_P, np.zeros(len(x), dtype=bool)
+    basis, each = np.zeros((len(x), len(x) - 2 * len(uavs))), state.PER_UAV - 2
+    basis[: state.PAYLOAD, : state.PAYLOAD] = np.eye(state.PAYLOAD)
+    for i, e in enumerate(uavs):
+        own = basis[state.uav_slice(i), state.PAYLOAD + each * i : state.PAYLOAD + each * (i + 1)]
+        own[state.E, :2] = own[state.ROD_RATE, 2:4] = np.linalg.svd(e[None, :])[2][1:].T  # unit vectors across the rod
+        own[6:, 4:] = np.eye(6)
+        out[state.uav_slice(i)][0 if i in released else state.THETA.start :] = i in off or i in released
+    basis = basis[:, ~basis[out].any(axis=0)]
+    if motors:
+        m, (n, r), states = state.INPUTS * len(uavs), basis.shape, basis
+        kept = np.setdiff1d(np.arange(m), input_indices(sorted(off)))
+        basis = np.zeros((n + m, r + len(kept)))
+        basis[:n, :r], basis[n + kept, r + np.arange(len(kept))] = states, 1.0
+    return np.asarray(basis)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,7 +176,7 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> 
 
         d(k) = A xi_ref(k) - xi_ref(k+1),   p(k) = A_closed' (p(k+1) + P d(k)) + pull(k)
 
-    Given are the reference states from the `first` instant on, (K, n), and half the slope of the cost there, (K, n).
+    X_ref are states from the `first` instant on, (K, n), pull half the slope of the cost there, (K, n).
     """
     T, P, A_closed = regulator.T, regulator.P, regulator.A_closed
     # Relative to the last instant, which is at rest, so that the attitudes at hover are no deviation.
@@ -232,10 +218,7 @@ def target(
     model: Model, hover: Hover, cost: Cost, uncontrolled: Mapping[int, Array] | None = None, off: Collection[int] = (),
     released: Collection[int] = (),
 ) -> Target:  # fmt: skip
-    """Return the steady state about hover with least output error, then least input effort, the rest as at hover: (40).
-
-    Arguments as those of `regulator`.
-    """
+    """Return the steady state with least output error, then least input effort, the rest as at hover: (40)."""
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)
     T = tangent(hover.x, off, released)

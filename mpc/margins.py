@@ -12,16 +12,15 @@ from model.discretisation import zero_order_hold
 from model.hover import hover
 from model.linearisation import Linearisation, Model
 from model.motors import lagged
-from model.parameters import ParameterError, Payload, System, Uav
+from model.parameters import ParameterError, System
 from mpc.controller import Controller
-from mpc.feedback import tangent, with_motors
+from mpc.feedback import tangent
 
 GROWTH = 0.02  # fastest that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them
 _DECAY = 1e-3  # slowest that is one, 1/s: undamped modes have zero, and rounding moves them
 _COARSE, _FINE = 1.4, 0.005  # steps of the search: until the first unstable plant, then by bisection
 FARTHEST, FARTHEST_S = 10.0, 0.6  # factors, and lag and delay, s
 _FIRST_S = 1e-3  # shortest lag and delay that are tried, s
-_PROBE = 1e-3  # perturbations that are fed to the controllers, whose limits must not bind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,18 +40,17 @@ class Mismatch:
         """Return the actual bodies."""
         body, uavs = known.payload, []
         for uav in known.uavs:
-            mass, inertia, length = uav.mass * self.uav_mass, uav.inertia * self.uav_inertia, uav.rod_length
-            uavs.append(Uav(mass=mass, inertia=inertia, rho=uav.rho, rod_length=length * self.rod_length))
-        payload = Payload(mass=body.mass * self.payload_mass, inertia=body.inertia * self.payload_inertia)
+            changed = replace(uav, mass=uav.mass * self.uav_mass, rod_length=uav.rod_length * self.rod_length)
+            uavs.append(replace(changed, inertia=uav.inertia * self.uav_inertia))
+        payload = replace(body, mass=body.mass * self.payload_mass, inertia=body.inertia * self.payload_inertia)
         return System(payload=payload, uavs=uavs, gravity=known.gravity)
 
 
 class Loop:
-    """The sampled loop of a team about hover, as a function of the plant.
+    """The sampled loop of a team about hover, as a function of the plant, with a controller per agent.
 
-    There is a controller per agent, whose plans are the shared control law. With `next_tick` inputs act one sampling
-    period after the measurement; `age` are the periods until an agent knows another agent's state, >= 1. UAVs without
-    an agent, by 0-based numbers, follow a fail-safe, (4, n), on the present state, unmeasured.
+    With `next_tick` inputs act one sampling period after the measurement; `age` are the periods until an agent knows
+    another agent's state, >= 1. UAVs without an agent, by 0-based numbers, follow a fail-safe, (4, n), unmeasured.
     """
 
     def __init__(
@@ -63,26 +61,20 @@ class Loop:
         first = controllers[0]
         self._system, at_rest = first.model.system, first.regulation.hover
         self.period_s, self.known_lag_s = first.settings.sampling_period_s, first.settings.motor_lag_s
-        self._m = self._system.m
         model = first.model.linearise(at_rest.x, at_rest.u)
-        T = tangent(at_rest.x)
-        self._r = T.shape[1]  # coordinates of the motion; those of the actual inputs follow
+        self._T = T = tangent(at_rest.x, motors=self.known_lag_s > 0.0)
+        self._r = self._system.n - 2 * self._system.N  # coordinates of the motion; those of the actual inputs follow
         if self.known_lag_s > 0.0:
             model = lagged(model, at_rest.u, at_rest.u, self.known_lag_s, self._system.commands_rates)
-            T = with_motors(T, ())
-        self._T, discrete = T, zero_order_hold(model, self.period_s)
+        discrete = zero_order_hold(model, self.period_s)
         self._A, self._B = T.T @ discrete.A @ T, T.T @ discrete.B
         # Projections of states in tangent coordinates on what the agents measure at once.
-        self._measured: list[Array] = []
-        for controller in controllers:
-            known = np.zeros(len(T))
-            known[: state.PAYLOAD] = 1.0
-            for uav in controller.owned:
-                known[state.uav_slice(uav)] = 1.0
-            self._measured.append(T.T @ (known[:, None] * T))
+        seen = [np.r_[(slice(0, state.PAYLOAD), *map(state.uav_slice, each.owned))] for each in controllers]
+        self._measured = [T[rows].T @ T[rows] for rows in seen]
         self._law = first.regulation.gain(0) @ T
         lost = np.zeros(len(self._T), dtype=bool)
-        self._gone, self._fail_safe = np.zeros((self._m, 1), dtype=bool), np.zeros((self._m, len(self._A)))
+        m = self._system.m
+        self._gone, self._fail_safe = np.zeros((m, 1), dtype=bool), np.zeros((m, len(self._A)))
         for uav, gain in (uncontrolled or {}).items():
             lost[state.uav_slice(uav)], self._gone[state.input_slice(uav)] = True, True
             lost[state.uav_slice(uav)][state.THETA][2] = False  # its heading matters to no other state
@@ -92,9 +84,9 @@ class Loop:
     def matrix(self, plant: Mismatch) -> Array:
         """Return the step from one sampling instant to the next. Raises: ParameterError: the bodies have no hover."""
         actual = hover(plant.system(self._system))
-        motion = Model(plant.system(self._system)).linearise(actual.x, actual.u)
-        T, period_s, m, r = self._T[: self._system.n, : self._r], self.period_s, self._m, self._r
-        F, G = T.T @ motion.A_c @ T, plant.gain * (T.T @ motion.B_c)
+        linear = Model(plant.system(self._system)).linearise(actual.x, actual.u)
+        T, period_s, m, r = self._T[: self._system.n, : self._r], self.period_s, self._system.m, self._r
+        F, G = T.T @ linear.A_c @ T, plant.gain * (T.T @ linear.B_c)
         # Thrust and moments by state and by command, (57).
         by_state, by_command = np.zeros((m, self._system.n)), np.eye(m)
         if self._system.rate_gains is not None:
@@ -110,20 +102,17 @@ class Loop:
             unit = 1.0 / np.abs(G).max(axis=0)
             F = np.block([[F, G * unit], [by_state / (unit * plant.lag_s)[:, None], -np.eye(m) / plant.lag_s]])
             G = np.vstack([np.zeros((r, m)), by_command / (unit * plant.lag_s)[:, None]])
-        late, part_s = divmod(plant.delay_s, period_s)
-        return self._step_matrix(_held(F, G, part_s), _held(F, G, period_s - part_s), round(late))
-
-    def _step_matrix(self, before: tuple[Array, Array], after: tuple[Array, Array], late: int) -> Array:
-        """Return the step of the loop from the plant's steps before and after the arrival of a delayed command."""
-        m, ahead, age = self._m, int(self._next_tick), self._age
+        periods, part_s = divmod(plant.delay_s, period_s)
+        # The plant's steps before and after the arrival of a delayed command.
+        earlier, later, late = _held(F, G, part_s), _held(F, G, period_s - part_s), round(periods)
+        ahead, age = int(self._next_tick), self._age
         kept = ahead + max(age, late + 1)
         guessed = [len(self._lost)] * len(self._controllers)
-        sizes = [len(before[0]), len(self._A) - self._r, *[len(self._A)] * age, *[m] * kept, *guessed]
+        sizes = [len(earlier[0]), len(self._A) - r, *[len(self._A)] * age, *[m] * kept, *guessed]
         blocks = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
         motion, known_inputs, past = blocks[0], blocks[1], blocks[2 : 2 + age]
-        rest = 2 + age + kept
-        commands, guesses = blocks[2 + age : rest], blocks[rest:]
-        now = np.vstack([motion[: self._r], known_inputs])
+        commands, guesses = blocks[2 + age : 2 + age + kept], blocks[2 + age + kept :]
+        now = np.vstack([motion[:r], known_inputs])
         issued = np.empty((m, now.shape[1]))
         issued[self._gone[:, 0]] = self._fail_safe[self._gone[:, 0]] @ now
         for agent, controller in enumerate(self._controllers):
@@ -132,10 +121,9 @@ class Loop:
         inputs = [issued, *commands]  # newest first
         # In force, now and before; the fail-safe needs no time for computing.
         acting = [np.where(self._gone, *pair) for pair in zip(inputs, inputs[ahead:], strict=False)]
-        moved = after[0] @ (before[0] @ motion + before[1] @ acting[late + 1]) + after[1] @ acting[late]
-        known_inputs = self._A[self._r :] @ now + self._B[self._r :] @ acting[0]
-        step: Array = np.vstack([moved, known_inputs, now, *past[:-1], *inputs[:-1], *guesses])
-        return step
+        moved = later[0] @ (earlier[0] @ motion + earlier[1] @ acting[late + 1]) + later[1] @ acting[late]
+        known_inputs = self._A[r:] @ now + self._B[r:] @ acting[0]
+        return np.vstack([moved, known_inputs, now, *past[:-1], *inputs[:-1], *guesses])
 
     def _estimate(
         self, agent: int, known: Sequence[Array], commands: Sequence[Array], guess: Array
@@ -148,7 +136,7 @@ class Loop:
             u = commands[age + ahead - 1 - step]
             if step > ahead:
                 # Later plans of the others have not been received: the shared control law replaces them.
-                u = np.where(np.isin(np.arange(self._m), own)[:, None], u, self._law @ x + offset)
+                u = np.where(np.isin(np.arange(len(u)), own)[:, None], u, self._law @ x + offset)
             elif step == ahead:
                 offset = u - self._law @ x
             u = np.where(self._gone, self._fail_safe @ x, u)
@@ -176,7 +164,6 @@ class Loop:
 
 
 def _held(F: Array, G: Array, duration_s: float) -> tuple[Array, Array]:
-    """Return the exact step of x' = F x + G u under a held input."""
     if duration_s == 0.0:
         return np.eye(len(F)), np.zeros_like(G)
     none = np.zeros(0)

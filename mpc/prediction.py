@@ -17,10 +17,10 @@ class Linear:
     """Linearisation of one step and its steady-state input."""
 
     x0: Array  # state of the linearisation, (n,)
+    z0: Array  # the same, with motor lag followed by the actual inputs, (n + m,)
     u0: Array  # input from which the inputs deviate, (m,)
     model: Linearisation
     u_target: Array  # input without cost, (m,)
-    actual: Array | None = None  # with motor lag the actual inputs, (m,)
     forces: Array | None = None  # estimated external forces, (3 + 3 N,)
 
 
@@ -37,14 +37,11 @@ class Prediction:
 
 
 def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackLaw | None = None) -> Prediction:
-    """Predict with the owned inputs held at u0 and the others' as announced, (N_p, m), or by the law: (22)-(24), (35).
-
-    The decision is the deviation of the owned inputs from u0. Source: paper (15)-(16), (22)-(24).
-    """
+    """Predict for owned inputs u0 + v, the others as announced, (N_p, m), or by the law: (22)-(24), (35)."""
     at_x0 = U if law is None else law.uncorrected + law.c
     (n, _), steps, B_others = discrete.B.shape, len(at_x0), discrete.B.copy()
     B_others[:, own] = 0.0
-    A = discrete.A if law is None else fed_back(discrete, own, law.K)
+    A = discrete.A if law is None else discrete.A + B_others @ law.K
     dX = free_response(A, discrete.f_d + (at_x0 - u0) @ B_others.T)
     effect = np.empty((n, steps, len(own)))
     effect[:, 0] = discrete.B[:, own]
@@ -61,21 +58,17 @@ def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackL
 def follow(
     prediction: Prediction, A: Array, B: Array, u0: Array, own: Places, law: FeedbackLaw, Z: Array, U: Array
 ) -> None:
-    """Make the free response exact along states Z, (N_p + 1, n), to which inputs U lead; A from `fed_back`: (35a)."""
+    """Make the free response exact along states Z, (N_p + 1, n), of inputs U; A: with the others' feedback: (35a)."""
     V = U[:, own] - u0[own]
-    response = native.free_response if native.AVAILABLE else free_response
-    caused = response(A, V @ B[:, own].T)
+    drive, caused = V @ B[:, own].T, np.empty(Z.shape)
+    if native.AVAILABLE:
+        native.KERNELS.free_response(len(V), len(A), *map(native.at, (A, drive, caused)))
+    else:
+        caused = free_response(A, drive)
     prediction.dX_free[:] = Z - Z[0] - caused
     prediction.dU_free[:] = prediction.dX_free[:-1] @ law.K.T
     prediction.U_all[:] = law.uncorrected + law.c + prediction.dU_free
     prediction.U_all[:, own] = prediction.U_free[:] = u0[own]
-
-
-def fed_back(discrete: Discrete, own: Places, K: Array) -> Array:
-    """Return the state matrix with the feedback K, (m, n), of the others' inputs, (n, n)."""
-    B_others = discrete.B.copy()
-    B_others[:, own] = 0.0
-    return discrete.A + B_others @ K
 
 
 def convolve(effect: Array, v: Array) -> Array:

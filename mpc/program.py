@@ -1,5 +1,6 @@
 """The QP of one step in the scaled decision and the slacks, by the compiled kernels, or by products of matrices."""
 
+import ctypes
 from collections.abc import Collection
 from dataclasses import replace
 
@@ -9,9 +10,10 @@ from model import native
 from model.arrays import Array, padded
 from model.discretisation import Discrete
 from model.state import input_indices
-from mpc.cost import Cost, UserCosts
+from mpc.cost import Cost
+from mpc.expressions import UserCosts
 from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear, Prediction, convolve, fed_back, follow, predict, stacked
+from mpc.prediction import Linear, Prediction, convolve, follow, predict, stacked
 from mpc.qp import QP
 from mpc.regulation import CostToGo
 from mpc.rows import Decision, Rows
@@ -59,7 +61,7 @@ class Program:
             problem.uncorrected, problem.announced = (0, at(U)) if law is None else (at(law.uncorrected), at(law.c))
             is_new = not self._renewed.isdisjoint(("A", "B", "K"))
             if along is None or is_new:
-                native.run("respond", problem)
+                native.KERNELS.respond(ctypes.addressof(problem))
             found = self._predicted = self._open if law is None else self._closed
             self._law = law
         else:
@@ -68,7 +70,9 @@ class Program:
             self._fed_back = None
         else:
             if self._fed_back is None or is_new:
-                self._fed_back = fed_back(discrete, own, law.K)
+                B_others = discrete.B.copy()
+                B_others[:, own] = 0.0
+                self._fed_back = discrete.A + B_others @ law.K
             follow(found, self._fed_back, discrete.B, u0, own, law, *along)
         return found
 
@@ -99,7 +103,7 @@ class Program:
         problem.model_outputs, problem.y, problem.y_ref = len(model.y), at(model.y), at(y_ref)
         # Without a law the matrices are of the tick's own state: kept ones only meet again within its iterations.
         problem.u_target, problem.known = at(linear.u_target), not self._renewed and law is not None
-        native.run("fill", problem)
+        native.KERNELS.fill(ctypes.addressof(problem))
         self._renewed.clear()
         qp = self._qp
         self._rows.fill_user(linear, prediction, qp.A, qp.row_lower, qp.row_upper)
@@ -115,9 +119,11 @@ class Program:
 
     def relaxed(self, prediction: Prediction, law: FeedbackLaw, z: Array, w: float) -> tuple[Array, Array]:
         """Return inputs and corrections by the scaled decision and the weight of new corrections, 0 if unsolved."""
-        if prediction is self._predicted and law is self._law:
-            return native.conclude(self._problem, z, w)
         own, decision, U_free = self.decision.own, self.decision, prediction.U_free
+        if prediction is self._predicted and law is self._law:
+            U, c = np.empty(decision.shape), np.empty(decision.shape)
+            native.KERNELS.conclude(ctypes.addressof(self._problem), native.at(z), w, native.at(U), native.at(c))
+            return U, c
         at_x0, fed_back, c = law.uncorrected[:, own], prediction.dU_free[:, own], law.c[:, own]
         best = decision.clip(U_free + decision.inputs(z))
         if w > 0.0:
@@ -136,7 +142,6 @@ class Program:
         self, linear: Linear, prediction: Prediction, y_ref: Array, slope: Array, at_x0: Array, end: CostToGo | None,
         terminal: float, responding: native.Places, Q: Array,
     ) -> QP:  # fmt: skip
-        """Return the QP by the matrix products of the paper."""
         decision, chosen, (n, steps, _) = self.decision, self._weighted, prediction.effect.shape
         model, scale, dX, effect = linear.model, decision.scale, prediction.dX_free, prediction.effect * decision.scale
         C = model.C[chosen]
@@ -186,7 +191,8 @@ class Program:
         sizes = {"steps": steps, "n": n, "m": m, "size": size, "outputs": weighted, "terms": terms, "all_inputs": m_all}
         limits = {"pairs": pairs, "angles": angles, "separation": rows.minimum_m, "tilt": rows.limit}
         addresses = {name: native.at(array) for name, array in self._arrays.items()}
-        self._problem = native.problem(len(S), **sizes, **limits, **addresses)
+        needed = native.KERNELS.predict_work(n, m_all, m), native.KERNELS.condense_work(steps, n, m, len(S), n)
+        self._problem = native.Problem(**sizes, **limits, **addresses, work=native.work("step", max(needed)))
         self._qp = QP(H=H, g=g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper)
         self._closed = Prediction(effect=effect, dX_free=dX, U_free=U_free, U_all=U, feedback=feedback, dU_free=dU)
         self._open = replace(self._closed, feedback=feedback[:0], dU_free=dU[:, :0])

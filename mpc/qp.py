@@ -4,8 +4,7 @@ minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A 
 """
 
 import math
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import clarabel
@@ -31,7 +30,7 @@ _CLARABEL: dict[str, Status] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class QP:
     """The data of one program; equalities are rows with equal bounds, missing bounds are infinite."""
 
@@ -43,16 +42,11 @@ class QP:
     row_lower: Array  # bounds on A z, (r,)
     row_upper: Array
 
-    @cached_property
+    @property
     def addresses(self) -> list[int]:
-        """Addresses of the data for the compiled kernels; row-major copies are kept where needed."""
-        data = (self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper)
-        self.__dict__["_row_major"] = rows = [np.ascontiguousarray(array) for array in data]
-        return [native.at(array) for array in rows]
-
-    def __getstate__(self) -> dict[str, Array]:
-        """Return the data for copies, which have addresses of their own."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        """Addresses of the data, row by row, for the compiled kernels."""
+        data = self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper
+        return [native.at(array) for array in data]
 
     def objective(self, z: Array) -> float:
         """Return 1/2 z' H z + g' z."""
@@ -93,9 +87,11 @@ class Solution:
 
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
     """Return the Karush-Kuhn-Tucker residuals; arguments as in `Solution`. Source: docs/equations.md (28)."""
-    if native.AVAILABLE:
-        return Residuals(*native.residuals(qp.A.shape, qp.addresses, z, bound_multipliers, row_multipliers))
-    return _residuals(qp, z, bound_multipliers, row_multipliers)
+    if not native.AVAILABLE:
+        return _residuals(qp, z, bound_multipliers, row_multipliers)
+    (rows, n), found, answer = qp.A.shape, np.empty(3), map(native.at, (z, bound_multipliers, row_multipliers))
+    native.KERNELS.residuals(n, rows, *qp.addresses, *answer, native.at(found), native.work("residuals", n))
+    return Residuals(*found.tolist())
 
 
 def _residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
@@ -138,14 +134,14 @@ def unsolved(n: int, rows: int, solver: str) -> Solution:
 
 
 def within_bounds(qp: QP) -> Solution | None:
-    """Return the solution with the bounds alone if it is that of the whole QP, which has mostly no active row.
-
-    Primal-dual active-set method (Hintermueller, Ito, Kunisch 2003). None if it cycles, or without compiled kernels.
-    """
+    """Return the solution of a QP in which no row is active, else None (Hintermueller, Ito, Kunisch 2003)."""
     if not native.AVAILABLE:
         return None
-    guesses, z, multipliers, found = native.solve_within_bounds(qp.A.shape, qp.addresses, MOST_GUESSES)
-    if guesses <= 0 or (passed := Residuals(*found)).worst > RESIDUAL_TOLERANCE:
+    (rows, n), z, multipliers, found = qp.A.shape, np.empty_like(qp.g), np.empty_like(qp.g), np.empty(3)
+    work = native.work("within_bounds", native.KERNELS.within_bounds_work(n, rows))
+    answer = map(native.at, (z, multipliers, found))
+    guesses = native.KERNELS.solve_within_bounds(n, rows, *qp.addresses, MOST_GUESSES, *answer, work)
+    if guesses <= 0 or (passed := Residuals(*found.tolist())).worst > RESIDUAL_TOLERANCE:
         return None
     return Solution(
         status="solved", z=z, bound_multipliers=multipliers, row_multipliers=np.zeros(len(qp.A)),

@@ -3,22 +3,21 @@
 import contextlib
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from model import flat
 from model.arrays import Array, continued, padded, rows
-from model.failure import failed_hover, failed_model
 from model.flat import Track
-from model.hover import Hover
+from model.hover import Hover, failed_hover
 from model.linearisation import Model
 from model.parameters import ParameterError
 from model.state import input_slice
 from mpc import feedback
-from mpc.cost import Cost, UserCosts
+from mpc.cost import Cost
+from mpc.expressions import UserCosts
 from mpc.fail_safe import FailSafe
 from mpc.feedback import FeedbackError, FeedbackLaw, Preview, Regulator, Target, at_rest
 from mpc.settings import ControllerSettings
@@ -52,11 +51,18 @@ class Ahead:
     track: Track | None  # with a flat reference, that at the same instants
 
 
+class Team(NamedTuple):
+    """UAVs, 0-based, without an agent, without motors, and of these the released ones."""
+
+    gone: frozenset[int]
+    off: frozenset[int]
+    released: frozenset[int]
+
+
 class Regulation:
     """The shared control law and cost-to-go of one maneuver, for the UAVs that have agents.
 
     The reference, X_ref, (K, n), for the preview, or a flat track, is that at instants 0..K-1; the last one is held.
-
     Raises: FeedbackError: the settings need a regulator and none stabilises the team.
     """
 
@@ -66,7 +72,7 @@ class Regulation:
     ) -> None:  # fmt: skip
         self._whole, self._whole_hover, self._settings = model, hover, settings
         terms = (*settings.cost, *settings.weights.terms(model.system.N))
-        self.user_costs = UserCosts(terms, model)  # the user's terms of the cost
+        self.user_costs = UserCosts(terms, model.system)  # the user's terms of the cost
         followed = None if settings.fail_safe == "level" else hover.x[None] if X_ref is None else X_ref
         self._whole_fail_safe = FailSafe(model.system, hover.u, followed, track)
         self._whole_track = track
@@ -78,31 +84,28 @@ class Regulation:
         self.regulator: Regulator | None = None  # None if the settings need none
         self._tracker: Tracker | None = None
         self._recursion: Recursion | None = None  # that makes the next one
-        self._target: Target | None = None
-        self._by_forces: tuple[Array, Array] | None = None
-        self._form(frozenset(), frozenset(), frozenset(), None)
+        self.form((), (), ())
 
     @property
     def target(self) -> Target:
-        """Steady state under external forces; computed at the first use."""
-        if self._target is None:
-            team = self._uncontrolled, self._off, self._released
-            self._target = feedback.target(self._model, self.hover, self.cost, *team)
-        return self._target
+        """Steady state under external forces."""
+        failed = self._team.off, self._team.released
+        arguments = self._model, self.hover, self.cost, self._uncontrolled, *failed
+        return self._shared("target", lambda: feedback.target(*arguments))
 
     def form(
         self, gone: Collection[int], off: Collection[int], released: Collection[int], *, since: int | None = None
     ) -> None:
-        """Set the UAVs, 0-based, without an agent, without motors, and of these the released ones: (45), (50), (51).
+        """Set the `Team`: equations.md (45), (50), (51).
 
         Along a reference, if the present instant is given, `advance` completes the law. If the remaining UAVs cannot
         stabilise the team, the regulator ignores the lost agents, else the failures, else both.
         """
-        gone, off, released, none = frozenset(gone), frozenset(off), frozenset(released), frozenset[int]()
-        for team in ((gone, off, released), (none, off, released), (gone, none, none)):
+        none, team = frozenset[int](), Team(frozenset(gone), frozenset(off), frozenset(released))
+        for smaller in (team, team._replace(gone=none), Team(team.gone, none, none)) if any(team) else ():
             with contextlib.suppress(FeedbackError, ParameterError):
-                return self._form(*team, since)
-        return self._form(none, none, none, since)
+                return self._form(smaller, since)
+        return self._form(Team(none, none, none), since)
 
     def advance(self, instant: int) -> bool:
         """Work on the law of a new team at an instant; return whether it holds from this instant on, in all agents."""
@@ -125,18 +128,18 @@ class Regulation:
         self._set_track()
         found = self.regulator
         if found is not None and ahead.track is not None and self._tracker is not None:
-            track, gone = ahead.track, self._released
-            if gone:
-                track = flat.track(self._model.system, self.hover, track.paths, track.first, gone)
+            track, released = ahead.track, self._team.released
+            if released:
+                track = flat.track(self._model.system, self.hover, track.paths, track.first, released)
             new = self._shared("ahead", lambda: self._recursion_along(track, found, None, ahead.first).result())
             self._tracker = continued(self._tracker, new, KEPT)
         if found is not None:
             self._foresee(found)
         return completed
 
-    def _form(self, gone: frozenset[int], off: frozenset[int], released: frozenset[int], since: int | None) -> None:
+    def _form(self, team: Team, since: int | None) -> None:
         """Set the team. Raises: ParameterError, FeedbackError: there is no hover, or no regulator."""
-        self._team, self._off, self._released = (gone, off, released), off, released
+        self._team, (gone, off, released) = team, team
         self._set_track()
         # A UAV without motors has no fail-safe.
         self._uncontrolled = {uav: self.fail_safe.gain(uav) for uav in gone - off}
@@ -144,19 +147,17 @@ class Regulation:
         if off:
             system, u = self._whole.system, self.fail_safe.u_hover
             held = {uav: float(u[input_slice(uav)][0]) for uav in self._uncontrolled}
-            self._model = failed_model(system, off, released)
+            self._model = Model(system, off, released)
             self.hover = failed_hover(system, off, released, held)
         self.cost = Cost(self._settings.weights, self._whole.system, self.hover, off, released)
-        self._target = self._by_forces = None
         if self._settings.prediction == "closed_loop" or self._settings.terminal == "riccati":
             self._regulate(since)
 
     def _set_track(self) -> None:
-        """Set reference and fail-safe of the team as it is."""
         self._track, self.fail_safe = self._whole_track, self._whole_fail_safe
-        if self._off:
-            off, released, whole = self._off, self._released, self._whole_fail_safe
-            self.fail_safe = self._shared("fail-safe", lambda: whole.of_team(off, released))
+        if self._team.off:
+            failed, whole = self._team[1:], self._whole_fail_safe
+            self.fail_safe = self._shared("fail-safe", lambda: whole.of_team(*failed))
             self._track = self.fail_safe.track
 
     def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
@@ -168,7 +169,15 @@ class Regulation:
         if self.regulator is None or self._settings.prediction != "closed_loop":
             return None
         if self._tracker is not None and self._track is not None:
-            return self._law_along(self._tracker, self._track, x0, c, forces, start, len(x_ref))
+            track, steps = self._track, len(x_ref)  # (70), (73)
+            gains, where = self._tracker.over(start, steps), rows(start - track.first, steps, len(track.X))
+            u_rest, error = track.U[where], x0 - track.X[where]
+            if forces is not None:
+                X_forces, U_forces = track.by_forces(where)
+                u_rest = u_rest + U_forces[..., : len(forces)] @ forces
+                error = error - X_forces[..., : len(forces)] @ forces
+            K, feedforward = (np.array([getattr(at, name) for at in gains]) for name in ("K", "feedforward"))
+            return FeedbackLaw(K=K, u_rest=u_rest, error=error, feedforward=feedforward, c=c, along=gains)
         u_rest, error = self.hover.u, self._error(x0, x_ref)
         feedforward = self.feedforward(start, len(x_ref))
         if forces is not None:
@@ -176,19 +185,6 @@ class Regulation:
             u_rest, error = u_rest + self.target.M_u @ forces, error - self._shift(forces)
             feedforward = feedforward + self._forced(self.regulator)[0] @ forces
         return FeedbackLaw(K=self.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c)
-
-    def _law_along(
-        self, tracker: Tracker, track: Track, x0: Array, c: Array, forces: Array | None, start: int, steps: int
-    ) -> FeedbackLaw:
-        """Return the control law along the reference. Source: docs/equations.md (70), (73)."""
-        gains, where = tracker.over(start, steps), rows(start - track.first, steps, len(track.X))
-        u_rest, error = track.U[where], x0 - track.X[where]
-        if forces is not None:
-            X_forces, U_forces = track.by_forces(where)
-            u_rest = u_rest + U_forces[..., : len(forces)] @ forces
-            error = error - X_forces[..., : len(forces)] @ forces
-        K, feedforward = (np.array([getattr(at, name) for at in gains]) for name in ("K", "feedforward"))
-        return FeedbackLaw(K=K, u_rest=u_rest, error=error, feedforward=feedforward, c=c, along=gains)
 
     @property
     def version(self) -> object:
@@ -240,14 +236,10 @@ class Regulation:
         return np.concatenate([shift, self.target.M_u @ forces]) if self._settings.motor_lag_s else shift
 
     def _regulate(self, since: int | None) -> None:
-        further = self.user_costs.about(self.hover.x)
-        self.regulator = found = self._shared(
-            "regulator",
-            lambda: feedback.regulator(
-                self._model, self.hover, self.cost, self._settings.sampling_period_s, self._uncontrolled, further,
-                self._off, self._released, self._settings.motor_lag_s,
-            ),
-        )  # fmt: skip
+        further, failed, settings = self.user_costs.about(self.hover.x), self._team[1:], self._settings
+        about = self._model, self.hover, self.cost, settings.sampling_period_s, self._uncontrolled, further, *failed
+        found = self._shared("regulator", lambda: feedback.regulator(*about, settings.motor_lag_s))
+        self.regulator = found
         if self._track is not None:
             track, before, self._recursion = self._track, None if since is None else self._tracker, None
             begin = track.first if since is None else since
@@ -255,18 +247,13 @@ class Regulation:
             if since is None or since >= making.ready:
                 self._tracker = making.result()
             else:
-                self._tracker, self._recursion = making.meanwhile(self._off, self._settings.horizon), making
+                self._tracker, self._recursion = making.meanwhile(self._team.off, settings.horizon), making
         self._foresee(found)
 
     def _recursion_along(self, track: Track, found: Regulator, before: Tracker | None, since: int) -> Recursion:
         """Return the control law along a reference in the making; the last two arguments are those of `Recursion`."""
-        period_s, safe = self._settings.sampling_period_s, self.fail_safe
-
-        def on_reference(uav: int, row: int) -> Array:
-            return safe.inputs(uav, track.X[row], track.first + row)
-
-        fixed = {uav: (partial(on_reference, uav), feedback) for uav, feedback in self._uncontrolled.items()}
-        return Recursion(self._model, track, found, self.cost, self.user_costs, period_s, fixed, before, since)
+        fixed, period_s = (self._uncontrolled, self.fail_safe), self._settings.sampling_period_s
+        return Recursion(self._model, track, found, self.cost, self.user_costs, period_s, *fixed, before, since)
 
     def _foresee(self, found: Regulator) -> None:
         """Compute the response to the reference from its newest change on; that before stays as it was."""
@@ -283,7 +270,8 @@ class Regulation:
 
     def _shared(self, what: str, compute: Callable[[], T]) -> T:
         """Return a result for this team, computed by the first controller of the reference that needs it."""
-        origin = self._follows_from if what == "regulator" else (*self._follows_from, *self._ahead)
+        about_hover = what in ("regulator", "target", "forced")
+        origin = self._follows_from if about_hover else (*self._follows_from, *self._ahead)
         found, key = _FOUND.setdefault(self._whole, {}), (what, *map(id, origin), *self._team)
         if key not in found:
             found[key] = compute(), origin
@@ -294,13 +282,15 @@ class Regulation:
 
     def _forced(self, regulator: Regulator) -> tuple[Array, Array]:
         """Return feedforward and slope of the cost-to-go per newton, where the target misses outputs: (40a)."""
-        if self._by_forces is None:
-            C = self._model.linearise(self.hover.x, self.hover.u).C
-            missed = C.T @ (self.cost.Q[:, None] * (C @ self.target.M_x))
+
+        def forced() -> tuple[Array, Array]:
+            C, target = self._model.linearise(self.hover.x, self.hover.u).C, self.target
+            missed = C.T @ (self.cost.Q[:, None] * (C @ target.M_x))
             further = self.user_costs.about(self.hover.x)
-            missed = missed + further.T @ (further @ self.target.M_x)
+            missed = missed + further.T @ (further @ target.M_x)
             p = at_rest(regulator, regulator.T.T @ padded(missed.T, len(regulator.T)).T)
-            feedforward = np.zeros_like(self.target.M_u)
+            feedforward = np.zeros_like(target.M_u)
             feedforward[regulator.controlled] = regulator.preview_gain @ p
-            self._by_forces = feedforward, regulator.T @ p
-        return self._by_forces
+            return feedforward, regulator.T @ p
+
+        return self._shared("forced", forced)

@@ -1,12 +1,8 @@
-"""The decision of one controller and all rows of its QP, row_lower <= A z <= row_upper.
-
-z is the scaled decision, then the slacks. A slack relaxes a lower bound with coefficient 1, an upper bound with -1.
-"""
+"""The decision of one controller and all rows of its QP, row_lower <= A z <= row_upper; z: decision, then slacks."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import casadi as ca
 import numpy as np
@@ -16,11 +12,11 @@ from model import state
 from model.arrays import Array
 from model.dynamics import Symbols, motion
 from model.obstacles import Obstacle
-from model.parameters import System, payload_corners
+from model.parameters import System, payload_half_size
 from model.rotations import euler_rates, rotation
-from mpc.expressions import Expressions, read
+from mpc.expressions import Expressions, compile_constraints
 from mpc.prediction import Linear, Prediction, stacked
-from mpc.settings import Constraint, ControllerSettings
+from mpc.settings import ControllerSettings
 
 
 class Decision:
@@ -46,41 +42,40 @@ class Decision:
         return np.asarray(z[: self.size].reshape(self.shape) * self.scale)
 
     def bounds(self, U_free: Array, u0: Array) -> tuple[Array, Array]:
-        """Return the bounds on the scaled decision about U_free, (N_p m_own,) each, the first rate limit included.
-
-        Inputs in force outside their bounds return at once: the bounds are the actuators', the rates a preference.
-        """
+        """Return bounds on the scaled decision about U_free, (N_p m_own,) each, with the first rate limit."""
         lower, upper = self.lower - U_free, self.upper - U_free
-        first = u0[self.own] - U_free[0]
+        first = u0[self.own] - U_free[0]  # inputs outside their bounds return at once: rates are a preference
         lower[0] = np.minimum(np.maximum(lower[0], first - self.rate), upper[0])
         upper[0] = np.maximum(np.minimum(upper[0], first + self.rate), lower[0])
         return (lower / self.scale).reshape(-1), (upper / self.scale).reshape(-1)
 
 
 class Rows:
-    """Rows of all constraints that are set, (28)-(30b), with their constant entries and bounds.
-
-    Slacks: all separations, all tilts, each soft constraint of the user, all tensions.
-    """
+    """Rows of all constraints, (28)-(30b); slacks: separations, tilts, each soft constraint of the user, tensions."""
 
     def __init__(self, decision: Decision) -> None:
-        self._decision, settings, steps, size = decision, decision.settings, decision.settings.horizon, decision.size
-        separation, tilt, tension = settings.separation, settings.tilt, settings.tension
+        self._decision, system, settings, (steps, _) = decision, decision.system, decision.settings, decision.shape
+        size, separation, tilt, tension = decision.size, settings.separation, settings.tilt, settings.tension
         self.minimum_m = separation.minimum_m if separation else 0.0  # smallest distance of these pairs
-        self.pairs = pairs_of(decision.system.N, decision.uavs)[: None if separation else 0]
+        self.pairs = pairs_of(system.N, decision.uavs)[: None if separation else 0]
         self.limit = math.radians(tilt.limit_deg) if tilt else 0.0  # largest angle, rad
         starts = [state.uav_slice(uav).start + state.THETA.start for uav in decision.uavs if tilt]
         # Positions in x of the limited roll and pitch angles.
         self.angles = np.array([start + axis for start in starts for axis in (0, 1)], dtype=np.intp)
-        self._on_state, self._on_input = compile_constraints(settings.constraint, decision.system)
-        self._kept = self._on_input.expressions.depends[:, decision.own].any(axis=1)
-        self.on_tensions = tension_margins(decision)  # positive where a rod tension is too small
+        self._on_state, self._on_input = compile_constraints(settings.constraint, system)
+        self._kept = self._on_input.depends[:, decision.own].any(axis=1)
+        symbols, margins = Symbols.of(system.N, system.commands_rates), list[ca.SX]()
+        if tension:  # minimum_N less the rod tensions of the owned UAVs: (30b)
+            pulls = ca.substitute(motion(symbols).tensions, symbols.F, ca.SX.zeros(symbols.F.numel()))
+            margins = [tension.minimum_N - pulls[uav] for uav in decision.uavs]
+        # Of states and inputs, positive where a tension is too small.
+        self.on_tensions = Expressions(margins, ca.vertcat(symbols.x, symbols.u), symbols.p, system.vector())
         soft = np.flatnonzero(~np.isnan(self._on_state.penalty))
         own_slacks = [separation.penalty] * min(1, len(self.pairs)) if separation else []
         own_slacks += [tilt.penalty] if tilt else []
-        last = [tension.penalty] if tension else []
-        self.penalties = np.concatenate([own_slacks, self._on_state.penalty[soft], last])  # weights of all slacks
-        each, half, columns = len(self._on_state.expressions), steps * len(self.angles), size + len(own_slacks)
+        on_tension = [tension.penalty] if tension else []
+        self.penalties = np.concatenate([own_slacks, self._on_state.penalty[soft], on_tension])  # of all slacks
+        each, half, columns = len(self._on_state), steps * len(self.angles), size + len(own_slacks)
         user = [steps * each, steps * int(self._kept.sum()), steps * len(self.on_tensions)]
         ends = np.cumsum([size - len(decision.own), steps * len(self.pairs), half, half, *user]).tolist()
         parts = list(map(slice, [0, *ends[:-1]], ends))
@@ -88,7 +83,8 @@ class Rows:
         # Constant entries, zero where a step's are written, and bounds, infinite there.
         self.A = np.zeros((ends[-1], size + len(self.penalties)))
         self.lower, self.upper = np.full(len(self.A), -np.inf), np.full(len(self.A), np.inf)
-        self.A[rate, :size] = rate_rows(*decision.shape) * np.tile(decision.scale, steps)
+        differences = np.eye(rate.stop, size, len(decision.own)) - np.eye(rate.stop, size)  # of decisions: (28a)
+        self.A[rate, :size] = differences * np.tile(decision.scale, steps)
         self.upper[rate] = np.tile(decision.rate, steps - 1)
         self.lower[rate] = -self.upper[rate]
         self.A[self._apart, size : size + 1] = 1.0
@@ -113,15 +109,15 @@ class Rows:
     def fill_user(self, linear: Linear, prediction: Prediction, A: Array, lower: Array, upper: Array) -> None:
         """Write the rows of the user's constraints and of rod tensions."""
         size, own, u0, scale = self._decision.size, self._decision.own, linear.u0, self._decision.scale
-        if len(self._on_state.expressions):
-            value, slope = self._on_state.expressions.at(linear.x0)
+        if len(self._on_state):
+            value, slope = self._on_state.at(linear.x0)
             n = slope.shape[1]  # motors, which may be further states, are not in the expressions
             effect = (slope @ prediction.effect[:n].reshape(n, -1)).reshape(-1, *self._decision.shape)
             A[self._states, :size] = stacked(effect * scale)
             values = value + prediction.dX_free[1:, :n] @ slope.T
             lower[self._states], upper[self._states] = _bounds(self._on_state.equality, values)
         if self._kept.any():
-            value, slope = (part[self._kept] for part in self._on_input.expressions.at(u0))
+            value, slope = (part[self._kept] for part in self._on_input.at(u0))
             A[self._inputs, :size] = np.kron(np.eye(self._decision.settings.horizon), slope[:, own] * scale)
             values = value + (prediction.U_all - u0) @ slope.T
             lower[self._inputs], upper[self._inputs] = _bounds(self._on_input.equality[self._kept], values)
@@ -145,7 +141,7 @@ class Clearance:
 
     def __init__(self, decision: Decision, obstacles: Sequence[Obstacle]) -> None:
         self._obstacles, self._own = obstacles, list(decision.uavs)
-        self._corners = payload_corners(decision.system)
+        self._corners = np.array(list(product((-1.0, 1.0), repeat=3))) * payload_half_size(decision.system)
         margins = [[obstacle.margin_m] * len(self._own) + [obstacle.load_margin_m] * 8 for obstacle in obstacles]
         self._margins = np.array(margins).reshape(len(obstacles), -1)
         self.penalties = np.array([obstacle.penalty for obstacle in obstacles])  # weight of the slack of each
@@ -169,11 +165,6 @@ class Clearance:
         return np.asarray(np.einsum("opi,pis->ops", normals, on_points))
 
 
-def rate_rows(steps: int, m: int) -> Array:
-    """Return the differences of successive decisions, ((steps - 1) m, steps m). Source: docs/equations.md (28a)."""
-    return np.eye((steps - 1) * m, steps * m, m) - np.eye((steps - 1) * m, steps * m)
-
-
 def pairs_of(N: int, owned: tuple[int, ...]) -> npt.NDArray[np.intp]:
     """Return the pairs of UAVs, 0-based, with at least one owned UAV, (pairs, 2); the others' agents keep the rest."""
     pairs = [pair for pair in combinations(range(N), 2) if pair[0] in owned or pair[1] in owned]
@@ -192,42 +183,6 @@ def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Arra
     rows, each = np.zeros((len(pairs), len(r), 3)), np.arange(len(pairs))
     rows[each, pairs[:, 0]], rows[each, pairs[:, 1]] = d, -d
     return distances, rows.reshape(len(pairs), len(positions))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UserConstraints:
-    """The user's constraints on states or on inputs, in the order given, inequalities and equalities mixed."""
-
-    expressions: Expressions  # at most zero, or zero
-    equality: npt.NDArray[np.bool_]  # which are equalities, (c,)
-    penalty: Array  # weight of the slack of a soft constraint, nan for a hard one, (c,)
-
-
-def compile_constraints(constraints: Sequence[Constraint], system: System) -> tuple[UserConstraints, UserConstraints]:
-    """Read the user's constraints on states and on inputs. Raises: SettingsError: one cannot be read."""
-    symbols = Symbols.of(system.N, system.commands_rates)
-    relations = [(read(constraint.expression, symbols), constraint) for constraint in constraints]
-
-    def compiled(on: str, variable: ca.SX) -> UserConstraints:
-        chosen = [(relation, constraint) for relation, constraint in relations if relation.on == on]
-        soft = [c.soft and on == "state" and relation.kind == "inequality" for relation, c in chosen]
-        return UserConstraints(
-            expressions=Expressions([relation.value for relation, _ in chosen], variable, symbols.p, system.vector()),
-            equality=np.array([relation.kind == "equality" for relation, _ in chosen], dtype=bool),
-            penalty=np.array([c.penalty if s else np.nan for s, (_, c) in zip(soft, chosen, strict=True)]),
-        )
-
-    return compiled("state", symbols.x), compiled("input", symbols.u)
-
-
-def tension_margins(decision: Decision) -> Expressions:
-    """Return minimum_N less the rod tensions of the owned UAVs, of states and inputs: (30b); none if unlimited."""
-    symbols, section = Symbols.of(decision.system.N, decision.system.commands_rates), decision.settings.tension
-    margins: list[ca.SX] = []
-    if section is not None:
-        tensions = ca.substitute(motion(symbols).tensions, symbols.F, ca.SX.zeros(symbols.F.numel()))
-        margins = [section.minimum_N - tensions[uav] for uav in decision.uavs]
-    return Expressions(margins, ca.vertcat(symbols.x, symbols.u), symbols.p, decision.system.vector())
 
 
 def _bounds(equality: npt.NDArray[np.bool_], values: Array) -> tuple[Array, Array]:

@@ -1,8 +1,4 @@
-"""Settings of a controller: rates, horizon, weights, limits; and the base of all sections of a scenario.
-
-Each field has its key, type, range, default and meaning here alone: docs/keys.md, labels of figures, short names in
-Python and options of commands are made from them (`protocol.scenario.keys`).
-"""
+"""Settings of a controller, and the base of all sections: the only place of key, type, range, default and meaning."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -161,10 +157,7 @@ class Separation(Section):
 
 
 class Tilt(Section):
-    """The largest roll and pitch that an agent plans for its UAVs, softened so that no state makes the QP infeasible.
-
-    It keeps a UAV far off its reference from angles at which the linearisation is not valid.
-    """
+    """The largest roll and pitch that an agent plans for its UAVs, softened: valid angles of the linearisation."""
 
     limit_deg: Annotated[float, Interval(gt=0.0, lt=90.0), Key(label="largest planned tilt")]
     """largest roll and pitch, either sign, that an agent plans for its own UAVs"""
@@ -173,10 +166,7 @@ class Tilt(Section):
 
 
 class Tension(Section):
-    """The smallest rod tension that an agent plans for its UAVs, softened so that no state makes the QP infeasible.
-
-    A cable that stays taut behaves as a rod, which the controllers predict with.
-    """
+    """The smallest rod tension that an agent plans for its UAVs, softened: a taut cable behaves as a rod."""
 
     minimum_N: Positive
     """smallest tension of the rods of its own UAVs that an agent plans; less than at hover"""
@@ -256,22 +246,16 @@ class ControllerSettings(Section):
     constraint: Annotated[tuple[Constraint, ...], BeforeValidator(_as_tuple)] = ()
     cost: Annotated[tuple[CostTerm, ...], BeforeValidator(_as_tuple)] = ()
 
-    @property
-    def _turning(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Largest moments or rates, and their largest slopes, about each body axis."""
-        limits = self.limits
-        if self.inputs == "rates":
-            return limits.rates_rads, limits.rate_slopes_rads2
-        return limits.moments_Nm, limits.moment_rates_Nm_s
-
     def lower(self, uavs: int) -> Array:
         """Return the smallest inputs of that many UAVs, (4 uavs,)."""
-        return np.tile([self.limits.thrust_N[0], *(-largest for largest in self._turning[0])], uavs)
+        return np.tile([self.limits.thrust_N[0], *-self.upper(1)[1:]], uavs)
 
     def upper(self, uavs: int) -> Array:
         """Return the largest inputs of that many UAVs, (4 uavs,)."""
-        return np.tile([self.limits.thrust_N[1], *self._turning[0]], uavs)
+        turning = self.limits.rates_rads if self.inputs == "rates" else self.limits.moments_Nm
+        return np.tile([self.limits.thrust_N[1], *turning], uavs)
 
     def step(self, uavs: int) -> Array:
         """Return the largest change of the inputs over one sampling period, (4 uavs,)."""
-        return np.tile([self.limits.thrust_rate_N_s, *self._turning[1]], uavs) * self.sampling_period_s
+        turning = self.limits.rate_slopes_rads2 if self.inputs == "rates" else self.limits.moment_rates_Nm_s
+        return np.tile([self.limits.thrust_rate_N_s, *turning], uavs) * self.sampling_period_s

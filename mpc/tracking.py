@@ -5,7 +5,7 @@ optimum without constraints follows from the others' corrections alone, and is z
 trajectory under it violates a constraint is a QP solved, about that trajectory.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,9 @@ from model.discretisation import zero_order_hold
 from model.flat import Track
 from model.linearisation import Model
 from model.obstacles import Obstacle
-from mpc.cost import Cost, UserCosts
+from mpc.cost import Cost
+from mpc.expressions import UserCosts
+from mpc.fail_safe import FailSafe
 from mpc.feedback import FeedbackLaw, Gains, Regulator
 from mpc.prediction import Linear
 from mpc.qp import QP
@@ -24,8 +26,6 @@ from mpc.rows import Clearance, Decision, Rows, separation_rows
 from mpc.settings import ControllerSettings
 
 INSTANTS = 16  # gains computed in a sampling period while the team flies: 8 ms of processor time for four UAVs
-# Inputs on the reference at an instant, (4,), and feedback from the state, (4, n), of UAVs by their 0-based numbers.
-Uncontrolled = Mapping[int, tuple[Callable[[int], Array], Array]]
 _STEPS = 2  # integration steps per sampling period of the difference of reference and model
 _ROUNDING = 1e-9  # from this share of the range of inputs on, or of m or rad, a constraint counts as violated
 
@@ -47,16 +47,17 @@ class Recursion:
     """Linear-quadratic regulator along a reference in the making, some instants at a time, backwards from its end.
 
     The user's terms count as deviations from their values on the reference. Until the instant `since` the regulator of
-    another team, `before`, holds, or this one from the start. Source: docs/equations.md (70)-(72).
+    another team, `before`, holds, or this one from the start. UAVs without an agent, by 0-based numbers, follow the
+    fail-safe and its feedback from the state, (4, n). Source: docs/equations.md (70)-(72).
     """
 
     def __init__(
         self, model: Model, track: Track, regulator: Regulator, cost: Cost, terms: UserCosts, period_s: float,
-        uncontrolled: Uncontrolled | None = None, before: Tracker | None = None, since: int = 0,
+        uncontrolled: Mapping[int, Array], fail_safe: FailSafe, before: Tracker | None, since: int,
     ) -> None:  # fmt: skip
         self._model, self._track, self._regulator, self._cost, self._terms = model, track, regulator, cost, terms
         since -= track.first  # instants are rows from here on
-        self._period_s, self._uncontrolled, self._since = period_s, uncontrolled or {}, since
+        self._period_s, self._uncontrolled, self._fail_safe, self._since = period_s, uncontrolled, fail_safe, since
         self._found: list[Gains] = []  # from the end on
         self._P, self._p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(model.system.n)
         self._before: Sequence[Gains] = []
@@ -76,37 +77,35 @@ class Recursion:
             K[state.input_indices(sorted(off))] = 0.0
             for uav in off:
                 K[:, state.uav_slice(uav)] = 0.0
-            for uav, (on_reference, feedback) in self._uncontrolled.items():
+            for uav, feedback in self._uncontrolled.items():
                 at = state.input_slice(uav)
-                K[at], feedforward[at] = feedback, on_reference(k) - self._track.U[k, at]
+                K[at], feedforward[at] = feedback, self._on_reference(uav, k) - self._track.U[k, at]
             frozen(K, feedforward)
             gains[k] = replace(gains[k], K=K, feedforward=feedforward)
         return Tracker(gains=gains, first=self._track.first)
 
-    def advance(self, instant: int) -> None:
-        """Compute the share of an instant after the first; the last share is left to `result`."""
-        self._reach(INSTANTS * (instant - self._track.first - self._since))
-
-    def result(self) -> Tracker:
-        """Return the regulator; compute what is missing of it."""
-        self._reach(self._last + 1)
-        return Tracker(gains=[*self._before[: self._since], *reversed(self._found)], first=self._track.first)
-
-    def _reach(self, count: int) -> None:
-        """Compute gains up to a number of them."""
+    def advance(self, instant: int | None = None) -> None:
+        """Compute the share of an instant after the first, or what is missing."""
+        count = self._last + 1 if instant is None else INSTANTS * (instant - self._track.first - self._since)
         for k in range(self._last - len(self._found), max(self._last - count, self._since - 1), -1):
             self._found.append(self._step(k))
 
+    def result(self) -> Tracker:
+        """Return the regulator; compute what is missing of it."""
+        self.advance()
+        return Tracker(gains=[*self._before[: self._since], *reversed(self._found)], first=self._track.first)
+
+    def _on_reference(self, uav: int, k: int) -> Array:
+        return self._fail_safe.inputs(uav, self._track.X[k], self._track.first + k)
+
     def _step(self, k: int) -> Gains:
-        """Return the gains at an instant from the cost-to-go after it."""
         model, track, regulator, cost, P = self._model, self._track, self._regulator, self._cost, self._P
         n, m, controlled = model.system.n, model.system.m, regulator.controlled
         R = cost.R[controlled]
         x, u = track.X[k], track.U[k].copy()
         fixed = np.zeros((m, n))
-        for uav, (on_reference, feedback) in self._uncontrolled.items():
-            fixed[state.input_slice(uav)] = feedback
-            u[state.input_slice(uav)] = on_reference(k)
+        for uav, feedback in self._uncontrolled.items():
+            fixed[state.input_slice(uav)], u[state.input_slice(uav)] = feedback, self._on_reference(uav, k)
         across = _across(x)
         discrete = zero_order_hold(model.linearise(track.X_middle[k], track.U[k]), self._period_s)
         at = model.linearise(x, track.U[k])
@@ -147,17 +146,15 @@ def rollout(
     model: Model, settings: ControllerSettings, z0: Array, law: FeedbackLaw, forces: Array | None = None,
     decision: Decision | None = None, before: Array | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return states, (N_p + 1, n or n + m), and inputs within bounds, (N_p, m), under the control law: (35a), (73).
-
-    Inputs of a decision are free, or also within rates if the owned inputs before the first step are given, (m_own,).
-    """
+    """Return states, (N_p + 1, n or n + m), and inputs, (N_p, m), under the control law: (35a), (73)."""
+    # Inputs of a decision are free, or within rates if the owned ones before the first step are given, (m_own,).
     lower, upper = bounds = settings.lower(model.system.N), settings.upper(model.system.N)
     period_s, lag_s, at_x0 = settings.sampling_period_s, settings.motor_lag_s, law.uncorrected + law.c
     if decision is None and law.K.ndim == 2 and lag_s == 0.0:
         found = model.rollout(z0, at_x0, law.K, bounds, period_s, forces)
         if found is not None:
             return found
-    step, Z, U = motors.stepper(model, period_s, lag_s, forces), [z0], []
+    step, Z, U = model.stepper(period_s, forces), [z0], []
     for wanted, gain in zip(at_x0, law.K if law.K.ndim == 3 else [law.K] * len(at_x0), strict=True):
         wanted += gain @ (Z[-1] - z0)
         u = np.minimum(np.maximum(wanted, lower), upper)
@@ -166,7 +163,7 @@ def rollout(
             if before is not None:
                 own = before = decision.clip(np.clip(own, before - decision.rate, before + decision.rate))
             u[decision.own] = own
-        Z.append(step(Z[-1], u))
+        Z.append(motors.integrate(model, Z[-1], u, period_s, 1, lag_s, forces)[0] if lag_s else step(Z[-1], u))
         U.append(u)
     return np.array(Z), np.array(U)
 
@@ -179,7 +176,7 @@ class Course:
     along: Sequence[Gains]  # its expansion
     linear: Linear  # of the step
     Z: Array  # states at steps 0..N_p, (N_p + 1, n)
-    U: Array  # inputs, the owned ones without limits, (N_p, m)
+    U_all: Array  # inputs, the owned ones without limits, (N_p, m)
     within: bool  # whether no constraint is violated
 
 
@@ -206,7 +203,7 @@ class Along:
         changes = np.diff(np.vstack([linear.u0[own], U[:, own]]), axis=0)
         over = [low - U[:, own], U[:, own] - high, np.abs(changes) - rate]
         within = all((part <= _ROUNDING * (high - low)).all() for part in over) and self._keeps(model, Z, U)
-        return Course(law=law, along=along, linear=linear, Z=Z, U=U, within=within)
+        return Course(law=law, along=along, linear=linear, Z=Z, U_all=U, within=within)
 
     def program(self, model: Model, course: Course) -> QP:
         """Return the QP of a course: without rows if it violates no constraint. Source: docs/equations.md (74)."""
@@ -233,7 +230,7 @@ class Along:
             all_inputs[own, m * k : m * (k + 1)] += np.diag(scale)
             inputs[k] = all_inputs[own]
             if len(rows.on_tensions):
-                slack_N[k], slope = rows.on_tensions.at(np.concatenate([course.Z[k], course.U[k]]))
+                slack_N[k], slope = rows.on_tensions.at(np.concatenate([course.Z[k], course.U_all[k]]))
                 loosened.append(slope @ np.vstack([effect, all_inputs]))
             effect = along[k].A_closed @ effect
             effect[:, m * k : m * (k + 1)] += along[k].B[:, own] * scale
@@ -242,7 +239,7 @@ class Along:
         places, C = model.outputs_along(Z)[:, : 3 * N], [model.linearise(x, u0).C[: 3 * N] for x in Z]
         far, directions = zip(*(separation_rows(at, rows.pairs) for at in places), strict=True)
         apart = np.array([d @ C_k @ effect for d, C_k, effect in zip(directions, C, states, strict=True)])
-        nominal, angles = course.U[:, own], Z[:, rows.angles].reshape(-1)
+        nominal, angles = course.U_all[:, own], Z[:, rows.angles].reshape(-1)
         (low, high), each = decision.bounds(nominal, u0), np.tile(scale, steps)
         changed, rate = np.diff(nominal, axis=0).reshape(-1), np.tile(decision.rate, steps - 1)
         tilted, tilt = np.array(states)[:, rows.angles], last - 1 - int(len(loosened) > 0)
@@ -273,7 +270,7 @@ class Along:
         """Return owned inputs and corrections of a plan, (N_p, m_own) each, by a solution and its weight w."""
         own = self._decision.own
         if course.within and (w == 1.0 or np.array_equal(course.law.c[:, own], announced.c[:, own])):
-            return self._decision.clip(course.U[:, own]), course.law.c[:, own]
+            return self._decision.clip(course.U_all[:, own]), course.law.c[:, own]
         c = announced.c.copy()
         c[:, own] = w * (course.law.c[:, own] + self._decision.inputs(z)) + (1.0 - w) * announced.c[:, own]
         law = replace(course.law, c=c)

@@ -147,7 +147,7 @@ class Engine:
     def _read(self) -> Array:
         """Return a copy of the state of the engine; it need not be finite."""
         with told("state"):
-            found = real_array("state", self._physics.state())
+            found = real_array(self._physics.state())
         if found.shape != self._x.shape:
             raise OwnClassError(f"state: expected shape {self._x.shape}, got {found.shape}")
         lengths = np.linalg.norm(StateView(found).e_P, axis=1)

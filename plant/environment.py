@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from model.arrays import Array
-from model.failure import with_released
+from model.hover import with_released
 from model.linearisation import Model
 from model.parameters import Payload, System, Uav
 from model.state import SENSED, StateView

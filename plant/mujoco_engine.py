@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from model.arrays import Array
-from model.failure import RELEASED_MASS_KG
+from model.hover import RELEASED_MASS_KG
 from model.parameters import System, payload_half_size
 from model.rotations import euler_angles, rotation
 from model.state import StateView

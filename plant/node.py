@@ -13,12 +13,12 @@ import numpy as np
 
 from model import state
 from model.arrays import Array
-from model.failure import motor_off_state, no_inputs, released_state
+from model.hover import motor_off_state, no_inputs, released_state
 from plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
 from plant.engines import UNKNOWN_ERROR, Engine
 from plant.environment import Environment, Sensors
 from protocol.admission.participant import Participant
-from protocol.scenario.faults import degradations, uav_faults
+from protocol.scenario.faults import OF_UAVS
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import ActualInputs, Measurement, Message, PlantState, Target, Tick
 from protocol.wire.names import PLANT
@@ -41,9 +41,8 @@ class PlantNode(Participant):
         self._steps = math.ceil(self._period_s / self._parts / section.step_s - 1e-9)
         self._path, _ = setup.maneuver.path(self._period_s * np.arange(setup.ticks + 1, dtype=np.float64))
         self._schedule = ActuatorSchedule(setup.hover.u, setup.fail_safe, setup.settings)
-        self._uav_faults = deque(uav_faults(setup.faults))  # still to come
-        self._degradations = deque(degradations(setup.faults))
-        self._motors = Motors(section.motors, setup.hover.u, bool(self._degradations))
+        self._faults = deque(fault for fault in setup.faults if fault.do in OF_UAVS)  # still to come
+        self._motors = Motors(section.motors, setup.hover.u, any(fault.do == "degrade" for fault in self._faults))
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._released: set[int] = set()  # of these
         self._x: Array = setup.initial_state()
@@ -125,16 +124,17 @@ class PlantNode(Participant):
 
     def _fail_uavs(self, tick: int) -> None:
         """Apply the scenario's failures of UAVs due at a tick, before it is measured."""
-        while self._degradations and self._degradations[0][0] <= tick:
-            _, uav, efficiency = self._degradations.popleft()
-            if uav not in self._off:
-                self._motors.degrade(uav, efficiency)
-        while self._uav_faults and self._uav_faults[0][0] <= tick:
-            _, fault, uav = self._uav_faults.popleft()
+        while self._faults and self._faults[0].tick <= tick:
+            fault = self._faults.popleft()
+            uav = fault.uav
+            if fault.do == "degrade":
+                if uav not in self._off:
+                    self._motors.degrade(uav, fault.efficiency)
+                continue
             self._off.add(uav)
             self._motors.degrade(uav, 0.0)
-            self._x = released_state(self._x, uav) if fault == "release" else motor_off_state(self._x, uav)
-            if fault == "release":
+            self._x = released_state(self._x, uav) if fault.do == "release" else motor_off_state(self._x, uav)
+            if fault.do == "release":
                 self._released.add(uav)
                 self.environment.release(uav)
             self.engine.restart(self._x, self.environment.system)

@@ -35,13 +35,12 @@ RANGE = re.compile(r"\((\d+)([a-z]?)\)(?:-\((\d+)[a-z]?\))?")
 TABLES = """
 import json
 from results_page import EXPERIMENTS
-import engines_page, flights_page, guarantees_page, values_page
+from measured_pages import PAGES
 from simulations import scenario_of
-pages = engines_page.PAGES | flights_page.PAGES | guarantees_page.PAGES | values_page.PAGES
-rows = [runs for tables in pages.values() for table in tables for runs in table.rows.values()]
+rows = [runs for tables in PAGES.values() for table in tables for runs in table.rows.values()]
 for run in {run for runs in rows for run in runs if run}:
     scenario_of(run)
-names = {name: ["origin", *(table.name for table in tables)] for name, tables in pages.items()}
+names = {name: ["origin", *(table.name for table in tables)] for name, tables in PAGES.items()}
 names["results.md"] += EXPERIMENTS
 print(json.dumps(names))
 """

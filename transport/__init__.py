@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from transport.experiments.cases import ExperimentError as ExperimentError
     from transport.flight.harness import HarnessError as HarnessError
     from transport.flight.run_files import RunError as RunError
-    from transport.interface.active import ActiveRun as ActiveRun
-    from transport.interface.active import active as active
+    from transport.interface.figure import Margins as Margins
+    from transport.interface.figure import margins as margins
+    from transport.interface.fly import ActiveRun as ActiveRun
+    from transport.interface.fly import active as active
     from transport.interface.fly import fly as fly
     from transport.interface.fly import load as load
-    from transport.interface.margins import Margins as Margins
-    from transport.interface.margins import margins as margins
     from transport.interface.run import Run as Run
     from transport.interface.scenario import Scenario as Scenario
     from transport.interface.scenario import team as team
@@ -33,10 +33,9 @@ if TYPE_CHECKING:
 
 # Names of the Python interface by module.
 _NAMES = {
-    "transport.interface.fly": ("fly", "load"),
-    "transport.interface.active": ("active", "ActiveRun"),
+    "transport.interface.fly": ("fly", "load", "active", "ActiveRun"),
     "transport.interface.sweep": ("sweep", "Sweep"),
-    "transport.interface.margins": ("margins", "Margins"),
+    "transport.interface.figure": ("margins", "Margins"),
     "transport.interface.scenario": ("team", "Scenario"),
     "transport.interface.run": ("Run",),
     "transport.interface.series": ("RunSeries",),

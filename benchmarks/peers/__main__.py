@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.runs import BenchmarkError, messages, setup
-from benchmarks.timing import WARM_UP, digits, origin, quiet
+from benchmarks.runs import WARM_UP, BenchmarkError, digits, messages, origin, quiet, setup
 from docs.tables import place, put, table
 from model.arrays import Array
 from protocol.scenario.setup import Setup

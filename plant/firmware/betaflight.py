@@ -95,7 +95,7 @@ def virtual_time() -> Path:
     """Return the library that is loaded first, compiled at first use. Raises: FirmwareError: no compiler."""
     source = _SOURCE.read_bytes()
     path = compiler.compiled_file("virtual-time", source, _FLAGS)
-    if not compiler.intact(path) and not compiler.compile_library(path, source, _FLAGS):
+    if not compiler.compile_library(path, source, _FLAGS):
         raise FirmwareError(NO_COMPILER)
     return path
 

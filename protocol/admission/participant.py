@@ -31,7 +31,7 @@ class Participant:
         self._out, self._tick = Outbox(self.name, incarnation), -1  # the newest worked on
         senders = [name for name in (*map(agent_name, setup.agents), PLANT) if name != self.name]
         self._links = {name: setup.link(name, self.name) for name in senders}
-        self._link_changes = LinkChanges(self._links.values(), setup.samples_s)
+        self._link_changes = LinkChanges(self._links.values())
         self._plans: Arrivals[Plan] = Arrivals(self._links, after=self._after, speed=self._speed)
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are physically here, by tick
 

@@ -35,7 +35,7 @@ Put = Callable[[str, bytes], None]
 
 def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put) -> "Exchange":
     """Return the exchange of a process."""
-    if not setup.scenario.clock.relayed or name == RECORDER:
+    if not setup.shape.relayed or name == RECORDER:
         return Exchange(name, incarnation, keys, put)
     return {COORDINATOR: _Coordinator, PLANT: _Plant}.get(name, _Agent)(name, incarnation, keys, put)
 

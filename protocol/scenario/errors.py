@@ -1,7 +1,7 @@
 """Errors of scenarios: one line with file, field, what was expected and what came, also from pydantic's problems."""
 
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -63,15 +63,21 @@ def key_of(setting: str) -> str:
 
 
 class PythonSetting(str):
-    """A setting "key=value" that was given in Python, where errors do not name an option of the command line."""
+    """A setting that was given in Python: it has its value, and errors name no option of the command line."""
 
-    __slots__ = ()
+    value: Any
 
 
 def option(setting: str) -> str:
     """Return a setting as it was given on the command line or in Python, shortened when it is long."""
     text = _short(setting) or repr(setting)
     return text if isinstance(setting, PythonSetting) else f"--set {text}"
+
+
+def hint(name: str, known: Collection[str]) -> str:
+    """Return the known name that a mistyped one may stand for, or all."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known) or 'none'}"
 
 
 def _short(text: str) -> str:
@@ -107,10 +113,7 @@ def _problem(problem: Any, section: type[BaseModel]) -> tuple[str, str]:
         elif part in names or (kind == "extra_forbidden" and part is last):
             field.append(part)
     if kind == "extra_forbidden":
-        known = names_of(section)
-        near = difflib.get_close_matches(str(last), known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-        return ".".join(field), f"unknown key; {hint}"
+        return ".".join(field), f"unknown key; {hint(str(last), names_of(section))}"
     if kind == "missing":
         return ".".join(field), "expected a value, got nothing"
     if kind == "value_error":  # of a validator, whose text says all

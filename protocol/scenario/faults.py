@@ -30,19 +30,9 @@ class Fault:
         return int(self.target.removeprefix("uav")) - 1
 
 
-def uav_name(uav: int) -> str:
-    """Return the name of a UAV as a target of faults, such as "uav3" for the 0-based 2."""
-    return f"uav{uav + 1}"
-
-
-def uav_faults(faults: Sequence[Fault]) -> tuple[tuple[int, Literal["motor_off", "release"], int], ...]:
-    """Return ticks, kinds and UAVs, 0-based, of the failures of UAVs, in the order of time."""
-    return tuple((f.tick, f.do, f.uav) for f in faults if f.do == "motor_off" or f.do == "release")
-
-
-def degradations(faults: Sequence[Fault]) -> tuple[tuple[int, int, float], ...]:
-    """Return ticks, UAVs, 0-based, and efficiencies of degraded motors, in the order of time."""
-    return tuple((fault.tick, fault.uav, fault.efficiency) for fault in faults if fault.do == "degrade")
+def failures(faults: Sequence[Fault]) -> list[Fault]:
+    """Return the failures of UAVs for good, in the order of time."""
+    return [fault for fault in faults if fault.do in ("motor_off", "release")]
 
 
 def scripted(scenario: Scenario) -> tuple[Fault, ...]:

@@ -1,6 +1,5 @@
 """Reading of scenarios: from TOML and command-line settings to a validated `Scenario`."""
 
-import difflib
 import importlib.resources
 import os
 import tomllib
@@ -9,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.scenario.budget import check_budget
-from protocol.scenario.errors import ScenarioError, key_of, option, validated
+from protocol.scenario.errors import PythonSetting, ScenarioError, hint, key_of, option, validated
 from protocol.scenario.files import anchored
 from protocol.scenario.relations import check_relations
 from protocol.scenario.schema import Scenario
@@ -29,9 +28,8 @@ def find_scenario(name: str, package: str = "scenarios") -> Path:
     folder = Path(str(importlib.resources.files("scenarios"))).parent / package
     known = sorted(file.stem for file in folder.glob("*.toml"))
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-        raise ScenarioError(name, "", f"expected a {package[:-1]} file or the name of a ready one; {hint}")
+        expected = f"expected a {package[:-1]} file or the name of a ready one"
+        raise ScenarioError(name, "", f"{expected}; {hint(name, known)}")
     return folder / f"{name}.toml"
 
 
@@ -58,7 +56,7 @@ def read_tree(path: Path) -> dict[str, Any]:
 def with_settings(tree: dict[str, Any], settings: Sequence[str], source: str, *, allow_large: bool = False) -> Scenario:
     """Return the scenario in a tree of plain data, which is changed, with settings on top as in `read_scenario`."""
     for setting in settings:
-        _apply(tree, setting, Path(source).parent)
+        _apply(tree, setting)
     try:
         scenario = validate(tree, source)
         if not allow_large:
@@ -75,24 +73,29 @@ def validate(tree: dict[str, Any], source: str) -> Scenario:
     return scenario
 
 
-def _apply(tree: dict[str, Any], setting: str, folder: Path) -> None:
-    key, (_, separator, text) = key_of(setting), setting.partition("=")
-    if not separator or not key:
-        raise ScenarioError(option(setting), "", "expected key=value")
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = text.strip()  # bare words are text: solver=clarabel
-    except (ValueError, RecursionError) as error:
-        raise ScenarioError(option(setting), "", f"not valid TOML: {error}") from error
-    *parents, last = key.split(".")
+def _apply(tree: dict[str, Any], setting: str) -> None:
+    *parents, last = key_of(setting).split(".")
     node: Any = tree
     for part in parents:
         child = node[_index(node, part, setting)] if isinstance(node, list) else node.setdefault(part, {})
         if not isinstance(child, dict | list):
             raise ScenarioError(option(setting), "", f"expected {part!r} to be a section, got the value {child!r}")
         node = child
-    node[_index(node, last, setting) if isinstance(node, list) else last] = anchored(value, Path.cwd(), folder, last)
+    node[_index(node, last, setting) if isinstance(node, list) else last] = anchored(_value(setting), last)
+
+
+def _value(setting: str) -> Any:
+    key, separator, text = setting.partition("=")
+    if isinstance(setting, PythonSetting):
+        return setting.value
+    if not separator or not key.strip():
+        raise ScenarioError(option(setting), "", "expected key=value")
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text.strip()  # bare words are text: solver=clarabel
+    except (ValueError, RecursionError) as error:
+        raise ScenarioError(option(setting), "", f"not valid TOML: {error}") from error
 
 
 def _index(node: list[Any], part: str, setting: str) -> int:

@@ -3,14 +3,36 @@
 from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Interval
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    model_serializer,
+    model_validator,
+)
 
 from mpc.settings import Key, NotNegative, Positive, Section
+from protocol.scenario.files import delays_of
 from protocol.wire.names import PLANT
 
 Probability = Annotated[float, Interval(ge=0.0, le=1.0)]
 
 _PROCESS = "agent1, agent2, ..., plant"
+
+
+def _read(value: Any, info: ValidationInfo) -> Any:
+    """Return the content of a file of a scenario, which has a folder; a change during a run has none."""
+    return delays_of(info.context / value) if isinstance(value, str) and info.context is not None else value
+
+
+Delays = Annotated[
+    list[NotNegative],
+    BeforeValidator(_read),
+    Field(min_length=1),
+    AfterValidator(sorted),
+]
 
 
 class GilbertElliottSection(Section):
@@ -42,9 +64,9 @@ class LinkSection(Section):
         Key(label="delay distribution", option="--distribution"),
     ] = "uniform"
     """distribution of the random part of the delay; empirical draws whole delays from `samples`"""
-    samples: str | None = None
-    """file of measured delays in s, separated by blanks or commas, in or below the scenario's folder (in `--set`:
-    relative to the current folder), or by its absolute path; for empirical"""
+    samples: Annotated[Delays | None, Key(type="file, or list of numbers >= 0", unit="s")] = None
+    """measured delays for empirical, or a file of them, separated by blanks or commas, relative to the scenario's
+    folder (in `--set`: to the current one), which becomes part of the scenario when that is read"""
     loss: Annotated[Probability, Key(label="loss of plans", shown="%", option="--loss", short="loss")] = 0.0
     """probability that a message is lost, independent for each message"""
     gilbert_elliott: GilbertElliottSection | None = None
@@ -63,7 +85,7 @@ class LinkSection(Section):
     @model_validator(mode="after")
     def _has_samples(self) -> Self:
         if self.distribution == "empirical" and self.samples is None:
-            raise ValueError("samples: expected a file of measured delays, got nothing")
+            raise ValueError("samples: expected measured delays, got nothing")
         return self
 
     @property

@@ -7,7 +7,7 @@ kind and the message's tick, so they do not depend on when or in which order any
 import hashlib
 import json
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from operator import itemgetter
 from typing import Any
 
@@ -50,18 +50,9 @@ PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.m
 
 
 class Link:
-    """One link of a run: which messages arrive, and when. Measured delays, s, are by file name."""
+    """One link of a run: which messages arrive, and when."""
 
-    def __init__(
-        self,
-        links: LinksSection,
-        sender: str,
-        receiver: str,
-        *,
-        seed: int,
-        period_s: float,
-        samples_s: Mapping[str, tuple[float, ...]],
-    ) -> None:
+    def __init__(self, links: LinksSection, sender: str, receiver: str, *, seed: int, period_s: float) -> None:
         self.sender, self.receiver = sender, receiver
         chosen: LinkSection = links
         if PLANT in (sender, receiver):
@@ -72,7 +63,7 @@ class Link:
         # First tick, impairments from then on, and whether they are none: asked for with every message.
         self._sections = [(0, chosen, chosen.perfect)]
         self._changes: list[tuple[int, dict[str, Any]]] = []  # first tick, keys given
-        self._period_s, self._samples_s = period_s, samples_s
+        self._period_s = period_s
         # A partition concerns the plant only if it names it.
         cuts = [p for p in links.partition if PLANT in p.between or PLANT not in (sender, receiver)]
         self._partitions = [(p.start_s, p.end_s) for p in cuts if (sender in p.between) != (receiver in p.between)]
@@ -146,7 +137,7 @@ class Link:
     def _delay(self, section: LinkSection, uniform: Array) -> float:
         """Return one delay, s, from two uniform numbers."""
         if section.distribution == "empirical":
-            samples_s = self._samples_s[section.samples or ""]
+            samples_s = section.samples or [0.0]
             return samples_s[int(uniform[0] * len(samples_s))]
         if section.jitter_s == 0.0:
             return section.delay_s
@@ -165,15 +156,14 @@ class Link:
 class LinkChanges:
     """Changes of the links of one receiver during a run, each applied once and in order."""
 
-    def __init__(self, links: Iterable[Link], samples_s: Mapping[str, tuple[float, ...]]) -> None:
-        self._links, self._samples_s = tuple(links), samples_s
-        self._applied = 0
+    def __init__(self, links: Iterable[Link]) -> None:
+        self._links, self._applied = tuple(links), 0
 
     def check(self, message: LinkChange) -> LinkOverrideSection:
         """Return a change. Raises: MessageError: it is invalid, or neither the next one nor one that is repeated."""
         if message.number > self._applied + 1:
             raise MessageError("future", f"change {message.number} of the links after {self._applied}")
-        return link_change(message.source, message.target, message.settings, self._samples_s)
+        return link_change(message.source, message.target, message.settings)
 
     def apply(self, message: LinkChange) -> None:
         """Apply a change, unless it was repeated for a process that has just joined."""
@@ -184,10 +174,10 @@ class LinkChanges:
                 link.change(message.tick, change)
 
 
-def link_change(source: str, target: str, settings: str, samples: Collection[str] | None = None) -> LinkOverrideSection:
+def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
     """Return a change of links: both ends, empty for any agent, and a JSON object of a link's keys and new values.
 
-    Raises: RequestError: it is invalid, or names a file of delays beyond `samples`, unless that is None.
+    Raises: RequestError: it is invalid.
     """
     try:
         given = json.loads(settings)
@@ -197,22 +187,14 @@ def link_change(source: str, target: str, settings: str, samples: Collection[str
         raise RequestError(f"expected a JSON object of a link's keys, got {settings[:60]!r}")
     ends = {key: name for key, name in (("from", source), ("to", target)) if name}
     try:
-        change = validated(LinkOverrideSection, {**given, **ends})
+        return validated(LinkOverrideSection, {**given, **ends})
     except ScenarioError as error:
         raise RequestError(str(error)) from error
-    if change.samples is not None and samples is not None and change.samples not in samples:
-        known = ", ".join(sorted(samples)) or "none"
-        raise RequestError(f"samples: expected a file that the scenario names ({known}), got {change.samples!r}")
-    return change
 
 
 def words_of(change: LinkChange) -> str:
-    """Return the change in a message of the coordinator in words; its text as it is if it is no valid change."""
-    try:
-        settings = link_change(change.source, change.target, change.settings).settings()
-    except RequestError:
-        return f"links: {change.settings}"
-    return change_in_words(change.source, change.target, settings)
+    """Return the change in a message of the coordinator in words."""
+    return change_in_words(change.source, change.target, json.loads(change.settings))
 
 
 def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> str:
@@ -221,4 +203,4 @@ def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> st
     links = f"links{ends or ' between agents'}"
     if PERFECT.items() <= settings.items():
         return f"{links} cleared"
-    return f"{links}: {', '.join(f'{key} {value}' for key, value in settings.items())}"
+    return f"{links}: {', '.join(f'{key} {value!s:.40}' for key, value in settings.items())}"

@@ -41,7 +41,6 @@ def own_class(name: str) -> Any:
     """Return the user's class "package.module:Class", which may lie in the current folder: that hides no package.
 
     A module whose file has changed is imported again: the recorded version must be that of the code that runs.
-
     Raises: OwnClassError: it is not found, or its import fails.
     """
     module_name, _, attribute = name.partition(":")
@@ -49,25 +48,15 @@ def own_class(name: str) -> Any:
     sys.path.append(folder)
     importlib.invalidate_caches()  # the file may be newer than this process
     try:
-        with told("its import"):
+        with told(f"its import from {folder} or the installed packages"):
             module = importlib.import_module(module_name)
             digest = _digest(module_name)
             if _DIGESTS.setdefault(module_name, digest) != digest and module_name != "__main__":
                 module = importlib.reload(module)
                 _DIGESTS[module_name] = digest
-    except OwnClassError as error:
-        missing = error.__cause__.name if isinstance(error.__cause__, ModuleNotFoundError) else None
-        if missing is not None and f"{module_name}.".startswith(f"{missing}."):
-            expected = f"expected a module {missing!r} in {folder} or among the installed packages"
-            raise OwnClassError(f"{expected}, got none") from error
-        raise
+            return getattr(module, attribute)
     finally:
         del sys.path[len(sys.path) - 1 - sys.path[::-1].index(folder)]
-    found = getattr(module, attribute, None)
-    if not callable(found):
-        where = getattr(module, "__file__", None) or module_name
-        raise OwnClassError(f"expected a class {attribute!r} in {where}, got {type(found).__name__}")
-    return found
 
 
 def version_of(make: Any) -> str:
@@ -92,12 +81,9 @@ def made(make: Callable[..., Any], methods: Sequence[str], *arguments: object) -
     return found
 
 
-def real_array(what: str, given: object) -> Array:
-    """Return a copy of a real array, finite or not, that a method returned, within `told`. Raises: OwnClassError."""
-    found = np.asarray(given)
-    if np.iscomplexobj(found):
-        raise OwnClassError(f"{what}: expected real numbers, got {found.dtype}")
-    return np.array(found, dtype=np.float64)
+def real_array(given: object) -> Array:
+    """Return a copy of a real array, finite or not, that a method returned; complex numbers and texts raise."""
+    return np.array(given).astype(np.float64, casting="same_kind")
 
 
 @contextmanager
@@ -109,20 +95,14 @@ def told(what: str) -> Iterator[None]:
     try:
         with redirect_stdout(sys.stderr):
             yield
-    except (OwnClassError, KeyboardInterrupt):
+    except KeyboardInterrupt:
         raise
     except BaseException as error:
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-        text = text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]}..."
+        text = " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST_TEXT]
         line = "".join(c if c.isprintable() else "?" for c in text)  # a message can hold it
-        raise OwnClassError(f"{what} raised {line}{_place(error)}") from error
-
-
-def _place(error: BaseException) -> str:
-    """Return file and line of the class's own code where an exception came from; empty if that is elsewhere."""
-    frames = traceback.extract_tb(error.__traceback__)
-    others = {frame.filename for frame in frames[:2]}  # `told`, and the function that calls the class within it
-    for frame in reversed(frames):
-        if frame.filename not in others and not re.match(r"<|.*site-packages", frame.filename):
-            return f" ({Path(frame.filename).name}:{frame.lineno})"
-    return ""
+        # Behind `told` and its caller: the code of the class, and what it calls.
+        for frame in reversed(traceback.extract_tb(error.__traceback__)[2:]):
+            if not re.match(r"<|.*site-packages", frame.filename) and frame.filename != __file__:
+                line += f" ({Path(frame.filename).name}:{frame.lineno})"
+                break
+        raise OwnClassError(f"{what} raised {line}") from error

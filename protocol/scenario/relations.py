@@ -14,19 +14,8 @@ from protocol.wire.names import COORDINATOR, PLANT, agent_name
 # Shortest lag of motors other than none, in sampling periods: the discretisation takes exponentials of its reciprocal.
 _SHORTEST_LAG = 0.01
 
-# States in which a fault can happen to its target, and the state it leaves.
-_FAULTS = {
-    "kill": (("running", "stopped"), "killed"),
-    "stop": (("running",), "stopped"),
-    "continue": (("stopped",), "running"),
-    "restart": (("running", "stopped", "killed"), "running"),
-    "motor_off": (("running",), "off"),
-    "release": (("running", "off"), "released"),  # the motors of a running one go off with it
-    "degrade": (("running",), "running"),
-}
-
+_OTHER = object()  # any value but the default
 # Key and value, then a key and the value that they need.
-_OWN = "package.module:Class"  # any class of the user, which has neither corrections nor proposals and gets states
 _NEEDS = (
     ("controller.terminal", "riccati", "controller.weights.penalised_input", "deviation"),
     ("controller.share", "on_change", "controller.prediction", "closed_loop"),
@@ -38,9 +27,10 @@ _NEEDS = (
     ("controller.estimator", "kalman", "controller.prediction", "closed_loop"),
     ("controller.estimator", "kalman", "controller.received_states", "predicted"),
     ("controller.estimator", "kalman", "controller.share", "always"),
-    ("agents.controller", _OWN, "controller.share", "always"),
-    ("agents.controller", _OWN, "controller.negotiation_iterations", 1),
-    ("agents.controller", _OWN, "plant.sensors", "state"),
+    ("agents.controller", _OTHER, "controller.share", "always"),
+    ("agents.controller", _OTHER, "controller.negotiation_iterations", 1),
+    ("agents.controller", _OTHER, "plant.sensors", "state"),
+    ("controller.tension", _OTHER, "controller.motor_lag_s", 0.0),
     ("clock.mode", "realtime", "controller.negotiation_iterations", 1),
     ("clock.mode", "realtime", "plant.inner_loop", "model"),
     ("plant.engine", "rods", "plant.ground_m", None),
@@ -68,9 +58,11 @@ def check_relations(scenario: Scenario, source: str) -> None:
 def _needs(scenario: Scenario) -> Problems:
     for cause, value, key, needed in _NEEDS:
         given, got = attrgetter(cause)(scenario), attrgetter(key)(scenario)
-        if (given == value or (value == _OWN and given != "mpc")) and got != needed:
+        section, name = cause.split(".")
+        default = type(getattr(scenario, section)).model_fields[name].default
+        if (given == value or (value is _OTHER and given != default)) and got != needed:
             expected = repr(needed) if isinstance(needed, str | int | float) else "no value"
-            yield key, f"{expected} with {cause} = {value!r}", f"{got!r:.60}"
+            yield key, f"{expected} with {cause} = {given!r:.60}", f"{got!r:.60}"
 
 
 def _ownership(scenario: Scenario) -> Problems:
@@ -103,16 +95,9 @@ def _processes(scenario: Scenario) -> list[str]:
 
 def _controller(scenario: Scenario) -> Problems:
     section, motors = scenario.controller, scenario.plant.motors
-    weights, default = section.weights, type(section.weights)()
-    for key, instead in (("thrust", "acceleration"), ("moments", "angular_acceleration")):
-        given = getattr(weights, key)
-        if getattr(weights, instead) is not None and given != getattr(default, key):
-            yield f"controller.weights.{key}", f"no such weight beside controller.weights.{instead}", given
     if section.preview and section.prediction == "open_loop" and section.terminal == "multiple":
         expected = "controller.prediction = 'closed_loop' or controller.terminal = 'riccati' with it"
         yield "controller.preview", expected, "neither"
-    if section.tension is not None and section.motor_lag_s > 0.0:
-        yield "controller.tension", "controller.motor_lag_s = 0 with it", section.motor_lag_s
     shortest_s = _SHORTEST_LAG * section.sampling_period_s
     for key in ("controller.motor_lag_s", "plant.motors.lag_s", "plant.motors.falling_lag_s"):
         if 0.0 < (lag_s := attrgetter(key)(scenario) or 0.0) < shortest_s:
@@ -131,24 +116,24 @@ def _clock(scenario: Scenario) -> Problems:
 
 def _faults(scenario: Scenario) -> Problems:
     processes, uavs = [COORDINATOR, *_processes(scenario)], [f"uav{section.id}" for section in scenario.system.uav]
-    agents = processes[2:]
-    state = dict.fromkeys([*processes, *uavs], "running")
+    last: dict[str, str] = {}  # action on each target
     for i, event in sorted(enumerate(scenario.faults.event, start=1), key=lambda entry: entry[1].at_s):
-        field, target = f"faults.event.{i}", event.target
-        possible = uavs if event.do in OF_UAVS else agents if event.do == "restart" else processes
+        field, do, target = f"faults.event.{i}", event.do, event.target
+        possible = uavs if do in OF_UAVS else processes[2:] if do == "restart" else processes
         if target not in possible:
             yield f"{field}.target", f"one of {', '.join(possible)}", repr(target)
-        if (event.do == "degrade") != (event.efficiency is not None):
-            expected = "an efficiency" if event.do == "degrade" else "no efficiency without 'degrade'"
+        if (do == "degrade") != (event.efficiency is not None):
+            expected = "an efficiency" if do == "degrade" else "no efficiency without 'degrade'"
             yield f"{field}.efficiency", expected, event.efficiency or "nothing"
-        if event.do == "motor_off" and scenario.maneuver.reference == "flat":
+        if do == "motor_off" and scenario.maneuver.reference == "flat":
             yield f"{field}.do", "'release' with maneuver.reference = 'flat'", "'motor_off'"
-        before, after = _FAULTS[event.do]
-        if state[target] not in before:
-            yield f"{field}.do", f"an action possible for {target}, which is {state[target]} by then", repr(event.do)
-        state[target] = after
-    grounded = scenario.plant.ground_m is not None and all(state[uav] == "released" for uav in uavs)
-    if not grounded and all(state[uav] in ("off", "released") for uav in uavs):
+        before = last.get(target, "start")
+        if before == "release" or (do == "continue" and before != "stop"):
+            yield f"{field}.do", f"an action possible for {target} after its {before}", repr(do)
+        last[target] = do
+    of_motors = {event.target for event in scenario.faults.event if event.do in ("motor_off", "release")}
+    grounded = scenario.plant.ground_m is not None and all(last.get(uav) == "release" for uav in uavs)
+    if not grounded and of_motors.issuperset(uavs):
         yield "faults.event", "at least one UAV that keeps its motors", f"motor_off or release for all {len(uavs)}"
 
 

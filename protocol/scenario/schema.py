@@ -316,11 +316,6 @@ class ClockSection(Section):
         """Return whether inputs act one tick after their state, as on hardware; always so in real time."""
         return self.mode == "realtime" if self.actuation is None else self.actuation == "next_tick"
 
-    @property
-    def relayed(self) -> bool:
-        """Return whether the coordinator hands on the agents' plans with the next tick, as it waits for all of them."""
-        return self.mode == "lockstep"
-
 
 class FaultSection(Section):
     """Fault of a process or a UAV at an instant of the run."""

@@ -1,11 +1,10 @@
 """Objects of a run, built from its scenario by every process, identically."""
 
 import math
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import combinations
-from pathlib import Path
 from typing import Any, Self
 from weakref import WeakValueDictionary
 
@@ -13,22 +12,19 @@ import numpy as np
 
 from model.arrays import Array, continued, frozen
 from model.curves import Curve
-from model.failure import failed_hover, with_released
 from model.flat import FlatReference, Track
-from model.hover import Hover, hover
+from model.hover import Hover, failed_hover, hover, with_released
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase, Reference, Target
 from model.obstacles import Obstacle, Solid, bodies, clearances
 from model.parameters import ParameterError, Payload, System, Uav, resting_height
-from mpc.cost import UserCosts
+from mpc.expressions import UserCosts, compile_constraints
 from mpc.fail_safe import FailSafe
 from mpc.regulation import KEPT, Ahead, Regulation
-from mpc.rows import compile_constraints
 from mpc.settings import ControllerSettings
 from protocol.scenario.budget import ticks_of
 from protocol.scenario.errors import RequestError, ScenarioError, building
-from protocol.scenario.faults import Fault, scripted, uav_faults
-from protocol.scenario.files import TableError, delays_of
+from protocol.scenario.faults import Fault, failures, scripted
 from protocol.scenario.links import Link
 from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
 from protocol.scenario.targets import ON_GROUND_M, check_scripted, exceeded, least_slowing
@@ -61,7 +57,6 @@ class Setup:
     maneuver: Maneuver
     settings: ControllerSettings  # the same for every agent
     owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
-    samples_s: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # measured delays of the links, by file
     ahead: Ahead | None = field(default=None, init=False)  # part of the reference that the newest target changes
 
     @staticmethod
@@ -74,17 +69,17 @@ class Setup:
         body, gains = section.payload, None if inner.inputs == "moments" else 1.0 / np.array(inner.rate_time_constant_s)
         payload = building(source, "system.payload", lambda: Payload(mass=body.mass_kg, inertia=body.inertia_kgm2))
         uavs = [building(source, f"system.uav.{uav.id}", partial(_uav, uav)) for uav in section.uav]
-        gravity = section.gravity_mps2
-        system = building(
-            source, "system", lambda: System(payload=payload, uavs=uavs, gravity=gravity, rate_gains=gains)
-        )
+        parts: dict[str, Any] = {"payload": payload, "uavs": uavs, "gravity": section.gravity_mps2, "rate_gains": gains}
+        system = building(source, "system", lambda: System(**parts))
         equilibrium = building(source, "system.uav", lambda: hover(system))
         maneuver = building(source, "maneuver", lambda: _maneuver(scenario))
-        settings = building(source, "controller", lambda: _settings(scenario))
+        # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
+        share = 1.0 / len(scenario.owned) if inner.relaxation == "auto" else inner.relaxation
+        settings = inner.model_copy(update={"relaxation": share})
         owned = tuple(tuple(uav - 1 for uav in group) for group in scenario.owned)
-        setup = Setup(scenario, system, equilibrium, maneuver, settings, owned, _samples(scenario, source))
+        setup = Setup(scenario, system, equilibrium, maneuver, settings, owned)
         building(source, "controller.constraint", lambda: compile_constraints(settings.constraint, system))
-        building(source, "controller.cost", lambda: UserCosts(settings.cost, setup.model).about(equilibrium.x))
+        building(source, "controller.cost", lambda: UserCosts(settings.cost, system).about(equilibrium.x))
         building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
         for check in (setup._off_ground, setup._off_hover, setup._off_limits, setup._off_obstacles):
             for key, problem in check():
@@ -208,13 +203,13 @@ class Setup:
             delay=1 if clock.next_tick else 0,
             negotiation_iterations=self.scenario.controller.negotiation_iterations,
             vehicle_sensors=self.sensors.vehicle,
-            relayed=clock.relayed,
+            relayed=clock.mode == "lockstep",  # the coordinator, which waits for all plans, hands them on
         )
 
     def link(self, sender: str, receiver: str) -> Link:
         """Return the link that carries one process's messages to another: plans, or measurements from the plant."""
-        links, period_s = self.scenario.links, self.settings.sampling_period_s
-        return Link(links, sender, receiver, seed=self.scenario.seed, period_s=period_s, samples_s=self.samples_s)
+        period_s = self.settings.sampling_period_s
+        return Link(self.scenario.links, sender, receiver, seed=self.scenario.seed, period_s=period_s)
 
     @cached_property
     def faults(self) -> tuple[Fault, ...]:
@@ -250,7 +245,7 @@ class Setup:
         """Yield how a flat reference exceeds the limits, and the least slowing with which it does not."""
         if self.scenario.maneuver.reference == "hover":
             return
-        releases = [(tick, uav) for tick, what, uav in uav_faults(self.faults) if what == "release"]
+        releases = [(fault.tick, fault.uav) for fault in failures(self.faults) if fault.do == "release"]
         key = "maneuver.profile"
         try:
             path = self.maneuver.jets(self._instants_s())
@@ -306,19 +301,6 @@ class Setup:
                 yield "controller.separation.minimum_m", problem
 
 
-def _samples(scenario: Scenario, source: str) -> dict[str, tuple[float, ...]]:
-    """Return the measured delays by the files that the links name, relative to the scenario's folder."""
-    sections = scenario.links.all().values()
-    files = dict.fromkeys(link.samples for link in sections if link.distribution == "empirical" and link.samples)
-    try:
-        for file in files:
-            if ".." in Path(file).parts:
-                raise TableError(f"expected an absolute path or one below the scenario's folder, got {file!r}")
-        return {file: delays_of(Path(source).parent / file) for file in files}
-    except TableError as error:
-        raise ScenarioError(source, "links.samples", str(error)) from error
-
-
 def _uav(section: UavSection) -> Uav:
     return Uav(mass=section.mass_kg, inertia=section.inertia_kgm2, rho=section.rho_m, rod_length=section.rod_length_m)
 
@@ -348,10 +330,3 @@ def _obstacle(section: ObstacleSection) -> Obstacle:
     solids = tuple(Solid(centre_I=section.at_m + shift_m * across, **body) for shift_m in shifts_m)
     margins_m = {"margin_m": section.margin_m, "load_margin_m": section.load_margin_m}
     return Obstacle(name=section.kind, solids=solids, penalty=section.penalty, **margins_m)
-
-
-def _settings(scenario: Scenario) -> ControllerSettings:
-    section = scenario.controller
-    # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
-    share = 1.0 / len(scenario.owned) if section.relaxation == "auto" else section.relaxation
-    return section.model_copy(update={"relaxation": share})

@@ -3,11 +3,11 @@
 from bisect import bisect_right
 
 from model.arrays import Array
-from model.failure import failed_hover
+from model.hover import failed_hover
 from model.parameters import ParameterError
 from model.state import input_indices
 from mpc.cost import Cost
-from protocol.scenario.faults import uav_faults
+from protocol.scenario.faults import failures
 from protocol.scenario.setup import Setup
 
 
@@ -18,12 +18,12 @@ class StageCost:
     """
 
     def __init__(self, setup: Setup) -> None:
-        failures = uav_faults(setup.faults)
-        self._begins = sorted({0, *(tick for tick, _, _ in failures)})
+        found = failures(setup.faults)
+        self._begins = sorted({0, *(fault.tick for fault in found)})
         self._teams = []  # cost after each failure, and the inputs of released UAVs, which do not count
         for begin in self._begins:
-            off = {uav for tick, _, uav in failures if tick <= begin}
-            released = {uav for tick, what, uav in failures if tick <= begin and what == "release"}
+            off = {fault.uav for fault in found if fault.tick <= begin}
+            released = {fault.uav for fault in found if fault.tick <= begin and fault.do == "release"}
             try:
                 equilibrium = failed_hover(setup.system, off, released) if off else setup.hover
             except ParameterError:

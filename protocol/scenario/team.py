@@ -2,15 +2,13 @@
 
 import math
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Annotated, Any
 
 from model.parameters import table_1
 from mpc.settings import Key, Positive, Section
 from protocol.scenario.errors import validated
 from protocol.scenario.file import find_scenario, read_tree, validate
-from protocol.scenario.files import anchored
-from protocol.scenario.schema import Inertia, PayloadSection, Scenario, SystemSection, UavSection
+from protocol.scenario.schema import Inertia, Scenario
 from protocol.wire.names import MAX_UAVS
 
 # One rod leaves the payload free to turn about it: no force along the rods changes its heading.
@@ -50,10 +48,11 @@ def read_vehicle(name: str) -> Vehicle:
 
 def ring(
     N: int, gravity_mps2: float, airframe: AirframeSection | None = None, load_kg: float | None = None
-) -> SystemSection:
-    """Return N UAVs, 2 or more, in a ring over a payload of the paper's shape (docs/scenario.md); four are Table I.
+) -> dict[str, Any]:
+    """Return the section `system` of N UAVs, 2 or more, in a ring over a payload of the paper's shape.
 
-    By default UAVs, their distance and the load of each, half its mass, are the paper's.
+    By default UAVs, their distance and the load of each, half its mass, are the paper's: four are Table I. Source:
+    docs/scenario.md.
     """
     paper = table_1()
     uav, payload = paper.uavs[0], paper.payload
@@ -70,18 +69,17 @@ def ring(
     scale = radius / paper_radius
     inertia = payload.inertia.diagonal() * (mass / payload.mass * scale**2)
     angles = [math.pi / N * (1 - 2 * i) for i in range(N)]
-    rho_m = [tuple(_rounded([radius * math.cos(a), radius * math.sin(a), scale * z])) for a in angles]
+    rho_m = [_rounded([radius * math.cos(a), radius * math.sin(a), scale * z]) for a in angles]
     same: dict[str, Any] = {"mass_kg": own.mass_kg, "inertia_kgm2": own.inertia_kgm2, "rod_length_m": own.rod_length_m}
-    return SystemSection(
-        gravity_mps2=gravity_mps2,
-        payload=PayloadSection(mass_kg=mass, inertia_kgm2=_rounded(inertia)),
-        uav=[UavSection(id=i, rho_m=place, **same) for i, place in enumerate(rho_m, start=1)],
-    )
+    return {
+        "gravity_mps2": gravity_mps2,
+        "payload": {"mass_kg": mass, "inertia_kgm2": _rounded(inertia)},
+        "uav": [{"id": i, "rho_m": place, **same} for i, place in enumerate(rho_m, start=1)],
+    }
 
 
 def resized(
     template: Scenario,
-    folder: Path,
     uavs: int,
     *,
     group: int | None,
@@ -94,7 +92,6 @@ def resized(
 
     Args:
         template: Source of controller, clock, links, maneuver, ... and gravity; its keys alone are given.
-        folder: Of the template's file; its paths become absolute.
         uavs: N, from `FEWEST` to `MOST`.
         group: UAVs per agent, the last may have fewer; None: as many as the template's first agent, or all if it has.
         name: Of the scenario; the template's with the number of UAVs when None.
@@ -107,14 +104,13 @@ def resized(
     if group is None:
         group = uavs if len(template.owned) == 1 else len(template.owned[0])
     ids = list(range(1, uavs + 1))
-    tree: dict[str, Any] = anchored(given(template), folder)
+    tree: dict[str, Any] = given(template)
     basis = template.name
     if chosen is not None:
         tree = _merged(tree, {"controller": chosen.controller, "plant": chosen.plant})
         basis = f"{template.name}-{chosen.name}"
     tree["name"] = f"{basis}-{uavs}" if name is None else name
-    team = ring(uavs, template.system.gravity_mps2, chosen.uav if chosen else None, load_kg)
-    tree["system"] = team.model_dump(mode="json")
+    tree["system"] = ring(uavs, template.system.gravity_mps2, chosen.uav if chosen else None, load_kg)
     tree["agents"] = {"owned": [ids[i : i + group] for i in range(0, uavs, group)]}
     return validate(tree, source)
 

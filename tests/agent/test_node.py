@@ -5,7 +5,8 @@ import pytest
 
 from model import state
 from model.arrays import Array
-from mpc.controller import Controller, Linear
+from mpc.controller import Controller
+from mpc.prediction import Linear
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, Plan, Presence, StepReport
 from tests.support.nodes import AgentNode

@@ -5,8 +5,7 @@ import pytest
 
 from model import state
 from model.arrays import Array
-from model.failure import RELEASED_MASS_KG, failed_hover, failed_model, motor_off_state, no_inputs, released_state
-from model.hover import hover
+from model.hover import RELEASED_MASS_KG, failed_hover, hover, motor_off_state, no_inputs, released_state
 from model.linearisation import Model
 from model.parameters import ParameterError, System, table_1
 from model.state import INPUTS, StateView
@@ -32,7 +31,7 @@ BOB_DEVIATION = 1e-5
 def larger(uavs: int) -> System:
     """A team of another size, as `transport scenario new` makes it."""
     ready = read_scenario(SCENARIOS / "resilient.toml")
-    return Setup.of(resized(ready, SCENARIOS, uavs, group=None, name=None, source="resilient"), "larger").system
+    return Setup.of(resized(ready, uavs, group=None, name=None, source="resilient"), "larger").system
 
 
 def thrusts(u: Array) -> Array:
@@ -46,7 +45,7 @@ def test_three_hold_a_payload_without_the_fourth() -> None:
     np.testing.assert_allclose(thrusts(at.u)[list(NEIGHBOURS)], 2.0 * WEIGHT_N, atol=BOB_TOLERANCE_N)
     assert thrusts(at.u)[OPPOSITE] == pytest.approx(WEIGHT_N, abs=BOB_TOLERANCE_N)
     assert thrusts(at.u)[DEAD] == 0.0
-    assert np.abs(failed_model(table_1(), {DEAD}, {DEAD}).derivative(at.x, at.u)).max() < AT_REST
+    assert np.abs(Model(table_1(), {DEAD}, {DEAD}).derivative(at.x, at.u)).max() < AT_REST
     assert at.x[state.uav_slice(DEAD)][2] == -1.0
 
 
@@ -96,7 +95,7 @@ def test_the_rest_moves_as_a_system_without_the_released_uav() -> None:
     x, u = moving(system)
     columns = np.concatenate([np.arange(12), *[np.arange(12) + state.uav_slice(i).start for i in live]])
     with_bob, without = released_state(x, DEAD), x[columns]
-    model, reference = failed_model(system, {DEAD}, {DEAD}), Model(three)
+    model, reference = Model(system, {DEAD}, {DEAD}), Model(three)
     for _ in range(20):
         with_bob, _ = model.integrate(with_bob, u, 0.05, 5)
         without, _ = reference.integrate(without, u[state.input_indices(live)], 0.05, 5)
@@ -110,14 +109,14 @@ def test_a_motor_off_uav_acts_by_its_mass_alone() -> None:
     x, u = moving(system)
     x = motor_off_state(x, DEAD)
     assert not x[state.uav_slice(DEAD)][state.OMEGA].any()
-    off = failed_model(system, {DEAD}, set())
+    off = Model(system, {DEAD}, set())
     dead = Model(system).derivative(x, no_inputs(u, [DEAD]))
     np.testing.assert_array_equal(off.derivative(x, u), dead)
     assert not off.linearise(x, u).B_c[:, state.input_slice(DEAD)].any()
     turned = x.copy()
     turned[state.uav_slice(DEAD)][state.THETA] += 0.3
     np.testing.assert_allclose(off.derivative(turned, u), dead, atol=AT_REST)
-    released, hung = failed_model(system, {DEAD}, {DEAD}), released_state(x, DEAD)
+    released, hung = Model(system, {DEAD}, {DEAD}), released_state(x, DEAD)
     gust = np.zeros(15)
     gust[9:12] = [1.0, 2.0, -3.0]
     np.testing.assert_array_equal(released.derivative(hung, u, forces=gust), released.derivative(hung, u))

@@ -7,9 +7,8 @@ import pytest
 
 from model.arrays import Array
 from model.curves import Curve
-from model.failure import failed_hover, failed_model, with_released
 from model.flat import FlatReference, flight
-from model.hover import hover
+from model.hover import failed_hover, hover, with_released
 from model.linearisation import Model
 from model.maneuver import Maneuver, Phase
 from model.parameters import ParameterError, Payload, System, Uav, table_1
@@ -111,7 +110,7 @@ def test_path_has_six_derivatives_and_rests_at_its_ends(kind: str) -> None:
         np.testing.assert_allclose(order * path[order], rates, rtol=0.0, atol=10.0 * SAME_RATE * scale)
     reference = FlatReference(system, hover(system), along(curve))
     for t_s in (-1.0, 0.5, curve.duration_s + 1.5):
-        resting = reference.flight(np.array([t_s]))
+        resting = flight(system, hover(system), reference.maneuver.jets(np.array([t_s])))
         at_rest = hover(system).x + np.concatenate([reference.maneuver.path(np.array([t_s]))[0][0], np.zeros(57)])
         np.testing.assert_allclose(resting.x[0], at_rest, atol=ROUNDING)
         np.testing.assert_allclose(resting.u[0], hover(system).u, atol=ROUNDING)
@@ -162,7 +161,7 @@ def test_reference_of_the_uavs_left_after_a_release(gains: list[float] | None) -
     team, bob = unequal(gains), 2
     uavs = [replace(uav, rho=rho) for uav, rho in zip(team.uavs, LEFT, strict=True)]
     team, released = replace(team, uavs=tuple(uavs)), {bob}
-    at_rest, model = failed_hover(team, released, released), failed_model(team, released, released)
+    at_rest, model = failed_hover(team, released, released), Model(team, released, released)
     system = with_released(team, released)
     maneuver, times = along(CURVES["eight"]), np.random.default_rng(4).uniform(0.0, 18.0, 40)
 

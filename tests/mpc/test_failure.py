@@ -8,8 +8,7 @@ import pytest
 from model import state
 from model.arrays import Array
 from model.discretisation import zero_order_hold
-from model.failure import failed_hover, failed_model
-from model.hover import hover
+from model.hover import failed_hover, hover
 from model.linearisation import Model
 from model.parameters import System, table_1
 from model.state import input_indices
@@ -36,7 +35,7 @@ def found(system: System, off: AbstractSet[int], released: AbstractSet[int]) -> 
     """Return the regulator of the remaining team."""
     at = failed_hover(system, off, released)
     cost = Cost(Weights(), system, at, off, released)
-    return regulator(failed_model(system, off, released), at, cost, PERIOD_S, off=off, released=released)
+    return regulator(Model(system, off, released), at, cost, PERIOD_S, off=off, released=released)
 
 
 def control_margin(system: System, x: Array, u: Array) -> tuple[float, float]:
@@ -45,7 +44,7 @@ def control_margin(system: System, x: Array, u: Array) -> tuple[float, float]:
     The latter is the smallest singular value of [A - z I, B] over the eigenvalues z outside the unit circle (the
     Popov-Belevitch-Hautus test). The UAV `DEAD` has no inputs.
     """
-    discrete = zero_order_hold(failed_model(system, {DEAD}, set()).linearise(x, u), PERIOD_S)
+    discrete = zero_order_hold(Model(system, {DEAD}, set()).linearise(x, u), PERIOD_S)
     T = tangent(x, off={DEAD})
     A, B = T.T @ discrete.A @ T, T.T @ discrete.B
     eigenvalues = np.linalg.eigvals(A)
@@ -61,7 +60,7 @@ def test_three_stabilise_the_payload_without_the_fourth() -> None:
     three = System(payload=system.payload, uavs=[system.uavs[i] for i in live], gravity=system.gravity)
     at = failed_hover(three, set(), set())
     cost = Cost(Weights(), three, at)
-    uncontrolled = regulator(failed_model(three, set(), set()), at, cost, PERIOD_S)
+    uncontrolled = regulator(Model(three, set(), set()), at, cost, PERIOD_S)
     K = found(system, {DEAD}, {DEAD}).K
     assert not K[state.input_slice(DEAD)].any()
     assert not K[:, state.uav_slice(DEAD)].any()
@@ -120,7 +119,7 @@ def test_uavs_on_the_fail_safe_keep_their_thrust() -> None:
     assert lift_N[DEAD] == 0.0
     left_kg = system.total_mass - system.uavs[DEAD].mass
     assert lift_N.sum() == pytest.approx(left_kg * system.gravity, rel=1e-6)
-    held = failed_model(system, {DEAD}, {DEAD}).derivative(at.x, at.u)
+    held = Model(system, {DEAD}, {DEAD}).derivative(at.x, at.u)
     assert np.abs(held[state.V0]).max() < 1e-4
     assert np.abs(held[state.OMEGA0]).max() < 1e-4
 

@@ -36,6 +36,7 @@ class Own:
 """
 # Both integrate to 1e-9 a period; the controllers answer the difference.
 AGREEMENT = 1e-6
+IMPORT = "its import from {folder} or the installed packages raised "
 # What is wrong with an engine: its `advance` and `state`, and the text of the run's end.
 FAILURES = {
     "raises": (
@@ -45,14 +46,14 @@ FAILURES = {
     ),
     "exits": ("import sys; sys.exit(3)", "return self.x", "advance raised SystemExit: 3 (mine_exits.py:4)"),
     "shape": ("self.x = self.x[:-1]", "return self.x", "state: expected shape (60,), got (59,)"),
-    "texts": ("self.x = 'up'", "return self.x", "state raised ValueError: could not convert string to float"),
+    "texts": ("self.x = 'up'", "return self.x", "state raised TypeError: Cannot cast scalar from dtype('<U2')"),
     "rods": (
         "self.x[12:15] *= 0.5",
         "return self.x",
         "expected a unit vector as rod direction of UAV1, got length 0.5",
     ),
     "nan": ("self.x[5] = float('nan')", "return self.x", "the state is no longer finite"),
-    "long": ("raise ValueError('x' * 100_000)", "return self.x", "xxx... (mine_long.py:4)"),
+    "long": ("raise ValueError('x' * 100_000)", "return self.x", "xxx (mine_long.py:4)"),
     "control": (r"raise ValueError('a\x1b[31m\ud800b')", "return self.x", "ValueError: a?[31m?b (mine_control.py:4)"),
     "error": ("return 'small'", "return self.x", "advance raised TypeError: must be real number, not str at"),
 }
@@ -149,16 +150,16 @@ def test_a_failing_engine_ends_the_run(failure: str, tmp_path: Path, monkeypatch
 @pytest.mark.parametrize(
     ("engine", "text"),
     [
-        ("mine_none:Mine", "expected a module 'mine_none' in {folder} or among the installed packages, got none"),
-        ("mine.none:Mine", "expected a module 'mine' in {folder} or among the installed packages, got none"),
-        ("mine_bad:Yours", "expected a class 'Yours' in {folder}/mine_bad.py, got NoneType"),
-        ("mine_bad:number", "expected a class 'number' in {folder}/mine_bad.py, got int"),
+        ("mine_none:Mine", IMPORT + "ModuleNotFoundError: No module named 'mine_none'"),
+        ("mine.none:Mine", IMPORT + "ModuleNotFoundError: No module named 'mine'"),
+        ("mine_bad:Yours", IMPORT + "AttributeError: module 'mine_bad' has no attribute 'Yours'"),
+        ("mine_bad:number", "the constructor raised TypeError: 'int' object is not callable"),
         ("mine_bad:Unready", "the constructor raised RuntimeError: no licence (mine_bad.py:2)"),
         ("mine_bad:Half", "expected the methods reset, advance, state, got no advance"),
         ("mine_bad:Late", "state: expected the state given to reset, got 0 instead of -10 at index 2"),
-        ("mine_broken:Mine", "its import raised SyntaxError: "),
-        ("mine_needs:Mine", "its import raised ModuleNotFoundError: No module named 'bullet_4711'"),
-        ("numpy:nothing_like_it", "expected a class 'nothing_like_it' in "),
+        ("mine_broken:Mine", IMPORT + "SyntaxError: "),
+        ("mine_needs:Mine", IMPORT + "ModuleNotFoundError: No module named 'bullet_4711'"),
+        ("numpy:nothing_like_it", IMPORT + "AttributeError: "),
     ],
 )
 def test_an_engine_that_cannot_be_used(engine: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import expm
 
 from model import motors, state
-from model.factors import rate_places
 from model.linearisation import Model
+from model.motors import rate_places
 from model.parameters import System
 from model.state import StateView, uav_slice
 from mpc.fail_safe import FailSafe

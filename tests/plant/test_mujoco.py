@@ -188,7 +188,7 @@ def test_two_engines_are_equal_bit_for_bit() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["resilient", "precise"])
-@pytest.mark.parametrize("network", [IMPAIRED], ids=["impaired"])  # docs/engines_page.py also has the perfect one
+@pytest.mark.parametrize("network", [IMPAIRED], ids=["impaired"])  # docs/measured_pages.py also has the perfect one
 def test_the_controllers_hold_in_mujoco(name: str, network: tuple[str, ...]) -> None:
     """A leg completes, with a payload error of at most 1.3 times that of our equations, plus 1 cm."""
     found, own = payload_errors(name, LEG, MUJOCO, *network), payload_errors(name, LEG, *network)

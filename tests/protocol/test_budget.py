@@ -29,7 +29,7 @@ def scenario_of(name: str, uavs: int, group: int, *settings: str) -> Scenario:
     """A ready scenario for a team of any size."""
     path = find_scenario(name)
     ready = read_scenario(path, [SHORT, *settings], allow_large=True)
-    return ready if uavs == 4 and group == 1 else resized(ready, path.parent, uavs, group=group, name=None, source=name)
+    return ready if uavs == 4 and group == 1 else resized(ready, uavs, group=group, name=None, source=name)
 
 
 @pytest.mark.parametrize(("name", "uavs", "group"), TEAMS)
@@ -60,7 +60,7 @@ def test_size_of_the_log(name: str, settings: list[str], tmp_path: Path) -> None
 
 
 BEYOND = [
-    ("maneuver.phase.1.duration_s=5e8", "maneuver.phase", "expected at most 1,000,000 sampling periods, got 10,000,0"),
+    ("maneuver.phase.1.duration_s=5e8", "maneuver.phase", "expected at most 8,000 MB of memory in total, got 351,"),
     ("plant.step_s=1e-8", "plant.step_s", "expected at most 10,000 integration steps per sampling period, got 5,000,0"),
     ("controller.horizon=3000", "controller.horizon", "expected at most 8,000 MB of memory in total, got 39,"),
     ("maneuver.phase.1.duration_s=2e4", "maneuver.phase", "expected at most 8,000 MB of memory in total, got "),

@@ -36,7 +36,7 @@ def change(number: int, tick: int, source: str = "", target: str = "", **setting
 
 def told(found: dict[str, Link], *changes: LinkChange) -> dict[str, Link]:
     """The links after some changes."""
-    changed = LinkChanges(found.values(), SAMPLES)
+    changed = LinkChanges(found.values())
     for message in changes:
         changed.apply(message)
     return found
@@ -83,7 +83,7 @@ def test_what_is_no_change_is_refused(settings: str) -> None:
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 300
     found = links()
-    changes = LinkChanges(found.values(), SAMPLES)
+    changes = LinkChanges(found.values())
     wrong = LinkChange(
         sender="coordinator", incarnation=0, sequence=0, tick=0, number=1, source="", target="", settings=settings
     )
@@ -97,7 +97,7 @@ def test_what_is_no_change_is_refused(settings: str) -> None:
 def test_changes_come_in_order() -> None:
     """A change is refused before those with lower numbers: receivers would otherwise disagree about the links."""
     found = links()
-    changes = LinkChanges(found.values(), SAMPLES)
+    changes = LinkChanges(found.values())
     with pytest.raises(MessageError) as caught:
         changes.check(change(2, 0, loss=0.2))
     changes.apply(change(2, 0, loss=0.2))

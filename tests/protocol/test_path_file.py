@@ -167,7 +167,6 @@ def test_files_of_settings_are_the_callers(below: bool, tmp_path: Path, monkeypa
     (here / "delays.csv").write_text("0.1, 0.2", encoding="utf-8")
     settings = ["links.distribution=empirical", "links.samples=delays.csv"]
     read = read_scenario(scenario, [*settings, "maneuver.phase=[{name='round',file='circle.csv'}]"])
-    assert read.links.samples == ("below/delays.csv" if below else str(here / "delays.csv"))
-    assert Setup.of(read, str(scenario)).samples_s == {read.links.samples: (0.1, 0.2)}
+    assert read.links.samples == [0.1, 0.2]
     assert read.maneuver.phase[0].duration_s == 2.0
     assert read_scenario(scenario, ["maneuver.phase.2.name=turn"]).maneuver.phase[1].way is not None

@@ -43,7 +43,7 @@ OTHER_WORDS = {
     "between": "agent4",
     "from": "agent3",
     "to": "agent4",
-    "samples": "other.csv",
+    "samples": [0.3],
     "do": "continue",
     "target": "agent4",
     "name": "other",

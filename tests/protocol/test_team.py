@@ -1,6 +1,5 @@
 """Teams of any size: the ring is an equilibrium of equals, four are the paper's, the rest is the template's."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import pytest
 
 from model.arrays import Array
 from protocol.scenario.file import ScenarioError, read_scenario
-from protocol.scenario.schema import Scenario
+from protocol.scenario.schema import Scenario, SystemSection
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import FEWEST, given, resized, ring
 from tests.support.runs import PAPER, SCENARIOS
@@ -23,19 +22,24 @@ NEIGHBOURS_M, GRAVITY = 0.5, 9.81
 ROUNDING, DISTANCE_ROUNDING, SHARE_ROUNDING = 0.5e-6, 2e-6, 1e-5
 
 
+def system_of(uavs: int) -> SystemSection:
+    """Section `system` of a ring."""
+    return SystemSection.model_validate(ring(uavs, GRAVITY))
+
+
 def scenario_of(uavs: int, template: Path = PAPER, group: int | None = None, name: str | None = None) -> Scenario:
     """A team with the settings of a scenario."""
-    return resized(read_scenario(template), template.parent, uavs, group=group, name=name, source="--from paper")
+    return resized(read_scenario(template), uavs, group=group, name=name, source="--from paper")
 
 
 def points(uavs: int) -> Array:
     """Attachment points of a ring, (N, 3), payload frame, m."""
-    return np.array([uav.rho_m for uav in ring(uavs, GRAVITY).uav])
+    return np.array([uav.rho_m for uav in system_of(uavs).uav])
 
 
 def test_four_are_the_papers() -> None:
     """A ring of four is the system of paper.toml, number by number and in the same order."""
-    assert ring(4, GRAVITY) == read_scenario(PAPER).system
+    assert system_of(4) == read_scenario(PAPER).system
     assert scenario_of(4, name="paper").digest() == read_scenario(PAPER).digest()
 
 
@@ -54,7 +58,7 @@ def test_neighbours_are_as_far_apart_as_the_papers(uavs: int) -> None:
 @pytest.mark.parametrize("uavs", SIZES)
 def test_the_payload_keeps_its_shape(uavs: int) -> None:
     """0.75 kg for each UAV; inertia over mass grows with the square of the lengths, heights included."""
-    paper, system = ring(4, GRAVITY), ring(uavs, GRAVITY)
+    paper, system = system_of(4), system_of(uavs)
     scale = NEIGHBOURS_M / (2.0 * math.sin(math.pi / uavs)) / math.hypot(0.25, 0.25)
     assert system.payload.mass_kg == 0.75 * uavs
     inertia = np.array(paper.payload.inertia_kgm2) * (uavs / 4 * scale**2)
@@ -107,18 +111,6 @@ def test_ownership(template: str, uavs: int, group: int | None, owned: list[list
     assert [list(ids) for ids in scenario.owned] == owned
 
 
-def test_files_of_delays_are_still_found(tmp_path: Path) -> None:
-    """Measured delays, named relative to the template's folder, are found from wherever the new scenario is."""
-    (tmp_path / "delays.txt").write_text("0.01, 0.02")
-    path = tmp_path / "measured.toml"
-    links = {"distribution": "empirical", "samples": "delays.txt"}
-    path.write_text(
-        PAPER.read_text() + "".join(f"\n[{name}]\n" + _toml(links) for name in ("links", "links.measurement"))
-    )
-    run = Setup.of(scenario_of(3, path), "elsewhere/team.toml")
-    assert list(run.samples_s.values()) == [(0.01, 0.02)]
-
-
 def test_what_names_agents_that_are_gone_is_refused(tmp_path: Path) -> None:
     """A template whose links name agent 4 makes no team of three; the text names template, field and agents."""
     path = tmp_path / "links.toml"
@@ -126,7 +118,3 @@ def test_what_names_agents_that_are_gone_is_refused(tmp_path: Path) -> None:
     assert scenario_of(4, path).links.override[0].to == "agent4"
     with pytest.raises(ScenarioError, match=r"^--from paper: links\.override\.1\.to: expected one of .*, got 'agent4'"):
         scenario_of(3, path)
-
-
-def _toml(values: dict[str, str]) -> str:
-    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())

@@ -9,7 +9,6 @@ import transport
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.team import read_vehicle
 from transport.cli.main import app
-from transport.interface.settings import ArgumentError
 
 READY = {"crazyflie": 0.02, "x500": 3.0, "racing": None}
 # A hover, and a leg in all directions.
@@ -75,7 +74,7 @@ def test_wrong_arguments_are_refused() -> None:
     """An unknown vehicle names the ready ones; a load is positive, and one that the UAVs can lift."""
     with pytest.raises(ScenarioError, match="expected a vehicle file or the name of a ready one; known: crazyflie"):
         read_vehicle("bumblebee")
-    with pytest.raises(ArgumentError, match="load_kg: expected a number > 0, got -1"):
+    with pytest.raises(ScenarioError, match=r"system\.payload\.mass_kg: expected greater than 0, got -1"):
         transport.Scenario("resilient").resized(4, load_kg=-1.0)
     with pytest.raises(ScenarioError, match="hover thrust"):
         transport.Scenario("resilient").resized(4, vehicle="x500", load_kg=9.0)

@@ -102,7 +102,7 @@ class Garbage:
             "absurd": self._absurd,
         }
         self._single = [sort for sort in self.sorts if sort != "oversized"]
-        if setup.scenario.clock.relayed:
+        if setup.shape.relayed:
             self.sorts |= {"bad parts": self._bad_parts, "renumbered bundle": self._renumbered_bundle}
         if name == "recorder":  # whose readers know neither tick nor tokens: other bits may be a later message
             for sort in ("flipped bits", "future", "another incarnation", "oversized"):

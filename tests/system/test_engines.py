@@ -140,7 +140,8 @@ def test_an_engine_that_does_not_behave(engine: str, code: int, text: str, tmp_p
         (
             ["--set", "plant.engine=broken:None"],
             EXIT_SCENARIO,
-            "--set plant.engine=broken:None: expected a class 'None' in {folder}/broken.py, got NoneType",
+            "--set plant.engine=broken:None: its import from {folder} or the installed packages raised "
+            "AttributeError: module 'broken' has no attribute 'None'",
         ),
         (
             ["--external", "coordinator"],

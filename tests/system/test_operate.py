@@ -101,7 +101,7 @@ def test_impossible_requests_are_refused(operated: tuple[dict[str, Any], Path, l
     """A process, action, link or run that does not exist is refused in one line with expected and got, exit code 2."""
     expected = [
         "target: expected one of coordinator, plant, agent1, agent2, agent3, agent4, got 'agent9'",
-        "ACTION: expected one of kill, stop, continue, restart, got 'stab'",
+        "'ACTION': 'stab' is not one of 'kill', 'stop', 'continue', 'restart'",
         "target: expected an agent to restart, as a run ends with its plant",
         "target: expected one of coordinator, plant, agent1, agent2, agent3, agent4, got 'recorder'",
         "from: expected one of plant, agent1, agent2, agent3, agent4, got 'agent9'",

@@ -70,5 +70,6 @@ def test_a_failing_class_among_processes(tmp_path: Path) -> None:
     assert sum(what.format("stop", "cannot stop", 12) in text for text in events) == 1
     refused = command("validate", "paper", *settings("agents.controller=mine:Other"), cwd=tmp_path)
     assert refused.returncode == EXIT_SCENARIO
-    expected = f"expected a class 'Other' in {tmp_path}/mine.py, got NoneType"
+    where = f"its import from {tmp_path} or the installed packages"
+    expected = f"{where} raised AttributeError: module 'mine' has no attribute 'Other'"
     assert refused.stderr == f"transport: --set agents.controller=mine:Other: {expected}\n"

@@ -1,6 +1,5 @@
 """`transport scenario new`: files that run, and refusals with option, expected and got."""
 
-import shlex
 from pathlib import Path
 
 import pytest
@@ -81,20 +80,9 @@ def test_a_file_and_standard_output_are_the_same(tmp_path: Path) -> None:
     assert (printed.exit_code, printed.stderr) == (0, "")
     assert (written.exit_code, written.stdout) == (0, "")
     assert path.read_text(encoding="utf-8") == printed.stdout
-    expected = resized(read_scenario(PAPER), SCENARIOS, 5, group=2, name="five", source="")
+    expected = resized(read_scenario(PAPER), 5, group=2, name="five", source="")
     assert read_scenario(path) == expected
     assert Setup.of(read_scenario(path), str(path)).owned == ((0, 1), (2, 3), (4,))
-
-
-def test_the_file_says_how_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first line of a file is the command that created it, also from a template with an unusual name."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "my team's.toml").write_text((SCENARIOS / "resilient.toml").read_text(encoding="utf-8"))
-    text = here(*NEW, "--uavs", "3", "--from", "my team's.toml").stdout
-    first = text.splitlines()[0]
-    assert first.startswith("# Made by: transport scenario new --uavs 3 ")
-    again = shlex.split(first.removeprefix("# Made by: transport "))
-    assert here(*again).stdout == text
 
 
 def test_resilient_is_the_default(tmp_path: Path) -> None:

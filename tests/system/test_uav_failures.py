@@ -68,7 +68,7 @@ def flown(uavs: int, template: str, *changes: str) -> Flight:
     # Names of UAVs and agents refer to the larger team, so these settings apply after it is resized.
     ready = read_scenario(SCENARIOS / f"{template}.toml", [MANEUVER, *changes])
     if uavs != len(ready.system.uav):
-        ready = resized(ready, SCENARIOS, uavs, group=None, name=None, source=template)
+        ready = resized(ready, uavs, group=None, name=None, source=template)
     run = Setup.of(ready, template)
     messages: list[Message] = []
     control = simulate(run, messages.append)

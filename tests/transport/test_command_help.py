@@ -20,7 +20,7 @@ from transport.log.run_folder import point_latest
 
 ONE_LINE = {
     "valdate paper": "no such command 'valdate'. Did you mean 'validate'? (transport --help)",
-    "fault kil agent1": "ACTION: expected one of kill, stop, continue, restart, got 'kil'",
+    "fault kil agent1": "'ACTION': 'kil' is not one of 'kill', 'stop', 'continue', 'restart'",
     "fault kill agent1": "no active run in runs/",
     "run --port x": "invalid value for '--port'",
     "run paper windy": "unexpected extra argument",

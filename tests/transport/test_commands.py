@@ -67,7 +67,7 @@ def test_processes_of_a_run_import_only_what_they_need(role: str) -> None:
 def test_a_run_imports_viewer_and_report_when_needed() -> None:
     """The start of `transport run` imports neither the viewer nor figures: the processes of the run wait for it."""
     names = imported('import_module("transport.cli.run")')
-    assert not names & {"transport.cli.view", "transport.cli.run_report", *FOREIGN - {"mcap"}}
+    assert not names & {"transport.cli.view", "transport.cli.plot", *FOREIGN - {"mcap"}}
 
 
 def test_docs_list_every_command() -> None:

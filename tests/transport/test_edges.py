@@ -44,7 +44,7 @@ def test_one_uav() -> None:
 def test_sixteen_uavs() -> None:
     """N = 16, each its own agent, made as `transport scenario new` makes it."""
     path = SCENARIOS / "resilient.toml"
-    scenario = resized(read_scenario(path, [SHORT]), SCENARIOS, 16, group=None, name=None, source=path.name)
+    scenario = resized(read_scenario(path, [SHORT]), 16, group=None, name=None, source=path.name)
     run = Setup.of(scenario, path.name)
     assert (run.system.N, len(run.agents)) == (16, 16)
     assert simulate(run).outcome == "completed"

@@ -148,5 +148,5 @@ def test_a_flight_under_fire(folder: Path, settings: tuple[str, ...]) -> None:
         counts[entry["by"]] += entry["count"]
     # Readers of the log count what the recorder wrote as it came.
     shot, counted = sum(count for (at, _), count in fire.shot.items() if at == "recorder"), counts.pop("recorder")
-    assert counted > 0.5 * shot if run.scenario.clock.relayed else counted == shot  # bundles count by their messages
+    assert counted > 0.5 * shot if run.shape.relayed else counted == shot  # bundles count by their messages
     assert counts == {name: fire.refused[name] for name in wire.receivers if name != "recorder"}

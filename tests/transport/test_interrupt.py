@@ -65,7 +65,7 @@ def test_the_command_tells_what_is_kept(moment: str, tmp_path: Path, monkeypatch
         raise KeyboardInterrupt
 
     monkeypatch.setattr("transport.cli.run.simulate", simulate)
-    monkeypatch.setattr("transport.cli.run_report.report", report)
+    monkeypatch.setattr("transport.cli.plot.report", report)
     result = CliRunner().invoke(app, ["run", "paper", "--no-figures", "--out", str(folder)])
     assert result.exit_code == EXIT_INTERRUPTED
     (line,) = result.stderr.splitlines()

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from model import state
 from model.arrays import Array
-from model.failure import released_state
+from model.hover import released_state
 from protocol.wire.messages import ActualInputs, Control, Message, Outcome
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, noted, plan, plant_state, report

@@ -130,13 +130,12 @@ def test_command_reports_identical_plans(folder: Path) -> None:
 
 
 def test_command_names_the_first_tick(folder: Path, tmp_path: Path) -> None:
-    """With one weight changed it exits with 8 and gives the first tick, a table, a figure, and the same as JSON."""
+    """With one weight changed it exits with 8 and gives the first tick, a figure, and the same as JSON."""
     what_if = (folder, "--agent", "2", "--set", "controller.weights.attitude=6.0")
     result = ask(*what_if, "--from", "3", "--out", tmp_path)
     assert result.exit_code == 8
     assert "different from tick 3 on" in result.output
-    assert {path.name for path in tmp_path.iterdir()} == {"replay.csv", "replay.png", "replay.svg"}
-    assert len((tmp_path / "replay.csv").read_text().splitlines()) == 1 + 27
+    assert {path.name for path in tmp_path.iterdir()} == {"replay.png", "replay.svg"}
     content = json.loads(ask(*what_if, "--format", "json").stdout)
     assert content["first"]["tick"] == 0
     assert content["first"]["kind"] == Plan.kind
@@ -156,7 +155,7 @@ def test_command_takes_another_controller(folder: Path) -> None:
         (("--agent", "5"), 2, "expected an agent from 1 to 4"),
         (("--agent", "1", "--set", "controller.negotiation_iterations=2"), 3, "expected 1 as in the run, got 2"),
         (("--agent", "1", "--against", "resilient", "--set", "links.loss=0.1"), 2, "a value of the controller"),
-        (("--agent", "1", "--from", "9", "--to", "3"), 2, "--to: expected a tick not before --from 9"),
+        (("--agent", "1", "--from", "9", "--to", "3"), 2, "nothing to compare"),
         (("--agent", "1", "--from", "900"), 2, "nothing to compare"),
     ],
 )

@@ -16,7 +16,7 @@ from transport.flight.memory import simulate
 def team(uavs: int, template: str, *settings: str) -> Setup:
     """A team that flies as a ready scenario does, with some of its settings changed."""
     ready = read_scenario(SCENARIOS / f"{template}.toml", settings)
-    return Setup.of(resized(ready, SCENARIOS, uavs, group=None, name=None, source=template), template)
+    return Setup.of(resized(ready, uavs, group=None, name=None, source=template), template)
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ import numpy as np
 
 from model.arrays import Array
 from model.state import R0
-from protocol.scenario.faults import degradations, uav_name
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import with_targets
 from protocol.wire.messages import (
@@ -124,7 +123,7 @@ def events(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str,
         event = {"tick": message.tick, "time_s": time_s, "wall_s": wall_s, "kind": kind}
         found.append({**event, "processes": list(processes), "what": what})
 
-    degraded = degradations(setup.faults)
+    degraded = [fault for fault in setup.faults if fault.do == "degrade"]
     before: Roster | None = None
     noted: set[str] = set()  # each problem of a controller counts once, of the first agent
     off: set[tuple[str, int]] = set()  # UAVs with their motors off, and released ones
@@ -134,9 +133,9 @@ def events(setup: Setup, log: RunLog, control: Control | None) -> list[dict[str,
             case FaultNote(target=target, what=done, origin=origin):
                 add(message, received_ns, "fault", f"{target} {done}{_ORIGIN[origin]}", [target])
             case ActualInputs():
-                for uav, efficiency in ((uav, share) for tick, uav, share in degraded if tick == message.tick):
-                    what = f"motors of {uav_name(uav)} degraded to {efficiency:g} of their inputs by script"
-                    add(message, received_ns, "fault", what, [uav_name(uav)])
+                for fault in (fault for fault in degraded if fault.tick == message.tick):
+                    what = f"motors of {fault.target} degraded to {fault.efficiency:g} of their inputs by script"
+                    add(message, received_ns, "fault", what, [fault.target])
             case Note(sender=sender, problem=problem) if problem and problem not in noted:
                 noted.add(problem)
                 add(message, received_ns, "notice", f"{sender}: {problem}", [sender])

@@ -282,8 +282,8 @@ class Comparison:
     unrecorded: list[int] = field(default_factory=list)  # ticks with an answer of the node but not in the log
     by_field: dict[str, list[Difference]] = field(default_factory=dict)  # in the order they first differ
     # For each tick compared: tick, largest difference of thrust (N) and of moments or rates (SI) of the plan's first
-    # step, then of all its steps, and whether any field of the plan differs.
-    rows: list[tuple[int, float, float, float, float, bool]] = field(default_factory=list)
+    # step, then of all its steps.
+    rows: list[tuple[int, float, float, float, float]] = field(default_factory=list)
     commands: tuple[str, ...] = INPUT_NAMES  # names of the inputs in plans
 
     @property
@@ -294,7 +294,7 @@ class Comparison:
 
     def first_beyond(self, size: float) -> int | None:
         """Return the first tick at which an input of the plan differs by more than `size`, N or N m; None for none."""
-        return next((tick for tick, *apart, _ in self.rows if max(apart) > size), None)
+        return next((tick for tick, *apart in self.rows if max(apart) > size), None)
 
     def add(self, step: Step, *, ignored: Iterable[str] = ()) -> None:
         """Compare the replayed and recorded messages of one tick, except for ignored fields, e.g. report.lost."""
@@ -312,7 +312,7 @@ class Comparison:
             for difference in found:
                 self.by_field.setdefault(difference.field, []).append(difference)
             if isinstance(answer, Plan) and isinstance(recorded, Plan) and answer.negotiation == 0:
-                self.rows.append((step.tick, *_inputs_apart(answer, recorded), bool(found)))
+                self.rows.append((step.tick, *_inputs_apart(answer, recorded)))
 
 
 def differences(answer: Answer, recorded: Answer, commands: tuple[str, ...] = INPUT_NAMES) -> Iterator[Difference]:

@@ -10,7 +10,7 @@ from model import state
 from model.arrays import Array
 from model.obstacles import clearances
 from model.rotations import rotation
-from protocol.scenario.faults import uav_faults
+from protocol.scenario.faults import failures
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
 from protocol.scenario.targets import with_targets
@@ -74,10 +74,10 @@ def series_of(setup: Setup, log: RunLog) -> Series:
     y_ref = setup.reference.outputs(times_s)
     y = np.array([setup.model.outputs(row) for row in x]).reshape(y_ref.shape)
     uavs_I = y[:, : 3 * N].reshape(len(ticks), N, 3)
-    failures, cost = uav_faults(setup.faults), StageCost(setup)
+    cost = StageCost(setup)
     on_rods = np.ones((len(ticks), N), dtype=bool)
-    for tick, what, uav in failures:
-        on_rods[ticks >= tick, uav] &= what != "release"
+    for fault in failures(setup.faults):
+        on_rods[ticks >= fault.tick, fault.uav] &= fault.do != "release"
     separation_m, clear_m = _separation(uavs_I, on_rods), _clearances(setup, x, on_rods)
     return Series(
         ticks=ticks,
@@ -131,8 +131,8 @@ def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_
     worst = (np.maximum(lower - u, u - upper) / (upper - lower)).max(axis=1, initial=0.0)
     before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
     change = (np.abs(u - before) - step) / (2.0 * step)
-    for tick, _, uav in uav_faults(setup.faults):
-        change[ticks == tick, state.input_slice(uav)] = 0.0  # stopping motors violates no limit
+    for fault in failures(setup.faults):
+        change[ticks == fault.tick, state.input_slice(fault.uav)] = 0.0  # stopping motors violates no limit
     consecutive = np.diff(ticks, prepend=-1) == 1
     worst = np.maximum(worst, np.where(consecutive, change.max(axis=1, initial=0.0), 0.0))
     if settings.separation is not None:

@@ -60,9 +60,7 @@ def facts(content: Iterable[tuple[str, Any]]) -> Any:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=None, show_header=False)
-    table.add_column(no_wrap=True)
-    table.add_column()
+    table = Table.grid(padding=(0, 2))
     for name, value in content:
         table.add_row(Text(name, "cyan"), _cell(value))
     return table

@@ -1,19 +1,19 @@
-"""The command `transport plot`."""
+"""The command `transport plot`, and the report of a run: summary and figures in its folder, the summary on stdout."""
 
 from pathlib import Path
 
+import orjson
 import typer
 from typer import Option
 
 from protocol.network.parent import stand_by
+from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_UNRECORDED
 from transport.cli.lazy import load
 from transport.cli.options import FormatOption, RunArgument, run_folder
-from transport.cli.output import Format, blame, fail
-from transport.cli.run_report import show_report
+from transport.cli.output import Format, blame, fail, show
 from transport.log.run_folder import open_run
-from transport.report.animation import animate_run, check_animation
-from transport.report.report import report_run
+from transport.report.report import report_run, summary_table, warnings, write_report
 
 
 def plot(
@@ -34,19 +34,40 @@ def plot(
     load("transport.report.figures")  # before the wait
     if not stand_by():  # started by `transport run`, which has ended
         raise typer.Exit(EXIT_UNREACHABLE)
-    with blame("--animate"):
-        check_animation(animation)
+    if animation is not None:
+        from transport.report.animation import animate_run, check_animation
+
+        with blame("--animate"):
+            check_animation(animation)
     run = open_run(folder, horizons=False)
     if not run.log.messages:
         fail(f"{folder / 'run.mcap'}: expected a log with messages, got one without a readable message")
     try:
-        summary = report_run(run, forks=True, pdf=pdf)
+        report_run(run, forks=True, pdf=pdf)
     except KeyboardInterrupt:
         fail(f"interrupted; the report is not complete, make it with: transport plot {folder}", EXIT_INTERRUPTED)
     except OSError as error:
         fail(f"{folder}: cannot write the report ({error.strerror or error})", EXIT_UNRECORDED)
-    show_report(folder, output, summary)
+    show_report(folder, output)
     if animation is not None:
         with blame("--animate"):
             animate_run(folder, animation)
         typer.echo(f" {animation}", err=output is Format.json)
+
+
+def report(folder: Path, output: Format, *, figures: bool, setup: Setup) -> None:
+    """Write the report of a run folder and print its summary."""
+    try:
+        write_report(folder, figures=figures, setup=setup)
+    except OSError as error:
+        fail(f"{folder}: cannot write the report ({error.strerror or error})", EXIT_UNRECORDED)
+    show_report(folder, output)
+
+
+def show_report(folder: Path, output: Format) -> None:
+    """Print the summary in a run folder, and the files of the folder."""
+    summary = orjson.loads((folder / "summary.json").read_bytes())
+    for warning in warnings(summary):
+        typer.echo(f"warning: {warning}", err=True)
+    files = ["summary.json", "steps.csv", "run.mcap", *[f"figures/{p.name}" for p in folder.glob("figures/*.png")]]
+    show(output, summary, summary_table(summary), *(f" {folder / file}" for file in files))

@@ -142,7 +142,7 @@ def record(
     """
     from rich.console import Console
 
-    from transport.cli.run_report import report
+    from transport.cli.plot import report
     from transport.flight.run import observe
     from transport.flight.run_files import new_folder
 

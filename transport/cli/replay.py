@@ -20,7 +20,6 @@ from transport.flight.header import machine, versions
 from transport.log.run_folder import RecordedRun, open_run
 from transport.log.tables import INPUT_NAMES, RATE_NAMES
 from transport.report.figures import draw_replay
-from transport.report.report import write_csv
 
 # Smaller differences of inputs, N or N m, are rounding: other numbers on the way to the same decision.
 _ROUNDING = 1e-6
@@ -48,7 +47,7 @@ def replay(
     ),
     end: int | None = Option(None, "--to", metavar="TICK", min=0, help="Last tick to compare."),
     stop_at: int | None = Option(None, "--pdb", metavar="TICK", min=0, help="Open the debugger before this tick."),
-    out: Path | None = Option(None, metavar="FOLDER", help="Folder for replay.csv and, if plans differ, figures."),
+    out: Path | None = Option(None, metavar="FOLDER", help="Folder for a figure of the differences, if plans differ."),
     output: FormatOption = Format.text,
 ) -> None:
     """Feed a recorded run to one agent and compare its plans.
@@ -61,8 +60,6 @@ def replay(
 
     Example: transport replay runs/20260102-101500-paper --agent 2 --set controller.weights.attitude=6.0
     """
-    if end is not None and end < begin:
-        fail(f"--to: expected a tick not before --from {begin}, got {end}")
     run = open_run(run_folder(given))
     setup = _changed_setup(run, settings or [], against)
     if agent not in setup.agents:
@@ -84,8 +81,12 @@ def replay(
     if not comparison.ticks:
         why = "; ".join(again.notes) or f"the log has no plan of agent {agent} between those ticks"
         fail(f"{run.folder}: nothing to compare: {why}")
-    files = [] if out is None else _write(run, comparison, out)
     notes, first = list(_notes(run, again, comparison, is_changed=bool(settings or against))), comparison.first
+    files: list[Path] = []
+    if out is not None and first is not None:
+        with blame("--out"):
+            out.mkdir(parents=True, exist_ok=True)
+            files = draw_replay(run.setup, comparison, out)
     fields: list[dict[str, Any]] = [
         {
             "field": name,
@@ -147,17 +148,6 @@ def _changed_setup(run: RecordedRun, settings: list[str], against: str | None) -
         if got != expected:
             raise ScenarioError(str(source), key, f"expected {expected} as in the run, got {got}")
     return setup
-
-
-def _write(run: RecordedRun, comparison: Comparison, out: Path) -> list[Path]:
-    """Write a row for each tick, and a figure of the differences; return the files."""
-    turning = "rate_{}_rad_s" if run.setup.system.commands_rates else "moment_{}_Nm"
-    parts = [name.format(part) for part in ("first_step", "horizon") for name in ("thrust_{}_N", turning)]
-    columns = ["tick", *parts, "differs"]
-    with blame("--out"):
-        out.mkdir(parents=True, exist_ok=True)
-        write_csv(out / "replay.csv", (dict(zip(columns, row, strict=True)) for row in comparison.rows), columns)
-    return [out / "replay.csv", *(draw_replay(run.setup, comparison, out) if comparison.first is not None else ())]
 
 
 def _notes(run: RecordedRun, again: Replay, comparison: Comparison, *, is_changed: bool) -> Iterator[str]:

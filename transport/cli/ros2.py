@@ -57,40 +57,31 @@ def ros2(
     messages = Ros2Messages(SceneBuilder(setup, history))
     kinds = {topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics.items()}
     heard = {TARGET[0]: (TARGET[1], types().hash_rihs01(TARGET[1]))}
-    targets = Targets(Commands(there, lambda text, _: typer.echo(text, err=True)))
+    commands = Commands(there, lambda text, _: typer.echo(text, err=True))
     with blame("--connect"):
         node = RosNode(connect, domain, kinds, heard)
     with closing(node):
         typer.echo(f"{folder}: {len(kinds)} topics in domain {domain} through {connect}", err=True)
-        _publish(messages, history, tail, node, targets)
+        _publish(messages, history, tail, node, commands)
 
 
-class Targets:
-    """Targets from ROS 2: the newest of each interval is handed on; refused ones are told."""
+def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node: RosNode, commands: Commands) -> None:
+    """Publish the ticks of a run until it has ended: the states of all, plans and drawing of the newest.
 
-    def __init__(self, commands: Commands) -> None:
-        self._commands, self._next_s = commands, 0.0
+    Of the targets that come in each interval the newest is handed on; a refused one is told.
+    """
+    from transport.report.ros2 import TARGET, GoalError, goal_in
 
-    def work(self, node: RosNode) -> None:
-        """Hand on a target that has come."""
-        from transport.report.ros2 import TARGET, GoalError, goal_in
-
-        if time.monotonic() < self._next_s or (data := node.take(TARGET[0])) is None:
-            return
-        self._next_s = time.monotonic() + _INTERVAL_S
-        try:
-            self._commands.target(goal_in(data))
-        except GoalError as error:
-            typer.echo(f"{TARGET[0]}: {error}", err=True)
-
-
-def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node: RosNode, targets: Targets) -> None:
-    """Publish the ticks of a run until it has ended: the states of all, plans and drawing of the newest."""
     history.add(tail.read())
-    done, again_s, began_ns = history.last - 1, 0.0, 0
+    done, again_s, began_ns, next_target_s = history.last - 1, 0.0, 0, 0.0
     while True:
         history.add(tail.read())
-        targets.work(node)
+        if time.monotonic() >= next_target_s and (data := node.take(TARGET[0])) is not None:
+            next_target_s = time.monotonic() + _INTERVAL_S
+            try:
+                commands.target(goal_in(data))
+            except GoalError as error:
+                typer.echo(f"{TARGET[0]}: {error}", err=True)
         ticks = [tick for tick in range(max(done + 1, history.first), history.last + 1) if tick in history.plant_states]
         for tick in ticks:
             at_ns = time.time_ns()

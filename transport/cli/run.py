@@ -63,11 +63,11 @@ def run(
             prepare = reporter.prepare if figures else lambda: None
             ready = beside.wait_until_ready if beside is not None else lambda: None
             finished = simulate(setup, folder, Console(stderr=True), prepare, ready, external or [])
-            run_report = load("transport.cli.run_report")
+            plot = load("transport.cli.plot")
             if reporter.report():
-                run_report.show_written(folder, output)
+                plot.show_report(folder, output)
             else:
-                run_report.report(folder, output, figures=figures, setup=setup)
+                plot.report(folder, output, figures=figures, setup=setup)
         if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
             beside.wait_for_user()
     if finished.exit_code != 0:

@@ -45,11 +45,8 @@ def new(
     with blame("--from"):
         ready = Scenario(template, allow_large=True)
     made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
-    options = {"--uavs": uavs, "--from": template, "--groups": group, "--vehicle": vehicle, "--load": load_kg}
-    words = [str(word) for option, value in (options | {"--name": name}).items() if value for word in (option, value)]
-    command = "".join(c if c.isprintable() else "?" for c in shlex.join(["transport", "scenario", "new", *words]))
     tree, sizes = given(made.validated), f"{len(made.setup.agents)} agents, hover thrust {made.setup.hover.u[0]:.2f} N"
-    text = f"# Made by: {command}\n{tomli_w.dumps(tree)}"
+    text = tomli_w.dumps(tree)
     show(output, {"scenario": tree, "file": out and str(out)}, *([text.rstrip("\n")] if out is None else []))
     if out is not None:
         with blame("--out"):
@@ -96,7 +93,7 @@ def margins(
 
     Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure margins.png
     """
-    from transport.interface.margins import Margins  # loads matplotlib
+    from transport.interface.figure import Margins  # loads matplotlib
     from transport.report.margins import hover_margins
 
     setup = read_setup(scenario, settings, allow_large=large)
@@ -118,8 +115,8 @@ def doctor(
 ) -> None:
     """Check that this machine can run a scenario.
 
-    Checks packages, ports, network, step time, disk, processors and limits. Each result is ok, warn (runs work, but
-    slower or less punctually) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.
+    Checks ports, network, step time, kernels, punctuality and cores. Each result is ok, warn (runs work, but slower or
+    less punctually) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.
 
     Exit codes: 0 no check failed, 9 a check failed, 3 scenario.
 

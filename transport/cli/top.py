@@ -1,44 +1,30 @@
-"""The command `transport top`: follows the messages of an active run and draws a table of its agents."""
+"""The command `transport top`: reads the log of an active run as it grows and draws a table of its agents."""
 
+import os
 import time
 from collections import Counter, deque
-from contextlib import closing
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 from typer import Option
 
 from model.state import StateView
 from plant.actuators import FAIL_SAFE
-from protocol.admission.gate import Gate
-from protocol.network.bus import Bus
-from protocol.network.endpoints import Endpoints, default_mesh, security_of
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
 from protocol.scenario.targets import with_targets
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from protocol.wire.keys import RECORDER, WATCHER, Keys
-from protocol.wire.messages import (
-    Control,
-    Message,
-    PlantState,
-    Presence,
-    Rejected,
-    Roster,
-    StepReport,
-    Target,
-    Tick,
-    agent_name,
-)
-from protocol.wire.names import COORDINATOR
-from transport.cli.operate import ConnectOption, RunOption, find_active
-from transport.cli.options import read_setup
+from protocol.wire.messages import Control, Message, PlantState, Rejected, Roster, StepReport, Target, Tick, agent_name
+from transport.cli.operate import RunOption, find_active
+from transport.cli.options import run_folder
 from transport.cli.output import Format, fail, rows, show
-from transport.flight.harness import keys_setting
+from transport.flight import live
+from transport.log.run_folder import setup_of
+from transport.log.run_log import LogTail
 
 # Number of steps for the longest step time, and of kept notices.
 _RECENT, _NOTICES = 100, 5
@@ -47,16 +33,12 @@ _BEHIND = 5
 # Counts of an agent that the table only has if they are not zero.
 _RARE = ("missed", "fallbacks", "failures", "rejected", "off")
 _COLOURS = {"active": "green", "silent": "yellow", "off": "red", "fail-safe": "bold red"}
-# Interval between two tables on a terminal, and elsewhere, s.
-_DRAW_S, _PRINT_S = 0.25, 10.0
-# Messages gather for this long before the process wakes up: wake-ups cost the run processor time.
-_GATHER_S = 0.02
-# Time that `--once` waits for reports of all agents, and for the outcome of the run after its coordinator has left.
-_PATIENCE_S, _OVERTAKEN_S = 5.0, 0.5
+_DRAW_S = 0.25  # interval between two tables on a terminal
+_NICE = 10  # the processes of the run have the processors first
 
 
 class Watch:
-    """Status of a run since the start of watching."""
+    """Status of a run, as far as its messages have been taken."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
@@ -79,6 +61,11 @@ class Watch:
         self._opened: Tick | None = None
         self._cost = StageCost(setup)
 
+    def read(self, tail: LogTail) -> None:
+        """Take the new messages of a log."""
+        for message in tail.read():
+            self.take(message)
+
     def take(self, message: Message) -> None:
         """Update the status from any message."""
         match message:
@@ -100,12 +87,6 @@ class Watch:
                 self.rejections[message.sender] += message.count
             case Control():
                 self.control = message
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether the plant state and a report of every agent on the roster have arrived."""
-        members = self.members or ()
-        return self.plant_state is not None and all(self.agents[agent]["tick"] is not None for agent in members)
 
     def state_of(self, agent: int) -> str:
         """Return the state of an agent: active, silent, off (the roster), or fail-safe; "-" while unknown."""
@@ -161,109 +142,37 @@ class Watch:
         agent["failures"] += report.status != "solved"
 
 
-@dataclass(frozen=True, slots=True)
-class _Run:
-    """An active run: its name, what it simulates, where to connect."""
-
-    name: str
-    setup: Setup
-    endpoints: Endpoints
-
-
 def top(
     run: RunOption = None,
-    connect: ConnectOption = None,
-    scenario: str | None = Option(None, metavar="SCENARIO", help="Scenario of a run started by hand: file or name."),
-    settings: list[str] | None = Option(None, "--set", metavar="KEY=VALUE", help="Changes of that scenario."),
     once: bool = Option(False, "--once", help="Print one table and exit."),
     output: Format = Option(Format.text, "--format", metavar="FORMAT", help="Output format, with --once."),
 ) -> None:
     """Watch the agents of an active run.
 
-    A table of tick, step time, plan ages, lost messages, faults and rejections, until the run ends. The command only
-    listens: no process waits for it, and a lockstep run computes the same bits without it.
+    A table of tick, step time, plan ages, lost messages, faults and rejections, until the run ends. The command reads
+    the log of the run as it grows: no process of the run waits for it or knows it.
 
-    Exit codes: 0 the run has ended, or --once; 2 no such run; 4 no message from it; 130 Ctrl-C.
+    Exit codes: 0 the run has ended, or --once; 2 no such run; 4 it ended without an outcome; 130 Ctrl-C.
 
     Example: transport top --run runs/20260102-101500-paper
     """
     if output is Format.json and not once:
         fail("--format json: expected it with --once, got it without")
-    active = _find(run, connect, scenario, settings)
-    watch = Watch(active.setup)
-    # Without joining: a liveliness token would make the coordinator expect this process.
-    bus = Bus(
-        name=WATCHER,
-        incarnation=0,
-        run=active.name,
-        digest=active.setup.scenario.digest(),
-        endpoints=active.endpoints,
-        gate=Gate(WATCHER, Keys(active.name), active.setup.shape),
-        gather_s=_GATHER_S,
-    )
-    with closing(bus):
-        patience_s = _PATIENCE_S if once else max(_PATIENCE_S, active.setup.scenario.clock.join_timeout_s)
-        _receive(bus, watch, patience_s, until_whole=True)
-        if watch.tick < 0 and watch.plant_state is None and watch.control is None:
-            where, name = ", ".join(active.endpoints.connect), active.setup.scenario.name
-            text = f"no message of run {active.name} at {where}, or its scenario is not {name} as given"
-            fail(text, EXIT_UNREACHABLE)
-        if not once:
-            _follow(bus, active, watch)
-    show(output, {"run": active.name, **watch.content()}, table_of(watch, active.name))
+    folder = find_active(None, "name its folder with --run")[0] if run is None else run_folder(Path(run))
+    if not (folder / "run.mcap").exists():
+        fail(f"--run: expected a run folder with a log, got {run}")
+    os.nice(_NICE)
+    watch, tail = Watch(setup_of(folder)), LogTail(folder / "run.mcap")
+    name, is_marked = folder.resolve().name, live.read(folder) is not None  # not marked: started by hand
+    with Live(auto_refresh=False, transient=True) as shown:
+        while not once and not tail.ended and (live.read(folder) is not None) == is_marked:
+            watch.read(tail)
+            shown.update(table_of(watch, name), refresh=True)
+            time.sleep(_DRAW_S)
+    watch.read(tail)
+    show(output, {"run": name, **watch.content()}, table_of(watch, name))
     if watch.control is None and not once:
-        fail(f"run {active.name}: its coordinator is gone, and its outcome was not received", EXIT_UNREACHABLE)
-
-
-def _find(run: str | None, connect: list[str] | None, scenario: str | None, settings: list[str] | None) -> _Run:
-    if scenario is not None:
-        setup = read_setup(scenario, settings, allow_large=True)
-        name, router = run or setup.scenario.name, setup.scenario.network.router
-        if not Keys.allows(name):
-            fail(f"--run: expected the name of a run with --scenario, got {name!r}")
-        default = [endpoint for place in default_mesh(setup.scenario).values() for endpoint in place.listen]
-        endpoints, is_client = connect or ([router] if router else default), router is not None
-    elif connect or settings:
-        fail(f"{'--connect' if connect else '--set'}: expected --scenario with it, got none")
-    else:
-        folder, there = find_active(run, "name its folder with --run, or its scenario with --scenario")
-        changes = [keys_setting(there.keys)] if there.keys else None
-        setup = read_setup(str(folder / "scenario.toml"), changes, allow_large=True)
-        endpoints = sorted({at for name, at in there.endpoints.items() if name != RECORDER})
-        name, is_client = there.run, there.is_client
-    security = security_of(setup.scenario)
-    places = Endpoints(listen=[], connect=endpoints, mode="client" if is_client else "peer", security=security)
-    return _Run(name, setup, places)
-
-
-def _follow(bus: Bus, run: _Run, watch: Watch) -> None:
-    """Draw tables until the run ends."""
-    console = Console()
-    interval_s = _DRAW_S if console.is_terminal else _PRINT_S
-    with Live(table_of(watch, run.name), console=console, auto_refresh=False, transient=True) as shown:
-        while watch.control is None:
-            table = table_of(watch, run.name)
-            if console.is_terminal:
-                shown.update(table, refresh=True)
-            else:
-                console.print(table)
-            if _receive(bus, watch, interval_s):  # the coordinator has left
-                _receive(bus, watch, _OVERTAKEN_S)
-                return
-
-
-def _receive(bus: Bus, watch: Watch, timeout_s: float, *, until_whole: bool = False) -> bool:
-    """Receive messages for a time, or until all agents reported; return whether the coordinator left."""
-    deadline = time.monotonic() + timeout_s
-    while watch.control is None and (left_s := deadline - time.monotonic()) > 0.0:
-        if until_whole and watch.is_whole:
-            break
-        event = bus.next(left_s)
-        if isinstance(event, Message):
-            watch.take(event)
-        elif isinstance(event, Presence) and event.name == COORDINATOR and not event.alive:
-            return True
-    return False
+        fail(f"{folder}: the log ends without an outcome", EXIT_UNREACHABLE)
 
 
 def table_of(watch: Watch, run: str) -> Group:

@@ -110,7 +110,7 @@ def cases_of(
                     raise ScenarioError(f"--set {setting}", "", expected)
             uavs, group = point.team
             source = f"{path}, {point.text}"
-            scenario = resized(scenario, path.parent, uavs, group=group, name=None, source=source)
+            scenario = resized(scenario, uavs, group=group, name=None, source=source)
         if not allow_large:
             check_budget(scenario, str(path))
         cases += cases_of_point(index, scenario, path, seeds, timed=timed, more=more)
@@ -127,24 +127,22 @@ def cases_of_point(
     if scenario.clock.mode != "lockstep":
         # In real time the result would depend on the machine and its load.
         raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
-    setup = Setup.of(scenario, str(path))  # refuses an impossible setup before the first run
-    checked(setup)
+    checked(Setup.of(scenario, str(path)))  # refuses an impossible setup before the first run
     cases = []
     for seed in range(seeds if timed or is_random(scenario) else 1):
         seeded = scenario.model_copy(update={"seed": seed})
-        key = key_of(seeded, setup.samples_s)
+        key = key_of(seeded)
         cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, timed=timed, more=more))
     return cases
 
 
-def key_of(scenario: Scenario, samples_s: Mapping[str, tuple[float, ...]]) -> str:
+def key_of(scenario: Scenario) -> str:
     """Return the fingerprint of what determines a result.
 
-    That is the scenario without addresses, the measured delays, the version of the package and those of the
-    engine and the controller.
+    That is the scenario without addresses, the version of the package and those of the engine and the controller.
     """
     tree = {name: part for name, part in scenario.tree().items() if name != "network"}
-    content = [tree, sorted(samples_s.items()), version("payload-transport"), engine_version(scenario.plant.engine)]
+    content = [tree, version("payload-transport"), engine_version(scenario.plant.engine)]
     content.append(controller_version(scenario.agents.controller))
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -90,7 +90,7 @@ def simulate(case: Case, folder: Path | None = None) -> Result:
         # One thread: sums have the same order on every machine.
         with threadpoolctl.threadpool_limits(1):
             setup = Setup.of(case.scenario, case.source)
-            if key_of(setup.scenario, setup.samples_s) != case.key:
+            if key_of(setup.scenario) != case.key:
                 raise RuntimeError("expected the version of this package that started the experiment, got another")
             if folder is None:
                 # Processor time of this thread excludes the rest of the machine.

@@ -25,8 +25,6 @@ from protocol.wire.messages import agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 
 _FILE = "live.json"
-# Faults of processes that `transport run` causes on request.
-FAULTS = ("kill", "stop", "continue", "restart")
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,7 +88,7 @@ class Recorder:
         self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()  # to the parent of the run's processes
         self.setup = setup  # with its targets so far
         self._notices: deque[str] = deque()  # the thread that shows them takes from the left
-        self._samples_s, self._ticks, self._shape = setup.samples_s, setup.ticks, setup.shape
+        self._ticks, self._shape = setup.ticks, setup.shape
         self.writer, self._writing = writer, threading.Lock()  # notes come from another thread
         self._keys = Keys(run)
         # Checks the messages that the recorder reads; readers of the log reject others.
@@ -237,7 +237,7 @@ class Recorder:
         if isinstance(message, Control) and self.tick >= 0:
             check_tick(message, self.tick - _AHEAD, self.tick + _AHEAD)
         if isinstance(message, LinkChange):
-            link_change(message.source, message.target, message.settings, self._samples_s)
+            link_change(message.source, message.target, message.settings)
         if isinstance(message, Target):
             check_target(self.setup, message)
 

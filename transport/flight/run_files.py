@@ -8,7 +8,6 @@ from pathlib import Path
 import tomli_w
 
 from protocol.network.security import SecurityError, new_secret
-from protocol.scenario.files import write_delays
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.errors import TransportError
@@ -46,7 +45,6 @@ def create(folder: Path, setup: Setup) -> str:
         str(folder).encode()  # Zenoh and TOML take UTF-8 only
         folder.mkdir(parents=True)
         (folder / "scenario.toml").write_text(text, encoding="utf-8")
-        write_delays(setup.samples_s, folder)
     except FileExistsError as error:
         raise existing(folder) from error
     except (OSError, ValueError) as error:

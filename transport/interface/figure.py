@@ -1,17 +1,21 @@
-"""Figures as objects: a notebook shows them, and their files equal those of the report."""
+"""Figures as objects, whose files equal those of the report, and margins of a scenario, which have one."""
 
 import io
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass
+from os import PathLike
+from typing import Any, Unpack
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from protocol.scenario.setup import Setup
 from transport.analysis.series import Series
-from transport.interface.settings import ArgumentError
+from transport.interface.scenario import Scenario
+from transport.interface.settings import ArgumentError, Settings, ShortSettings
 from transport.log.run_log import RunLog
 from transport.report.figures import CROPPED, FIGURES, fill
+from transport.report.margins import ACTUATIONS, HoverMargins, draw, hover_margins, notes, rows
 from transport.report.style import RC, drawing_box
 
 
@@ -33,25 +37,66 @@ class RunFigure(Figure):
         return picture.getvalue()
 
 
-def drawn(draw: Callable[[RunFigure], Any], *, cropped: bool = False) -> RunFigure:
+def drawn(draw: Callable[[RunFigure], Any]) -> RunFigure:
     """Return a figure that a function has drawn in the style of the project."""
     with mpl.rc_context(RC):
         figure = RunFigure()
         draw(figure)
-    figure.cropped = cropped
     return figure
 
 
 def run_figure(name: str, setup: Setup, log: RunLog, series: Series) -> RunFigure:
-    """Return a figure of the report of a run.
-
-    Raises: ArgumentError: no such figure, or a run without data for it.
-    """
+    """Return a figure of the report of a run. Raises: ArgumentError: no such figure, or no data for it."""
     if name not in FIGURES:
         raise ArgumentError(f"figure: expected one of {', '.join(FIGURES)}, got {name!r}")
-
-    def draw(figure: RunFigure) -> None:
+    with mpl.rc_context(RC):
+        figure = RunFigure()
         if not len(series.ticks) or not fill(figure, name, setup, log, series):
             raise ArgumentError(f"figure: expected a run with data for {name!r}, got one without")
+    figure.cropped = name in CROPPED
+    return figure
 
-    return drawn(draw, cropped=name in CROPPED)
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of the hover of a scenario, as `transport.margins` returns them; printed as a table."""
+
+    found: HoverMargins  # SI units, factors relative to the known value
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """Margins by actuation and property, as plain values; None is beyond the searched range."""
+        return asdict(self.found)
+
+    def plot(self) -> RunFigure:
+        """Return the ranges as a figure."""
+        return drawn(lambda figure: draw(self.found, figure))
+
+    def __str__(self) -> str:
+        table = [("property", *ACTUATIONS), *rows(self.found)]
+        lines = ["".join(f"{text:20s}" for text in row).rstrip() for row in table]
+        return "\n".join([*lines, *notes(self.found)])
+
+
+def margins(
+    scenario: "str | PathLike[str] | Scenario" = "resilient",
+    settings: Settings | None = None,
+    *,
+    without: Collection[int] = (),
+    **short: Unpack[ShortSettings],
+) -> Margins:
+    """Return how far the plant may differ from the controllers' model before the hover becomes unstable.
+
+    A linear analysis of the sampled loop about hover, without limits and constraints; it takes seconds. The agents in
+    `without`, 1-based, are gone for good, and their UAVs follow the fail-safe; the team that is left holds the payload
+    if all deviations decay (`settling_s`). Other arguments are those of `fly`.
+
+    >>> import transport
+    >>> lag_s = transport.margins("resilient").data["margins"]["immediate"]["lag_s"]
+    >>> round(1e3 * lag_s["upper"])
+    71
+
+    Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is.
+    """
+    chosen = Scenario(scenario, settings, **short)
+    return Margins(hover_margins(Setup.of(chosen.validated, str(chosen.file)), without))

@@ -1,25 +1,27 @@
-"""Simulating a run, and loading a recorded one."""
+"""Simulating a run, loading a recorded one, and targets for an active one."""
 
 import time
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 import tomli_w
 from rich.console import Console
 
 from protocol.scenario.file import ScenarioError
+from protocol.scenario.files import points_of
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import with_targets
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from protocol.wire.messages import Message, PlantState, Target
-from transport.flight import memory
+from protocol.wire.names import COORDINATOR
+from transport.flight import live, memory
 from transport.flight.header import checked, run_header
 from transport.flight.progress import RunProgress, compile_model
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario, path_phase
-from transport.interface.settings import ArgumentError, Settings, ShortSettings
+from transport.interface.settings import ArgumentError, Settings, ShortSettings, plain
 from transport.log.run_folder import open_run
 from transport.log.run_log import Recorded, RunLog
 from transport.report.report import write_report
@@ -75,11 +77,10 @@ did you mean 'horizon'?
     Raises: ScenarioError: the scenario or a setting is refused. ArgumentError: an argument is. RunError, HarnessError:
         the processes cannot be started. KeyboardInterrupt: Ctrl-C; no process is left.
     """
-    # A setup of its own: the compiled functions of a setup must not be used by two threads.
     flown = Scenario(scenario, settings, **short)
     if path is not None:
         flown.set(phases=[path_phase(path, flat=flown.maneuver.reference == "flat")])
-    setup = Setup.of(flown.validated, str(flown.file))
+    setup = Setup.of(flown.validated, str(flown.file))  # its own: compiled functions must not be used by two threads
     target = None if folder is None else Path(folder)
     if target is not None and target.exists():  # before the simulation
         raise ArgumentError(f"folder: expected a folder that does not exist yet, got {target}")
@@ -105,9 +106,55 @@ def load(folder: "str | PathLike[str]") -> Run:
 
     Raises: LogError: no run folder, or a log that cannot be read. ScenarioError: its scenario cannot be read.
     """
-    path = Path(folder)
-    recorded = open_run(path)
-    return Run(Scenario(recorded.scenario_file, allow_large=True), recorded.setup, recorded.log, path)
+    recorded = open_run(Path(folder))
+    return Run(Scenario(recorded.scenario_file, allow_large=True), recorded.setup, recorded.log, Path(folder))
+
+
+class ActiveRun:
+    """A run that is active on this machine, in its run folder `folder`."""
+
+    def __init__(self, folder: Path, there: live.LiveRun) -> None:
+        self.folder, self._there = folder, there
+
+    def __repr__(self) -> str:
+        return f"ActiveRun({str(self.folder)!r})"
+
+    def target(self, x: float, y: float, z: float, *, speed: float | None = None) -> dict[str, Any]:
+        """Send the payload to a position, inertial frame (z down), m, from the next tick on.
+
+        The largest speed, m/s, is up to 1 m/s, if feasible, by default.
+
+        Returns: `tick`, its time `t_s`, and when the reference is there, `reached_s` and `ends_s`, s.
+        Raises: TransportError: it cannot be flown, or the run does not answer.
+        """
+        return self.path([[x, y, z]], speed=speed)
+
+    def path(
+        self,
+        points: "Sequence[Sequence[float]] | str | PathLike[str]",
+        *,
+        times: Sequence[float] | None = None,
+        speed: float | None = None,
+    ) -> dict[str, Any]:
+        """Send the payload through way points on a smooth curve, after it has reached the first of them.
+
+        Points are positions, (k, 3), inertial frame, m, or a CSV file with columns x,y,z or t,x,y,z; times, s, count
+        from that of the first one and replace a largest speed, m/s. Returns and raises as `target`.
+        """
+        if isinstance(points, str | PathLike):
+            points, times = points_of(Path(points))
+        every = {"points_m": plain(points), "times_s": plain(times), "speed_mps": plain(speed)}
+        given = {key: value for key, value in every.items() if value is not None}
+        return self._there.ask(COORDINATOR, "target", given)
+
+
+def active(folder: "str | PathLike[str] | None" = None) -> ActiveRun:
+    """Return the active run of a folder, by default the most recent one in `runs`; raise ArgumentError without one."""
+    found = live.newest_folder(RUNS) if folder is None else Path(folder)
+    there = None if found is None else live.read(found)
+    if found is None or there is None:
+        raise ArgumentError(f"no active run in {RUNS if folder is None else folder}")
+    return ActiveRun(found, there)
 
 
 def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:

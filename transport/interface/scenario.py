@@ -1,7 +1,5 @@
 """Scenario as an object that stays valid: each change is checked as a whole, and made or refused."""
 
-import difflib
-import math
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -11,19 +9,13 @@ import numpy as np
 import tomli_w
 from pydantic import BaseModel
 
-from protocol.scenario.budget import check_budget
-from protocol.scenario.file import ScenarioError, find_scenario, read_scenario, with_settings
+from protocol.scenario.errors import ScenarioError, hint
+from protocol.scenario.file import find_scenario, read_tree, with_settings
 from protocol.scenario.keys import names_of
 from protocol.scenario.schema import Scenario as ScenarioTree
 from protocol.scenario.setup import Setup
 from protocol.scenario.team import FEWEST, MOST, given, resized
-from transport.interface.settings import (
-    ArgumentError,
-    Settings,
-    ShortSettings,
-    key_of,
-    settings_of,
-)
+from transport.interface.settings import ArgumentError, Settings, ShortSettings, key_of, settings_of
 
 
 class Section:
@@ -87,7 +79,7 @@ class Scenario(Section):
     Scenario('resilient-6': 6 UAVs, 6 agents, 25 s)
 
     The source is a scenario file, the name of one that comes with the package, or another scenario; changes are those
-    of `fly`. With `allow_large` runs may exceed the limits on ticks, memory and log of `transport validate`.
+    of `fly`. With `allow_large` runs may exceed the limits of `transport validate`.
 
     Raises: ScenarioError: naming file or setting, field, expected, got. ArgumentError: an argument is refused.
     """
@@ -108,14 +100,13 @@ class Scenario(Section):
         super().__init__(self, "")
         changes = settings_of(settings, short)
         if isinstance(source, Scenario):
-            self._allow_large = allow_large or source._allow_large
             self._path, self._tree, self._setup = source._path, source._tree, source._setup
+            self._allow_large = allow_large or source._allow_large
             if changes:
-                self._replace(given(self._tree), changes)
-            return
-        self._allow_large = allow_large
-        self._path = find_scenario(str(source))
-        self._take(read_scenario(self._path, changes, allow_large=allow_large), changes)
+                self._change(given(self._tree), changes)
+        else:
+            self._path, self._allow_large = find_scenario(str(source)), allow_large
+            self._change(read_tree(self._path), changes)
 
     def set(self, settings: Settings | None = None, **short: Unpack[ShortSettings]) -> None:
         """Make several changes at once, such as those that are valid only together.
@@ -124,7 +115,7 @@ class Scenario(Section):
         >>> scenario = transport.Scenario("paper")
         >>> scenario.set({"clock.mode": "realtime", "clock.speed": 1.0})
         """
-        self._replace(given(self._tree), settings_of(settings, short))
+        self._change(given(self._tree), settings_of(settings, short))
 
     def __getitem__(self, key: str) -> Any:
         """Return the value of a dotted key or short name."""
@@ -132,7 +123,7 @@ class Scenario(Section):
 
     def __setitem__(self, key: str, value: Any) -> None:
         """Change the value of a dotted key or short name."""
-        self._replace(given(self._tree), settings_of({key: value}, {}))
+        self.set({key: value})
 
     def __repr__(self) -> str:
         N, agents = self._setup.system.N, len(self._setup.agents)
@@ -182,18 +173,12 @@ class Scenario(Section):
         """
         if not FEWEST <= uavs <= MOST:
             raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs}")
-        if group is not None and not 1 <= group <= uavs:
-            raise ArgumentError(f"group: expected 1 to {uavs} UAVs per agent, got {group}")
-        if load_kg is not None and not 0.0 < load_kg < math.inf:
-            raise ArgumentError(f"load_kg: expected a number > 0, got {load_kg}")
+        if group is not None and group < 1:
+            raise ArgumentError(f"group: expected at least 1 UAV per agent, got {group}")
         source, chosen = str(self._path), None if vehicle is None else str(vehicle)
-        data = resized(
-            self._tree, self._path.parent, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg
-        )
-        if not self._allow_large:
-            check_budget(data, source)
+        data = resized(self._tree, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg)
         made = Scenario(self)
-        made._take(data, [])
+        made._change(given(data), [])
         return made
 
     def save(self, path: "str | PathLike[str]") -> Path:
@@ -206,17 +191,14 @@ class Scenario(Section):
         """Return the value of a dotted key as the model has it; the scenario itself for an empty one."""
         found: Any = self._tree
         for part in filter(None, key.split(".")):
+            parts: dict[str, Any] = {}
             if isinstance(found, list | tuple):
-                if not (part.isdecimal() and 1 <= int(part) <= len(found)):
-                    raise ScenarioError(str(self._path), key, f"expected an entry from 1 to {len(found)}, got {part}")
-                found = found[int(part) - 1]
-                continue
-            names = names_of(type(found)) if isinstance(found, BaseModel) else {}
-            if part not in names:
-                near = difflib.get_close_matches(part, names, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"
-                raise ScenarioError(str(self._path), key, f"unknown key; {hint}")
-            found = getattr(found, names[part])
+                parts = {str(number): entry for number, entry in enumerate(found, start=1)}
+            elif isinstance(found, BaseModel):
+                parts = {name: getattr(found, field) for name, field in names_of(type(found)).items()}
+            if part not in parts:
+                raise ScenarioError(str(self._path), key, f"unknown key; {hint(part, parts)}")
+            found = parts[part]
         return found
 
     def _shown(self, key: str) -> Any:
@@ -228,17 +210,14 @@ class Scenario(Section):
             return tuple(self._shown(f"{key}.{number}") for number in range(1, len(value) + 1))
         return value
 
-    def _replace(self, tree: dict[str, Any], changes: list[str]) -> None:
-        """Become the scenario of a tree with changes, or stay as it is if that is refused."""
-        self._take(with_settings(tree, changes, str(self._path), allow_large=self._allow_large), changes)
-
-    def _take(self, tree: ScenarioTree, changes: list[str]) -> None:
-        """Become a scenario with changes, which errors of its setup name."""
+    def _change(self, tree: dict[str, Any], changes: list[str]) -> None:
+        """Become the scenario of a tree with changes, or stay as it is if that is refused; errors name the changes."""
+        scenario = with_settings(tree, changes, str(self._path), allow_large=self._allow_large)
         try:
-            self._setup = Setup.of(tree, str(self._path))
+            self._setup = Setup.of(scenario, str(self._path))
         except ScenarioError as error:
             raise error.blaming(changes) from error.__cause__
-        self._tree = tree
+        self._tree = scenario
 
 
 def team(
@@ -270,10 +249,7 @@ def path_phase(path: Sequence[Sequence[float]], *, flat: bool) -> dict[str, Any]
 
     Raises: ArgumentError: rows of another kind.
     """
-    try:
-        rows = np.asarray(path, dtype=np.float64)
-    except (TypeError, ValueError):
-        rows = np.zeros(0)
+    rows = np.asarray(path, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 4 or len(rows) < 2:
         raise ArgumentError(f"path: expected two or more rows of t_s, x_m, y_m, z_m, got {path!r:.60}")
     rows = rows - rows[0]

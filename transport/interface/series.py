@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from model import state
-from model.arrays import Array
+from model.arrays import Array, frozen
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import ActualInputs, StepReport
 from transport.analysis.series import Series, series_of
@@ -77,8 +77,7 @@ class RunSeries(Mapping[str, Array]):
     def __init__(self, setup: Setup, log: RunLog) -> None:
         self.source = series_of(setup, log)  # as figures and metrics of the report use them
         self._arrays = {name: np.array(values) for name, values in _arrays(setup, log, self.source).items()}
-        for values in self._arrays.values():
-            values.setflags(write=False)
+        frozen(*self._arrays.values())
 
     def __getitem__(self, name: str) -> Array:
         """Return a series, (ticks, ...), read-only."""
@@ -110,14 +109,10 @@ class RunSeries(Mapping[str, Array]):
         """Return all series as columns, (ticks,), by name: `thrust_N[1]`, `payload_error_m[x]`, `uav_error_m[1,x]`."""
         found: dict[str, Array] = {}
         for name, quantity in QUANTITIES.items():
-            values = self[name]
-            labels = [
-                axis if isinstance(axis, tuple) else [str(i + 1) for i in range(values.shape[number])]
-                for number, axis in enumerate(quantity.axes, start=1)
-            ]
-            for place in np.ndindex(values.shape[1:]):
-                label = ",".join(names[i] for names, i in zip(labels, place, strict=True))
-                found[f"{name}[{label}]" if label else name] = values[(slice(None), *place)]
+            for place in np.ndindex(self[name].shape[1:]):
+                axes = zip(quantity.axes, place, strict=True)
+                label = ",".join(axis[i] if isinstance(axis, tuple) else str(i + 1) for axis, i in axes)
+                found[f"{name}[{label}]" if label else name] = self[name][(slice(None), *place)]
         return found
 
 
@@ -130,12 +125,11 @@ def _arrays(setup: Setup, log: RunLog, s: Series) -> dict[str, Any]:
     if setup.system.commands_rates:
         moments_Nm, rates_radps = missing.copy(), moments_Nm
     row_of = {int(tick): row for row, tick in enumerate(s.ticks)}
-    for actual in log.of(ActualInputs):
-        row = row_of.get(actual.tick)
-        if row is not None and setup.system.commands_rates:
-            moments_Nm[row] = actual.inputs[:, 1:]
-        if row is not None and len(actual.tensions):
-            tensions_N[row] = actual.tensions
+    for actual in (actual for actual in log.of(ActualInputs) if actual.tick in row_of):
+        if setup.system.commands_rates:
+            moments_Nm[row_of[actual.tick]] = actual.inputs[:, 1:]
+        if len(actual.tensions):
+            tensions_N[row_of[actual.tick]] = actual.tensions
     plan_ages, lost, step_ms, force_N = (np.full((T, M, *shape), np.nan) for shape in ((), (), (), (3,)))
     for report in log.of(StepReport):
         if report.tick in row_of and report.agent in setup.agents:

@@ -1,17 +1,14 @@
 """Arguments of the Python interface: settings by dotted key or short name, and errors about them."""
 
-import difflib
-import json
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from os import PathLike
 from typing import Any, Literal, TypedDict
 
 import numpy as np
-import tomli_w
 from rich.console import Console, RenderableType
 
-from protocol.scenario.errors import PythonSetting
+from protocol.scenario.errors import PythonSetting, hint
 from protocol.scenario.keys import short_names
 from protocol.wire.errors import TransportError
 
@@ -60,25 +57,33 @@ def key_of(name: str) -> str:
         return KEY_OF[name]
     if "." in name or name in ("name", "seed", "schema", "obstacle"):
         return name
-    near = difflib.get_close_matches(name, KEY_OF, n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(KEY_OF)}"
-    raise ArgumentError(f"{name}: expected a dotted key such as 'links.delay_s' or a short name; {hint}")
+    expected = "expected a dotted key such as 'links.delay_s' or a short name"
+    raise ArgumentError(f"{name}: {expected}; {hint(name, KEY_OF)}")
 
 
 def settings_of(settings: Settings | None, short: Mapping[str, Any]) -> list[str]:
-    """Return settings by dotted key, then keyword arguments, in the form of the command line.
-
-    Raises: ArgumentError: an unknown keyword argument, a key given twice, or a value that TOML cannot hold.
-    """
-    found: dict[str, str] = {}
-    for name, value in [*(settings or {}).items(), *short.items()]:
-        key = key_of(name)
+    """Return settings by dotted key, then keyword arguments; raise ArgumentError for an unknown or repeated key."""
+    found: dict[str, PythonSetting] = {}
+    for name, given in [*(settings or {}).items(), *short.items()]:
+        key, value = key_of(name), plain(given)
         if key in found:
             raise ArgumentError(f"{name}: expected each key once, got {key} twice")
-        if isinstance(value, type):  # a controller or an engine
-            value = f"{value.__module__}:{value.__qualname__}"
-        found[key] = PythonSetting(f"{key}={_toml(value, name)}")
+        found[key] = PythonSetting(f"{key}={value!r}")
+        found[key].value = value
     return list(found.values())
+
+
+def plain(value: Any) -> Any:
+    """Return a value without types of NumPy, paths and classes: a controller or an engine is named."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple | range):
+        return [plain(part) for part in value]
+    if isinstance(value, type):
+        return f"{value.__module__}:{value.__qualname__}"
+    return str(value) if isinstance(value, PathLike) else value
 
 
 def printed(table: RenderableType, width: int) -> str:
@@ -95,20 +100,3 @@ def require_pandas() -> Any:
         return import_module("pandas")
     except ModuleNotFoundError as error:
         raise ArgumentError("pandas is not installed: pip install 'payload-transport[pandas]'") from error
-
-
-def _toml(value: Any, name: str) -> str:
-    """Return a value as TOML on one line; floats keep their bits."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        parts = (f"{json.dumps(str(key), ensure_ascii=False)} = {_toml(part, name)}" for key, part in value.items())
-        return f"{{{', '.join(parts)}}}"
-    if isinstance(value, list | tuple | range):
-        return f"[{', '.join(_toml(part, name) for part in value)}]"
-    if isinstance(value, PathLike):
-        value = str(value)
-    if isinstance(value, bool | int | float | str):
-        return tomli_w.dumps({"_": value}).removeprefix("_ = ").rstrip("\n")
-    expected = "expected a number, text, true or false, or lists and dictionaries of these"
-    raise ArgumentError(f"{name}: {expected}, got {type(value).__name__} {value!r:.60}")

@@ -8,8 +8,6 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
 from transport.experiments.declaration import Experiment, axis
@@ -21,7 +19,7 @@ from transport.flight.progress import compile_model
 from transport.interface.figure import RunFigure, drawn
 from transport.interface.fly import console
 from transport.interface.scenario import Scenario
-from transport.interface.settings import ArgumentError, key_of, printed, require_pandas
+from transport.interface.settings import ArgumentError, key_of, plain, printed, require_pandas
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -154,22 +152,17 @@ class Sweep:
         along = names[0] if x is None else x
         if along not in names:
             raise ArgumentError(f"x: expected one of {', '.join(names)}, got {along!r}")
-        if kind not in ("curves", "map"):
-            raise ArgumentError(f"kind: expected 'curves' or 'map', got {kind!r}")
         others, across = [name for name in names if name != along], axis(along)
         if kind == "map":
             if len(others) != 1 or any(isinstance(value, str) for point in points for value in point.labels.values()):
                 raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
-            up = axis(others[0])
-            return Experiment(name=_NAME, points=points, x=across, y=up), self.points
+            return Experiment(name=_NAME, points=points, x=across, y=axis(others[0])), self.points
         measured = []
-        for m in self.points:
-            own: dict[str, str | float] = {along: m.point.labels[along]}
-            if others:  # the settings that tell the curve
-                own[_CURVE] = ", ".join(axis(name).text(m.point.labels[name]) for name in others)
-            measured.append(replace(m, point=replace(m.point, labels=own)))
-        curves, drawn_points = _CURVE if others else None, tuple(m.point for m in measured)
-        return Experiment(name=_NAME, points=drawn_points, x=across, curves=curves), measured
+        for m in self.points:  # the settings other than that along the axis tell the curve
+            curve = {_CURVE: ", ".join(axis(name).text(m.point.labels[name]) for name in others)} if others else {}
+            measured.append(replace(m, point=replace(m.point, labels={along: m.point.labels[along], **curve})))
+        shown = tuple(m.point for m in measured)
+        return Experiment(name=_NAME, points=shown, x=across, curves=_CURVE if others else None), measured
 
 
 def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
@@ -178,9 +171,8 @@ def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
     for name, values in grid.items():
         if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
             raise ArgumentError(f"{name}: expected a list of values, got {values!r:.60}")
-        found[name] = [value.item() if isinstance(value, np.generic) else value for value in values]
-        labels = [_label(value) for value in found[name]]
-        if not labels or len(set(labels)) < len(labels):
+        found[name] = plain(list(values))
+        if not found[name] or len(set(map(_label, found[name]))) < len(found[name]):
             raise ArgumentError(f"{name}: expected different values, at least one, got {found[name]!r:.60}")
     keys = [key_of(name) for name in found]
     if not keys or "seed" in keys or len(set(keys)) < len(keys):
@@ -199,10 +191,9 @@ def _scenarios(base: "Base | Sequence[Base] | Mapping[str, Base]") -> dict[str, 
     if isinstance(base, Mapping):
         named = [(str(label), Scenario(one)) for label, one in base.items()]
     else:
-        several = [base] if isinstance(base, str | PathLike | Scenario) else list(base)
+        several = [base] if isinstance(base, str | PathLike | Scenario) else base
         named = [(scenario.name, scenario) for scenario in map(Scenario, several)]
-    found = dict(named)
-    if not named or len(found) < len(named):
-        names = ", ".join(name for name, _ in named) or "none"
-        raise ArgumentError(f"base: expected scenarios with different names, or a dictionary with labels, got {names}")
-    return found
+    if len(dict(named)) < max(1, len(named)):
+        got = [name for name, _ in named]
+        raise ArgumentError(f"base: expected scenarios with different names, or a dictionary with labels, got {got}")
+    return dict(named)

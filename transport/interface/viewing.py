@@ -8,9 +8,6 @@ from transport.log.run_log import RunLog
 from transport.scene.scene import SceneBuilder
 from transport.viewer.viewer import Viewer
 
-# Height of the viewer in a notebook, pixels.
-_HEIGHT = 600
-
 
 class RunViewer(Viewer):
     """Viewer of a run in this process, at `address`; a context that closes it, or `close()` does."""
@@ -26,10 +23,7 @@ class RunViewer(Viewer):
 
     def _repr_html_(self) -> str:
         address = html.escape(self.address)
-        if self._closed.is_set():
-            return f"<p>{address} (closed)</p>"
-        frame = f'<iframe src="{address}" width="100%" height="{_HEIGHT}" style="border:0"></iframe>'
-        return f'<p><a href="{address}" target="_blank">{address}</a></p>{frame}'
+        return f'<iframe src="{address}" width="100%" height="600" style="border:0"></iframe><p>{address}</p>'
 
     def wait(self) -> None:
         """Wait until the viewer is closed; Ctrl-C closes it."""

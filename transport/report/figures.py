@@ -293,7 +293,7 @@ def _draw_timing(figure: Figure, setup: Setup, log: RunLog) -> bool:
 
 def draw_replay(setup: Setup, comparison: Comparison, folder: Path) -> list[Path]:
     """Draw replay.png and replay.svg: largest difference of the inputs at each tick; return the files."""
-    table = np.array([row[:5] for row in comparison.rows], dtype=float)
+    table = np.array(comparison.rows, dtype=float)
     times_s, differences = table[:, 0] * setup.settings.sampling_period_s, np.where(table > 0.0, table, np.nan)
     turning = "commanded rate (rad/s)" if setup.system.commands_rates else "moment (N m)"
     with mpl.rc_context(RC):

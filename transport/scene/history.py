@@ -106,7 +106,7 @@ class LinkHistory:
         self._links = {
             (a, b): setup.link(agent_name(a), agent_name(b)) for a in setup.agents for b in setup.agents if a != b
         }
-        self._changes, self._applied = LinkChanges(self._links.values(), setup.samples_s), 0
+        self._changes, self._applied = LinkChanges(self._links.values()), 0
         self._window = max(1, round(LOSS_WINDOW_S / self._period_s))
 
         @cache

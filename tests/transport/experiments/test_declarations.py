@@ -35,7 +35,7 @@ def built(name: str, *, of: tuple[str, ...] = BOTH, **given: Any) -> Experiment:
 def delays(point: Point) -> list[list[float]]:
     """Return the delays of many plans on a link of a point."""
     scenario = read_scenario(find_scenario(point.scenario), point.settings)
-    path = Link(scenario.links, "agent1", "agent2", seed=0, period_s=0.05, samples_s={})
+    path = Link(scenario.links, "agent1", "agent2", seed=0, period_s=0.05)
     return [path.delays(tick) for tick in range(TICKS)]
 
 

@@ -91,7 +91,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"grid": GRID, "seeds": 0}, "seeds: expected a number >= 1, got 0"),
     (
         {"grid": GRID, "base": []},
-        "base: expected scenarios with different names, or a dictionary with labels, got none",
+        "base: expected scenarios with different names, or a dictionary with labels, got []",
     ),
     ({"grid": GRID, "base": ["paper", "paper"]}, "base: expected scenarios with different names"),
 ]

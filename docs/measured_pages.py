@@ -1,0 +1,443 @@
+"""Renew the measured tables of the pages below, or those named as arguments: part of `make figures`, half an hour."""
+
+import math
+import sys
+from collections.abc import Mapping
+from functools import partial
+from importlib import metadata
+from itertools import product
+
+import numpy as np
+from simulations import (
+    ATTITUDE,
+    COST,
+    Cell,
+    Flown,
+    Run,
+    Table,
+    cell,
+    completed,
+    events,
+    grid,
+    listed,
+    outcome,
+    renew,
+    unless_diverged,
+    values,
+)
+
+from plant.engines import engine_version
+from transport.experiments.comparison import grade
+
+LATE = ("links.delay_s=0.2", "links.loss=0.3")
+IMPAIRED = ("links.delay_s=0.1", "links.loss=0.3")
+ESTIMATE = "controller.disturbance.estimate=true"
+HEAVIER = "plant.payload_mass_factor"
+MUJOCO, CABLES = "plant.engine=mujoco", "plant.mujoco.suspension=cables"
+# The sensors of a small autopilot with satellite navigation.
+SENSORS = (
+    "plant.sensors=vehicle",
+    "controller.estimator=kalman",
+    "plant.noise={position_m=0.01,velocity_mps=0.02,attitude_rad=0.0087,rate_rads=0.0175,specific_force_mps2=0.3}",
+)
+SWING = cell("swing_m", "{:.1f} cm", 100.0)
+DISTANCE = cell("separation_min_m", "{:.3f} m", of=np.min)
+PAYLOAD = unless_diverged(cell("payload_rms_m", "{:.2f} cm rms", 100.0), cell("payload_max_m", "{:.2f} cm", 100.0))
+PAYLOAD_RMS = cell("payload_rms_m", "{:.1f} cm", 100.0)
+DETAILS = {
+    "result": outcome,
+    "mean cost": COST,
+    "payload attitude": ATTITUDE,
+    "smallest distance of two UAVs": cell("separation_min_m", "{:.2f} m", of=np.min),
+    "largest distance of a UAV from its reference": cell("uav_max_m", "{:.2f} m"),
+}
+
+
+# docs/guarantees.md
+
+NETWORKS = {
+    "perfect": (),
+    "200 ms delay": ("links.delay_s=0.2",),
+    "30 % packet loss": ("links.loss=0.3",),
+    "agents 1, 2 cut off from 3, 4 from 8 to 12 s": (
+        'links.partition=[{between=["agent1","agent2"],start_s=8.0,end_s=12.0}]',
+    ),
+    "no plan arrives (`links.loss=1`)": ("links.loss=1",),
+}
+
+
+def killed(*agents: int, at_s: float = 8.0, settings: tuple[str, ...] = ()) -> Run:
+    """Return the run in which agents are killed for good."""
+    return Run("resilient", (*events(*((at_s, "kill", f"agent{agent}") for agent in agents)), *settings))
+
+
+def returning(at_s: float, scenario: str = "resilient") -> Run:
+    """Return the run in which agent 3 is killed at 8 s and restarted."""
+    return Run(scenario, events((8.0, "kill", "agent3"), (at_s, "restart", "agent3")))
+
+
+def failed(uavs: int, **actions_s: float) -> Run:
+    """Return the run of a team of some size in which UAV 3 fails."""
+    return Run("resilient", events(*((s, do, "uav3") for do, s in actions_s.items())), None if uavs == 4 else uavs)
+
+
+LEVEL = ("controller.fail_safe=level",)
+DEATHS = {
+    **{f"3, at {at_s:g} s": killed(3, at_s=at_s) for at_s in (1.0, 8.0, 16.0)},
+    "3 and 4 (neighbours), at 8 s": killed(3, 4),
+    "1 and 3 (opposite), at 8 s": killed(1, 3),
+    "1, 2 and 3, at 8 s": killed(1, 2, 3),
+    "3, at 8 s, `fail_safe=level`": killed(3, settings=LEVEL),
+    "1 and 3, at 8 s, `fail_safe=level`": killed(1, 3, settings=LEVEL),
+}
+RETURNS = {
+    **{f"{back_s:g} s": returning(back_s) for back_s in (8.5, 9.0, 10.0, 12.0, 17.0)},
+    "never": killed(3),
+    "10 s, `paper`": returning(10.0, "paper"),
+}
+# Runs of four, five and six UAVs.
+FAILURES = {
+    "released at once": [failed(4, release=8.0), None, failed(6, release=8.0)],
+    "motors off, released 0.1 s later": [failed(4, motor_off=8.0, release=8.1), None, None],
+    "motors off, released 0.5 s later": [failed(4, motor_off=8.0, release=8.5), None, None],
+    "motors off, never released": [failed(uavs, motor_off=8.0) for uavs in (4, 5, 6)],
+}
+GUARANTEES = (
+    listed("network", "network", {text: Run("resilient", settings) for text, settings in NETWORKS.items()}, DETAILS),
+    grid(
+        "failures",
+        ["permanent failure of UAV 3"],
+        [f"{uavs} UAVs" for uavs in (4, 5, 6)],
+        FAILURES,
+        unless_diverged(ATTITUDE),
+    ),
+    listed("deaths", "agent killed", DEATHS, DETAILS),
+    listed("returns", "restarted at", RETURNS, DETAILS),
+)
+
+
+# docs/engines.md and docs/vehicles.md
+
+SUSPENSIONS: Mapping[str, tuple[str, ...]] = {
+    "rods of 1 g": (),
+    "rods of 10 g": ("plant.mujoco.rod_mass_kg=0.01",),
+    "rods of 100 g": ("plant.mujoco.rod_mass_kg=0.1",),
+    "rods of 100 g, with `controller.disturbance.estimate`": ("plant.mujoco.rod_mass_kg=0.1", ESTIMATE),
+    "cables": (CABLES,),
+}
+# A maneuver that descends almost as fast as bodies fall.
+FALL = (
+    'maneuver.phase=[{name="hover",duration_s=1.0,displacement_m=[0.0,0.0,0.0]},'
+    '{name="descend",duration_s=1.0,displacement_m=[0.0,0.0,6.0]},'
+    '{name="hover",duration_s=3.0,displacement_m=[0.0,0.0,0.0]}]'
+)
+ON_CABLES = {
+    "`resilient`": Run("resilient", (MUJOCO, CABLES)),
+    "`eight` at 5 m/s, 200 ms delay, 30 % packet loss": Run("eight", (MUJOCO, CABLES, *LATE)),
+    "`resilient`, 6 m down in 1 s": Run("resilient", (MUJOCO, CABLES, FALL)),
+    "`resilient`, the same, with `controller.tension.minimum_N=2`": Run(
+        "resilient", (MUJOCO, CABLES, FALL, "controller.tension.minimum_N=2.0")
+    ),
+}
+# Scenarios with body rates, in which the modelled inner loop and the firmware are compared.
+FIRMWARE: Mapping[tuple[str, str], tuple[str, ...]] = {
+    ("`resilient`", "perfect network"): (),
+    ("`resilient`", "in MuJoCo"): (MUJOCO,),
+    ("`resilient`", "200 ms delay, 30 % packet loss"): LATE,
+    ("`precise`", "200 ms delay, 30 % packet loss"): LATE,
+    ("`precise`", "200 ms delay, 30 % packet loss, no sensor at the payload, noise"): (*LATE, *SENSORS),
+    ("`eight`", "as it is"): (),
+}
+
+
+def inner(loop: str, scenario: str, settings: tuple[str, ...]) -> Run:
+    """Return the run with an inner loop."""
+    return Run(scenario.strip("`"), ("controller.inputs=rates", f"plant.inner_loop={loop}", *settings))
+
+
+ENGINES = (
+    grid(
+        "controllers",
+        ["scenario", "network"],
+        ["`rods`: payload error", "`mujoco`: payload error"],
+        {
+            (f"`{name}`", network): [Run(name, settings), Run(name, (MUJOCO, *settings))]
+            for name in ("resilient", "precise")
+            for network, settings in {"perfect": (), "200 ms delay, 30 % packet loss": LATE}.items()
+        },
+        PAYLOAD,
+    ),
+    listed(
+        "suspensions",
+        "`resilient` in MuJoCo with",
+        {text: Run("resilient", (MUJOCO, *settings)) for text, settings in SUSPENSIONS.items()},
+        {"payload error": PAYLOAD},
+    ),
+    listed(
+        "cables",
+        "on cables",
+        ON_CABLES,
+        {
+            "payload error, largest": cell("payload_max_m", "{:.1f} cm", 100.0),
+            "smallest tension": cell("tension_min_N", "{:.2f} N"),
+            "times slack": cell("slack", "{:.0f}"),
+            "longest": cell("slack_longest_s", "{:.2f} s"),
+        },
+    ),
+    grid(
+        "firmware",
+        ["scenario", "settings"],
+        ["modelled", "Betaflight"],
+        {
+            key: [inner(loop, key[0], settings) for loop in ("model", "betaflight")]
+            for key, settings in FIRMWARE.items()
+        },
+        unless_diverged(COST),
+    ),
+)
+ESTIMATES: Mapping[str, tuple[str, ...]] = {
+    "perfect network": (),
+    "200 ms and 30 % loss": LATE,
+    "the same, 30 ms of motor lag that no agent knows": (*LATE, "plant.motors.lag_s=0.03"),
+    "200 ms and 30 % loss, payload 20 % heavier, gusts of 1 m/s, forces estimated": (
+        *(*LATE, ESTIMATE, f"{HEAVIER}=1.2"),
+        "plant.wind.gust_mps=[1.0,1.0,1.0]",
+    ),
+    "200 ms and 30 % loss, agent 3 killed at 7 s": (*LATE, *events((7.0, "kill", "agent3"))),
+}
+VEHICLES = (
+    listed(
+        "estimates",
+        "`precise`",
+        {text: Run("precise", (*SENSORS, *settings), seeds=3) for text, settings in ESTIMATES.items()},
+        {
+            "completed": completed,
+            "payload error, rms": cell("payload_rms_m", "{:.2f} cm", 100.0),
+            "estimate's error, rms": cell("position_rms_m", "{:.2f} cm", 100.0),
+            "in attitude": cell("attitude_rms_deg", "{:.2f} deg"),
+            "NEES of 6, least": cell("nees", "{:.1f}", of=np.min),
+            "largest": cell("nees", "{:.1f}", of=np.max),
+        },
+    ),
+)
+
+
+# docs/values.md, docs/scenario.md and docs/time.md
+
+COMPARED = ("paper", "centralized", "resilient", "centralized_lq", "precise")
+WEIGHTS = (
+    "controller.weights.attitude=0.5",
+    "controller.weights.attitude=50",
+    "controller.weights.acceleration=5e-4",
+    "controller.weights.acceleration=5e-2",
+    "controller.weights.angular_acceleration=1.7e-4",
+    "controller.weights.angular_acceleration=1.7e-2",
+    "controller.horizon=5",
+    "controller.horizon=10",
+    "controller.horizon=30",
+    "maneuver.profile=min_jerk",
+    "maneuver.profile=step",
+)
+STILL = "maneuver.phase=[{name='hover',duration_s=20,displacement_m=[0,0,0]}]"
+PLANTS = {"15 % more payload": f"{HEAVIER}=1.15", "wind of 5 m/s": "plant.wind.speed_mps=[5,0,0]"}
+WITH_ESTIMATE = {
+    "without estimate": (),
+    "with estimate": (ESTIMATE,),
+    "with estimate, 100 ms delay, 30 % loss": (ESTIMATE, *IMPAIRED),
+}
+PENALTIES = ("separation.penalty", "constraint.1.penalty", "constraint.2.penalty")
+COLLISION = {
+    "as it is": (),
+    "`controller.separation.minimum_m=0.001`": ("controller.separation.minimum_m=0.001",),
+    "`agents.owned=[[1,2,3,4]]`": ("agents.owned=[[1,2,3,4]]",),
+    "all three penalties 60": tuple(f"controller.{key}=60" for key in PENALTIES),
+}
+OPEN_LOOP = ("controller.prediction=open_loop", "controller.terminal=multiple", "controller.preview=false")
+WINDY = {
+    "as it is": (),
+    "without the estimate": ("controller.disturbance.estimate=false",),
+    "100 ms delay, 30 % loss": IMPAIRED,
+    "open-loop prediction": OPEN_LOOP,
+}
+VALUES = (
+    listed(
+        "follows",
+        "",
+        {f"`{name}`": Run(name) for name in COMPARED},
+        {
+            "cost, mean": COST,
+            "payload attitude": cell("attitude_max_deg", "{:.2f} deg"),
+            "UAV error, rms": cell("uav_rms_m", "{:.1f} cm", 100.0),
+            "payload error, rms": PAYLOAD_RMS,
+            "largest payload error": cell("payload_max_m", "{:.1f} cm", 100.0),
+            "the same in the last 4 s": SWING,
+            "smallest distance of two UAVs": DISTANCE,
+        },
+    ),
+    grid(
+        "weights",
+        ["`--set`"],
+        ["`paper`", "`resilient`"],
+        {
+            text: [Run("paper", settings), Run("resilient", settings)]
+            for text, settings in {"nothing": (), **{f"`{setting}`": (setting,) for setting in WEIGHTS}}.items()
+        },
+        unless_diverged(cell("attitude_max_deg", "{:.2f} deg"), cell("swing_m", "{:.0f} cm", 100.0)),
+    ),
+    grid(
+        "plant_state",
+        [""],
+        list(WITH_ESTIMATE),
+        {
+            text: [Run("resilient", (STILL, setting, *changes)) for changes in WITH_ESTIMATE.values()]
+            for text, setting in PLANTS.items()
+        },
+        unless_diverged(cell("uav_last_m", "{:.2f} cm", 100.0), COST),
+    ),
+    listed(
+        "collision",
+        "",
+        {text: Run("collision", settings) for text, settings in COLLISION.items()},
+        {"smallest distance": DISTANCE, "front pair, largest x": cell("front_m", "{:.3f} m")},
+    ),
+    listed(
+        "windy",
+        "",
+        {text: Run("windy", settings, seeds=8) for text, settings in WINDY.items()},
+        {
+            "completed": completed,
+            "attitude, mean": cell("attitude_max_deg", "{:.2f} deg"),
+            "mean cost": cell("cost_mean", "{:.2f}"),
+            "smallest distance": cell("separation_min_m", "{:.2f} m", of=np.min),
+            "largest swing": cell("swing_m", "{:.2f} m", of=np.max),
+        },
+    ),
+)
+
+
+def team(uavs: int) -> list[Run]:
+    """Return the runs of a team size: without delay, with it, and that of the paper's algorithm."""
+    resilient = partial(Run, "resilient", uavs=uavs)
+    return [resilient(), resilient(("links.delay_s=0.1",)), Run("paper", uavs=uavs)]
+
+
+COST_AND_ATTITUDE = unless_diverged(COST, cell("attitude_max_deg", "{:.2f} deg"))
+SCENARIO = (
+    grid(
+        "teams",
+        ["UAVs"],
+        ["without delay", "0.1 s", "`--from paper`"],
+        {str(uavs): team(uavs) for uavs in (2, 3, 4, 6, 8)},
+        COST_AND_ATTITUDE,
+    ),
+)
+TIME = (
+    grid(
+        "negotiation_iterations",
+        ["iterations"],
+        ["`paper`", "`resilient`"],
+        {
+            str(count): [Run(name, (f"controller.negotiation_iterations={count}",)) for name in ("paper", "resilient")]
+            for count in (1, 2, 4)
+        },
+        COST_AND_ATTITUDE,
+    ),
+)
+
+
+# docs/results.md
+
+DEATH = events((8.0, "kill", "agent3"))
+AGILE: Mapping[str, tuple[str, ...]] = {
+    "200 ms delay, 30 % loss": LATE,
+    "400 ms delay, 60 % loss": ("links.delay_s=0.4", "links.loss=0.6"),
+    "perfect network": (),
+    "one agent for all UAVs": ("agents.owned=[[1,2,3]]",),
+    "5.5 m/s, 8.1 m/s², late": (*LATE, "maneuver.phase.2.speed_mps=5.5"),
+    "payload 43 % heavier, estimated, late": (*LATE, ESTIMATE, f"{HEAVIER}=1.43"),
+    "wind of 5 m/s, estimated, late": (*LATE, ESTIMATE, "plant.wind.speed_mps=[5.0,0.0,0.0]"),
+    "agent 3 dies, late": (*LATE, *DEATH),
+}
+GAP = {
+    "the scenario, 20 seeds": Run("gap", seeds=20),
+    "perfect network, 5 seeds": Run("gap", ("links.delay_s=0.0", "links.loss=0.0"), seeds=5),
+    "gusts of 1.5 m/s, estimated, 5 seeds": Run("gap", ("plant.wind.gust_mps=[1.5,1.5,1.5]", ESTIMATE), seeds=5),
+}
+
+
+def least(name: str) -> Cell:
+    """Return the smallest distance of all seeds from the walls."""
+    return cell(name, "{:.1f}", 100.0, np.min)
+
+
+# The map of the claims: weights on attitude (that on positions is 1), terminal weights, horizons.
+ATTITUDES, TERMINALS, HORIZONS = (0.5, 1.0, 5.0), (10.0, 50.0, 100.0), (6, 8, 10, 14)
+KINDS = (("centralized", 0.05), ("paper", 0.05), ("paper", 0.04))
+
+
+def kinds(attitude: float, terminal: float, horizon: int) -> list[Run]:
+    """Return the runs of a point: both controllers at 50 ms, the paper's at 40 ms with a horizon as long in seconds."""
+    weights = (f"controller.weights.attitude={attitude}", f"controller.weights.terminal={terminal}")
+    return [
+        Run(name, (*weights, f"controller.horizon={round(horizon * 0.05 / s)}", f"controller.sampling_period_s={s}"))
+        for name, s in KINDS
+    ]
+
+
+def ratios(index: int, *results: Flown) -> str:
+    """Return the paper's costs over that of the centralized controller, bold where both claims hold."""
+    (reference,), *own = (values("cost_mean", flown) for flown in results[len(KINDS) * index :][: len(KINDS)])
+    found = [costs[0] / reference if costs else math.inf for costs in own]
+    text = ", ".join("diverges" if ratio == math.inf else f"{ratio:.3f}" for ratio in found)
+    return f"**{text}**" if [grade(ratio) for ratio in found] == ["slightly worse", "slightly better"] else text
+
+
+RESULTS = (
+    Table(
+        "claims",
+        ["attitude, Q_f"],
+        {
+            f"{attitude:g}, {terminal:g}": [run for N_p in HORIZONS for run in kinds(attitude, terminal, N_p)]
+            for attitude, terminal in product(ATTITUDES, TERMINALS)
+        },
+        {f"N_p {N_p}": partial(ratios, i) for i, N_p in enumerate(HORIZONS)},
+    ),
+    listed(
+        "gap",
+        "case",
+        GAP,
+        {
+            "completed": completed,
+            "UAVs, cm": least("uav"),
+            "rods, cm": least("rod"),
+            "payload, cm": least("payload"),
+            "worst error rms, cm": cell("payload_rms_m", "{:.2f}", 100.0, np.max),
+        },
+    ),
+    listed(
+        "fast",
+        "case",
+        {text: Run("eight", settings, seeds=10) for text, settings in AGILE.items()},
+        {
+            "completed": completed,
+            "error rms, mean, cm": cell("payload_rms_m", "{:.2f}", 100.0),
+            "worst rms, cm": cell("payload_rms_m", "{:.2f}", 100.0, np.max),
+            "largest error, cm": cell("payload_max_m", "{:.1f}", 100.0, np.max),
+            "attitude, deg": cell("attitude_max_deg", "{:.1f}", of=np.max),
+        },
+    ),
+)
+
+PAGES = {
+    "guarantees.md": GUARANTEES,
+    "engines.md": ENGINES,
+    "vehicles.md": VEHICLES,
+    "values.md": VALUES,
+    "scenario.md": SCENARIO,
+    "time.md": TIME,
+    "results.md": RESULTS,
+}
+
+if __name__ == "__main__":
+    others = "" if sys.argv[1:] else f", mujoco {engine_version('mujoco')}, betaflight {metadata.version('betaflight')}"
+    renew(PAGES, others)
