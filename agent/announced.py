@@ -35,45 +35,34 @@ class AnnouncedInputs:
     Args:
         owned: 0-based UAVs of agent 1, agent 2, ...
         u_hover: Inputs assumed before an agent's first plan arrives, (4 N,).
-        fail_safe: Control law after the last plan of an agent off the roster.
         alignment: Alignment of the others' plans with the horizon.
         own: The agent itself, 1-based, whose plans are always aligned by age; 0 for none.
         law: Shared control law, followed after the first step of a plan.
-        past: State estimates, to evaluate that law at the first step of a plan.
-        settings: Bounds of the actuators, applied to that law.
-        carried: Whether the difference of a plan's first step from that law holds for later steps. It does not where
+        past: State estimates: the difference of the first step of a plan from that law holds for later ones. None where
             the error of the sender's estimate, which differs from tick to tick, is most of it.
-
-    Attributes:
-        off_roster: Agents that make no more plans.
-        fail_safe: Control law after the last plan of one of them.
-        law_since: Tick from which on the shared control law is that of the present team.
-        failed_since: Tick of the newest failure of a UAV: from then on every agent follows the control law of the UAVs
-            that are left; earlier plans apply until then.
+        settings: Bounds of the actuators, applied to that law.
     """
 
     def __init__(
         self,
         owned: Sequence[Sequence[int]],
         u_hover: Array,
-        fail_safe: FailSafe | None = None,
         alignment: Alignment = "by_age",
         own: int = 0,
         law: Law = lambda _tick, _x: None,
-        past: Past = lambda _tick: None,
+        past: Past | None = None,
         settings: ControllerSettings | None = None,
-        *,
-        carried: bool = True,
     ) -> None:
-        self.off_roster: set[int] = set()
-        self.law_since = 0
+        self.off_roster: set[int] = set()  # agents that make no more plans
+        self.fail_safe: FailSafe | None = None  # control law after the last plan of one of them
+        self.law_since = 0  # tick from which on the shared control law is that of the present team
+        # Tick of the newest failure of a UAV: from then on every agent follows the control law of the UAVs that are
+        # left; earlier plans apply until then.
         self.failed_since = 0
-        self._law, self._past, self._carried = law, past, carried
+        self._owned, self._u_hover, self._alignment, self._own = owned, u_hover, alignment, own
+        self._law, self._past = law, past
         uavs = sum(map(len, owned))
         self._bounds = None if settings is None else (settings.lower(uavs), settings.upper(uavs))
-        self._alignment, self._own = alignment, own
-        self._u_hover = u_hover
-        self._owned, self.fail_safe = owned, fail_safe
         self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
         # By agent, ascending in the tick they were made at.
         self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
@@ -95,16 +84,13 @@ class AnnouncedInputs:
         self._assumed.pop(agent, None)
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
-        """Assume inputs, (N_p, 4 N), from tick `start` on for an agent that left and whose last plan was not received.
-
-        Source: docs/equations.md (32b).
-        """
+        """Assume inputs, (N_p, 4 N), from a tick on for an agent that left: docs/equations.md (32b)."""
         self._assumed[agent] = start, inputs[:, self._columns[agent]]
 
-    def newest(self, agent: int, before: int) -> Plan | None:
-        """Return the newest plan that an agent made before a tick."""
+    def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:
+        """Return the newest plan that an agent made before a tick, and that has started at another."""
         for plan in reversed(self._plans[agent]):
-            if plan.tick < before:
+            if plan.tick < before and (started is None or plan.start_tick <= started):
                 return plan
         return None
 
@@ -118,34 +104,26 @@ class AnnouncedInputs:
         """
         U = np.repeat(self._u_hover[None], steps, axis=0)
         for agent, columns in self._columns.items():
-            assumed = self._assumed.get(agent)
-            if assumed is not None:
-                entries = assumed[1][max(start - assumed[0], 0) :][:steps]
-                U[: len(entries), columns] = entries
-                continue
             plan = self.newest(agent, before)
-            if plan is not None:
+            if agent in self._assumed:
+                begun, inputs = self._assumed[agent]
+                entries = inputs[max(start - begun, 0) :][:steps]
+            elif plan is not None:
                 entries = self._entries(plan.inputs, plan, start, steps)
-                U[: len(entries), columns] = entries
                 if agent not in self.off_roster:
                     U[len(entries) :, columns] = plan.inputs[-1]
+            else:
+                continue
+            U[: len(entries), columns] = entries
         return U
 
     def under_previous_law(self, before: int) -> list[int]:
         """Return the agents whose newest plan made before a tick was made under the previous control law."""
-        return [
-            agent
-            for agent in self._columns
-            if agent not in self.off_roster
-            and (plan := self.newest(agent, before)) is not None
-            and self.failed_since <= plan.tick < self.law_since
-        ]
+        newest = {agent: self.newest(agent, before) for agent in self._columns if agent not in self.off_roster}
+        return [agent for agent, plan in newest.items() if plan and self.failed_since <= plan.tick < self.law_since]
 
     def corrections(self, start: int, steps: int, before: int) -> Array:
-        """Return the announced corrections to the shared control law over the horizon, zero after their end.
-
-        Returns: Corrections over N_p steps from tick `start` on, (N_p, 4 N). Source: docs/equations.md (32).
-        """
+        """Return the announced corrections, (N_p, 4 N), zero after their end. Source: docs/equations.md (32)."""
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
@@ -155,14 +133,11 @@ class AnnouncedInputs:
         return c
 
     def unannounced(self, tick: int, before: int) -> npt.NDArray[np.bool_]:
-        """Return which of the inputs that `at` returns no plan says: by the law, and by the fail-safe, (2, 4 N).
-
-        The first step of a plan was applied as announced, and so were all those of an agent off the roster.
-        """
+        """Return which of the inputs that `at` returns no plan says: by the law, and by the fail-safe, (2, 4 N)."""
         found = np.zeros((2, len(self._u_hover)), dtype=bool)
         by_law, by_fail_safe = found
         for agent, columns in self._columns.items():
-            plan = next((p for p in reversed(self._plans[agent]) if p.tick < before and p.start_tick <= tick), None)
+            plan = self.newest(agent, before, tick)
             if agent in self.off_roster:
                 by_fail_safe[columns] = plan is not None and tick - plan.start_tick >= len(plan.inputs)
             elif agent != self._own:
@@ -183,27 +158,22 @@ class AnnouncedInputs:
         """
         u = self._u_hover.copy()
         for agent, columns in self._columns.items():
-            for plan in reversed(self._plans[agent]):
-                if plan.tick < before and plan.start_tick <= tick:
-                    break
-            else:
+            plan, is_off = self.newest(agent, before, tick), agent in self.off_roster
+            if plan is None:
                 continue
             begun, inputs = plan.start_tick, plan.inputs
             if agent in self._assumed and tick >= self._assumed[agent][0]:
                 begun, inputs = self._assumed[agent]
             step = tick - begun
-            if agent in self.off_roster and step >= len(inputs):
+            if is_off and step >= len(inputs):
                 if x is not None and self.fail_safe is not None:
                     owned = self._owned[agent - 1]
                     u[columns] = np.concatenate([self.fail_safe.inputs(uav, x, tick) for uav in owned])
                 continue
             u[columns] = inputs[min(step, len(inputs) - 1)]
-            replaced = step > 0 and agent != self._own and agent not in self.off_roster
-            if plan.tick < self.failed_since:
-                replaced = replaced and tick >= self.failed_since
-            else:
-                replaced = replaced and plan.tick >= self.law_since
-            if replaced and x is not None:
+            failed = plan.tick < self.failed_since
+            is_replaced = tick >= self.failed_since if failed else plan.tick >= self.law_since
+            if is_replaced and x is not None and step > 0 and not is_off and agent != self._own:
                 by_law = self._by_law(plan, tick, x)
                 if by_law is not None:
                     u[columns] = by_law[columns]
@@ -221,7 +191,7 @@ class AnnouncedInputs:
         u, columns, step = u.copy(), self._columns[plan.agent], tick - plan.start_tick
         if step < len(plan.corrections):
             u[columns] += plan.corrections[step]
-        began = self._past(plan.start_tick) if self._carried else None
+        began = None if self._past is None else self._past(plan.start_tick)
         then = None if began is None else self._law(plan.start_tick, began)
         if then is not None:
             # Differences in the sender's knowledge, such as external forces, show at the first step.
@@ -230,9 +200,9 @@ class AnnouncedInputs:
 
     def _entries(self, sequence: Array, plan: Plan, start: int, steps: int) -> Array:
         """Return a plan's inputs or corrections aligned with the horizon, as far as they reach."""
-        skipped = start - plan.start_tick
+        skipped = max(start - plan.start_tick, 0)
         if self._alignment == "by_age" or plan.agent == self._own or plan.agent in self.off_roster:
-            return sequence[max(skipped, 0) :][:steps]
+            return sequence[skipped:][:steps]
         if self._alignment == "held":
-            return np.repeat(sequence[max(skipped, 0) :][:1], steps, axis=0)
-        return sequence[max(min(skipped, 1), 0) :][:steps]
+            return np.repeat(sequence[skipped:][:1], steps, axis=0)
+        return sequence[min(skipped, 1) :][:steps]

@@ -1,8 +1,8 @@
 """Error-state Kalman filter over the whole team, from the measurements of the UAVs' own sensors.
 
 No sensor sees the payload or the rods: they follow from where all UAVs are and how they move. The error of an estimate
-lives on the manifold |e_i| = 1, e_i . Omega_i = 0, in 12 + 10 N coordinates about the estimate: a covariance in the
-coordinates of the state would keep a variance along the rods for ever, and positions would then correct their lengths.
+lives on the manifold |e_i| = 1, e_i . Omega_i = 0, in 12 + 10 N coordinates about the estimate, so that positions do
+not correct the lengths of the rods.
 
 The other agents act by the shared control law from their own estimates. Where an input of theirs is not known, the
 error of the estimate acts on it through the gain of that law, and so do the errors of their own estimates.
@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -27,11 +28,9 @@ from protocol.scenario.setup import Setup
 # Gain of the shared control law at a tick, (m, n), with motor lag (m, n + m); of UAVs without agents their fail-safe's.
 Feedback = Callable[[int], Array]
 
-# Standard deviations before the first measurement, about the reference: r0, v0, Theta0, omega0; e, Omega, Theta, omega.
-_PAYLOAD = (0.3, 0.2, 0.06, 0.1)
-_UAV = (0.06, 0.1, 0.1, 0.2)
-# Those of the payload's yaw and its rate: a formation at rest turns its load with it.
-_YAW = (0.015, 0.02)
+# Standard deviations before the first measurement, about the reference: r0, v0, Theta0, omega0; e, Omega, Theta, omega;
+# and of the payload's yaw and its rate: a formation at rest turns its load with it.
+_PAYLOAD, _UAV, _YAW = (0.3, 0.2, 0.06, 0.1), (0.06, 0.1, 0.1, 0.2), (0.015, 0.02)
 # Those of the accelerations that the model lacks, white, m/s^2 and rad/s^2: at most, and beside unknown forces.
 _ACCELERATION, _BESIDE_FORCES = 0.01, 1e-3
 # Smallest standard deviations assumed of sensors, in the order of the sensors: errors of the model show in them.
@@ -52,29 +51,21 @@ _REMAINDER = 1e-4
 _SHARED = 0.6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Level:
+class _Level(NamedTuple):
     """How the variance of what the model lacks follows the innovations, as a share of its largest.
 
     Innovations are white if the level is right; their slow part is larger if it is too low, smaller if it is too high.
-
-    Attributes:
-        first, least: Level at the beginning, and the smallest.
-        white: Squared slow part, in units of that of white innovations, at which the level stays.
-        predicted: Whether entries count as much as the prediction, not the sensor, errs.
-        rate: Change of the level's logarithm in a tick per excess of the slow part, which is cut at `most`.
-        time_s: Time over which the slow part is taken.
     """
 
-    first: float
+    first: float  # at the beginning
     least: float
-    white: float
-    predicted: bool
-    rate: float
-    most: float = 3.0
-    time_s: float = 1.0
+    white: float  # squared slow part, in units of that of white innovations, at which the level stays
+    predicted: bool  # whether entries count as much as the prediction, not the sensor, errs
+    rate: float  # change of the level's logarithm in a tick per excess of the slow part
 
 
+# Most excess of the slow part that counts, and the time over which that part is taken, s.
+_EXCESS, _SLOW_S = 3.0, 1.0
 # A model without unknown forces is exact until innovations deny it. Wind must be found quickly while it blows.
 _EXACT = _Level(first=1e-4, least=1e-6, white=1.15, predicted=False, rate=0.2)
 _WIND = _Level(first=1.0, least=1e-4, white=0.5, predicted=True, rate=0.1)
@@ -86,53 +77,39 @@ _SAME_GAIN = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Covariance:
-    """Covariance of the error of an estimate.
+    """Covariance of the error of an estimate."""
 
-    Attributes:
-        P: (r, r), of the coordinates of the state, the actual inputs with motor lag, and the forces.
-        T, L: Basis of these coordinates, without the forces; that about the state before its correction.
-        surprise: Squared innovation of the last measurements in units of its covariance, and how many they were.
-    """
-
-    P: Array
-    T: Array
-    L: Array
+    P: Array  # (r, r), of the coordinates of the state, the actual inputs with motor lag, and the forces
+    T: Array  # basis of these coordinates, without the forces
+    L: Array  # the same about the state before its correction
+    # Squared innovation of the last measurements in units of its covariance, and how many they were.
     surprise: tuple[float, int] = (0.0, 0)
 
 
 @dataclass(slots=True, kw_only=True)
 class Belief:
-    """Estimate at a tick and the covariance of its error, which is computed when it is asked for.
+    """Estimate at a tick and the covariance of its error, which is computed when it is asked for."""
 
-    Attributes:
-        x: State, (n,); with motor lag [x, a], (n + m,).
-        forces: Horizontal forces on the payload (2), N, its mass error, kg, horizontal force on each UAV (2), N, and
-            drag of payload and each UAV (2), kg/s; or none.
-        u: Inputs until the tick, (m,).
-        found: The covariance, or its computation.
-        slow: Slow part of the innovations in units of their deviations, (15 N,).
-        level: Variance of what the model lacks, as a share of its largest.
-        own: Gain of own measurements from the last correction that had a gain of its own, (n + forces, own), and ticks
-            since then; None before the first.
-    """
-
-    x: Array
+    x: Array  # state, (n,); with motor lag [x, a], (n + m,)
+    # Horizontal forces on the payload (2), N, its mass error, kg, horizontal force on each UAV (2), N, and drag of
+    # payload and each UAV (2), kg/s; or none.
     forces: Array
-    u: Array
+    u: Array  # inputs until the tick, (m,)
     found: Covariance | Callable[[], Covariance]
-    slow: Array
-    level: float
+    slow: Array  # slow part of the innovations in units of their deviations, (15 N,)
+    level: float  # variance of what the model lacks, as a share of its largest
+    # Gain of own measurements from the last correction that had a gain of its own, (n + forces, own), and ticks since.
     own: tuple[Array, int] | None = None
 
     @property
     def covariance(self) -> Covariance:
-        """The covariance."""
+        """The covariance, computed once."""
         if not isinstance(self.found, Covariance):
             self.found = self.found()
         return self.found
 
 
-# Numbers that tell what an agent knows of the payload: estimate, upper triangle of its covariance, surprise.
+# What an agent knows of the payload in numbers: estimate, upper triangle of its covariance, surprise.
 POSE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 _PLACES, _UPPER = np.r_[state.R0, state.THETA0], np.triu_indices(len(POSE))
 TOLD = (*POSE, *(f"covariance_{POSE[i]}_{POSE[j]}" for i, j in zip(*_UPPER, strict=True)), "surprise", "measurements")
@@ -152,74 +129,60 @@ def understood(numbers: Array) -> tuple[Array, Array]:
     return numbers[:, : len(POSE)], P
 
 
-class _Places(NamedTuple):
-    """Places of measurements by some sensors of UAVs, (k,): in those of the UAV, of all UAVs; part; the angles."""
-
-    of: npt.NDArray[np.intp]
-    within: npt.NDArray[np.intp]
-    part: npt.NDArray[np.intp]
-    angles: npt.NDArray[np.intp]
-
-
 @lru_cache
-def _places(sensed: tuple[tuple[int, tuple[int, ...]], ...]) -> _Places:
-    """Return the places of measurements from the UAV and the sensors of each part."""
+def _places(sensed: tuple[tuple[int, tuple[int, ...]], ...]) -> tuple[npt.NDArray[np.intp], ...]:
+    """Return places within the UAV and within all, and parts, from UAV and sensors of each; which are angles."""
     found = [
         (3 * sensor + axis, uav, part)
         for part, (uav, sensors) in enumerate(sensed)
-        for sensor in sensors
-        for axis in range(3)
+        for sensor, axis in product(sensors, range(3))
     ]
     of, uavs, part = np.array(found, dtype=np.intp).T
-    angles = np.flatnonzero((of >= state.THETA.start) & (of < state.THETA.stop))
-    return _Places(of=of, within=of + state.SENSED * uavs, part=part, angles=angles)
+    return of, of + state.SENSED * uavs, part, np.flatnonzero((of >= state.THETA.start) & (of < state.THETA.stop))
+
+
+def _rods(x: Array, N: int) -> tuple[Array, Array]:
+    """Return views of rods and their rates, (N, 3) each, in a state."""
+    uavs = x[state.PAYLOAD : state.PAYLOAD + state.PER_UAV * N].reshape(N, -1)
+    return uavs[:, state.E], uavs[:, state.ROD_RATE]
 
 
 class KalmanFilter:
-    """Filter of one agent; a pure function from belief to belief.
+    """Filter of one agent from a run, the gain of the shared control law, and UAVs, 0-based, measured at once.
 
-    Args:
-        setup: The run.
-        feedback: Gain of the shared control law.
-        owned: UAVs, 0-based, whose measurements come at once.
-
-    Attributes:
-        ages: Of the sensors' quantities, ticks.
-        Q: Largest covariance of what the model lacks, per period, in the coordinates of a belief.
+    A pure function from belief to belief; `Q` is the largest covariance of what the model lacks, per period, in the
+    coordinates of a belief, and `ages` are those of the sensors' quantities, ticks.
     """
 
     def __init__(self, setup: Setup, feedback: Feedback, owned: Sequence[int] = ()) -> None:
-        system, sheet, section = setup.system, setup.sensors, setup.scenario.controller
-        self._feedback, self._period_s = feedback, setup.settings.sampling_period_s
-        self._lag_s, self._u_hover = setup.settings.motor_lag_s, setup.hover.u
+        system, sheet, self._feedback, self._model = setup.system, setup.sensors, feedback, setup.model
+        self._period_s, self._lag_s = setup.settings.sampling_period_s, setup.settings.motor_lag_s
+        self._u_hover = setup.hover.u
         N = self._N = system.N
         self.ages = sheet.ages
-        variance = np.maximum(sheet.noise, _FLOOR) ** 2 + sheet.bias**2
-        self._R = np.repeat(variance, 3)
+        self._R = np.repeat(np.maximum(sheet.noise, _FLOOR) ** 2 + sheet.bias**2, 3)
         self._inputs = system.m if self._lag_s > 0.0 else 0
-        masses = [system.payload.mass, min(uav.mass for uav in system.uavs)]
-        forces = len(_FORCE) if section.disturbance.estimate else 0
+        self._lightest = -0.9 * system.payload.mass
+        forces = len(_FORCE) if setup.scenario.controller.disturbance.estimate else 0
         # Unknown forces change within few ticks, and with them the gain.
         self._owned = list(owned) if len(owned) < N and not forces else []
         self._is_own = np.repeat(np.isin(np.arange(N), self._owned), state.SENSED)
-        weights = np.append(system.gravity * np.repeat(masses, (3, 2)), masses)[:forces]
-        weights[2:3] /= system.gravity
+        self._level = _WIND if forces else _EXACT
         # External forces and mass from those that are estimated.
         self._spread = np.zeros((4 + 3 * N, forces))
         if forces:
             self._spread[[0, 1, -1], [0, 1, 2]] = 1.0
             self._spread[3:-1] = np.tile(np.eye(3, forces, k=3) * (np.arange(forces) < _DRAG[0]), (N, 1))
-        self._model = setup.model
-        self._lightest = -0.9 * system.payload.mass
+        masses = [system.payload.mass, min(uav.mass for uav in system.uavs)]
+        weights = np.append(system.gravity * np.repeat(masses, (3, 2)), masses)[:forces]
+        weights[2:3] /= system.gravity
         payload = np.repeat(_PAYLOAD, 3)
         payload[[8, 11]] = _YAW
         deviations = [*payload, *np.tile(np.repeat(_UAV, (2, 2, 3, 3)), N), *[0.0] * self._inputs]
         self._P0 = np.diag(np.concatenate([deviations, weights * _FORCE[:forces]]) ** 2)
-        rates = np.zeros(state.PAYLOAD + 10 * N)
-        moving = [*range(3, 6), *range(9, 12)]
-        rates[moving] = 1.0
-        rates[state.PAYLOAD :].reshape(N, 10)[:, [2, 3, 7, 8, 9]] = 1.0
-        self._level = _WIND if forces else _EXACT
+        # Coordinates that accelerations change: velocities and rates of the payload, then of each UAV.
+        moving = [0.0, 1.0, 0.0, 1.0]
+        rates = np.concatenate([np.repeat(moving, 3), np.tile(np.repeat(moving, (2, 2, 3, 3)), N)])
         steps = np.diag(np.concatenate([self._period_s**2 * rates, np.zeros(self._inputs + forces)]))
         self.Q, self._beside = _ACCELERATION**2 * steps, np.zeros_like(steps)
         if forces:
@@ -229,14 +192,15 @@ class KalmanFilter:
             change = np.sqrt(self._period_s) * weights * _FORCE_CHANGE
             self.Q[-forces:, -forces:] = together * np.outer(change, change)
         # The basis without the rods, and places of the rods in it: their rows, those of their rates, columns of both.
-        self._frame = np.zeros((state.PAYLOAD + state.PER_UAV * N + self._inputs, len(rates) + self._inputs))
+        n, r = state.PAYLOAD + state.PER_UAV * N, len(rates)
+        self._frame = np.zeros((n + self._inputs, r + self._inputs))
         self._frame[: state.PAYLOAD, : state.PAYLOAD] = np.eye(state.PAYLOAD)
-        if self._inputs:
-            self._frame[-self._inputs :, -self._inputs :] = np.eye(self._inputs)
+        self._frame[state.PAYLOAD : n, state.PAYLOAD : r] = np.kron(
+            np.eye(N), np.vstack([np.zeros((6, 10)), np.eye(6, 10, k=4)])
+        )
+        self._frame[n:, r:] = np.eye(self._inputs)
         row = state.PAYLOAD + state.PER_UAV * np.arange(N)[:, None, None] + np.arange(3)[:, None]
         column = state.PAYLOAD + 10 * np.arange(N)[:, None, None] + np.arange(2)
-        for uav in range(N):
-            self._frame[state.uav_slice(uav)][range(6, 12), state.PAYLOAD + 10 * uav + np.arange(4, 10)] = 1.0
         self._across = row + state.E.start, row + state.ROD_RATE.start, column, column + 2
 
     def first(self, x: Array) -> Belief:
@@ -267,21 +231,15 @@ class KalmanFilter:
 
         Gravity minus acceleration acts on a mass. Its inertia, which turns the payload, is left out.
         """
-        rate = model.derivative(x, u, forces=forces)
-        view = state.StateView(x)
-        lacking = -rotation(view.Theta0) @ (rate[state.V0] + np.cross(view.omega0_P, view.v0_P))
-        lacking[2] += model.system.gravity
-        effects = self._spread[:-1].copy()
-        effects[:3, 2] = lacking
+        rate, view, effects = model.derivative(x, u, forces=forces), state.StateView(x), self._spread[:-1].copy()
+        effects[:3, 2] = -rotation(view.Theta0) @ (rate[state.V0] + np.cross(view.omega0_P, view.v0_P))
+        effects[2, 2] += model.system.gravity
         effects[:, _DRAG] = self._resistance(x)
         return effects
 
     def basis(self, x: Array) -> tuple[Array, Array]:
-        """Return T with dx = T xi, and L with xi = L' dx, about a state; both (n, r), with motor lag (n + m, r + m).
-
-        Source: docs/equations.md (62).
-        """
-        e, Omega = self._rods(x)
+        """Return T, dx = T xi, and L, xi = L' dx, (n, r); with lag (n + m, r + m). Source: equations.md (62)."""
+        e, Omega = _rods(x, self._N)
         # Two unit vectors across each rod, by the reflection that maps e to the z axis: smooth around the hover.
         w = e.copy()
         w[:, 2] += np.where(e[:, 2] < 0.0, -1.0, 1.0)
@@ -306,73 +264,51 @@ class KalmanFilter:
         by_law: npt.NDArray[np.bool_],
         by_fail_safe: npt.NDArray[np.bool_],
     ) -> Belief:
-        """Return the belief one tick later than `tick`.
+        """Return the belief one tick later than `tick`, under equations of motion from then on.
 
-        Args:
-            belief: At the tick.
-            model: Equations of motion from then on.
-            tick: The earlier tick.
-            ahead: State at the later one, (n,); with motor lag (n + m,), SI.
-            u: Inputs in between, (4 N,), N and N m or rad/s.
-            by_law: Which of them follow the control law from estimates of their agents, (4 N,).
-            by_fail_safe: Which of them follow the fail-safe, which knows its UAV, (4 N,).
+        Given are the state one tick later, (n,), with motor lag (n + m,), SI; the inputs in between, (4 N,); and which
+        of them follow the control law from estimates of their agents, or the fail-safe, which knows its UAV, (4 N,).
         Source: docs/equations.md (63).
         """
         # The law is that of now, whenever the covariance is computed.
         K = self._feedback(tick) if by_fail_safe.any() or by_law.any() else None
 
         def found() -> Covariance:
-            return self._propagated(belief, model, ahead, u, K, by_law, by_fail_safe)
+            n = model.system.n
+            x, forces, actual = belief.x[:n], self.forces(belief), belief.x[n:] if self._inputs else u
+            linear = model.linearise(x, actual, forces=forces)
+            if self._inputs:
+                linear = motors.lagged(linear, actual, u, self._lag_s, model.system.commands_rates)
+            discrete = zero_order_hold(linear, self._period_s, remainder=_REMAINDER)
+            P, T = belief.covariance.P, belief.covariance.T
+            T_ahead, L = self.basis(ahead)
+            moved, s = discrete.A @ T, T.shape[1]
+            pushed = np.zeros((len(T), 0)) if forces is None else self._pushed(model, x, actual, forces, discrete.A)
+            # Nobody knows exactly when the fail-safe of another UAV took over, and at what thrust.
+            Q = self.lacking(1.0 if by_fail_safe.any() else belief.level)
+            lagging = L.T @ discrete.B * (UNKNOWN_LAG_S / self._period_s * (u - belief.u))
+            Q[:s, :s] += lagging @ lagging.T
+            if K is not None:
+                B, closed = discrete.B, by_law | by_fail_safe
+                apart = np.where(by_law, 1.0 - _SHARED, 1.0)
+                moved = moved + (B * apart)[:, closed] @ (K[closed] @ T)
+                effect, K_T = L.T @ B[:, by_law], K[by_law] @ T
+                Q[:s, :s] += (1.0 - _SHARED**2) * effect @ (K_T @ P[:s, :s] @ K_T.T) @ effect.T
+            A = np.eye(len(P))
+            A[:s, :s], A[:s, s:] = L.T @ moved, L.T @ pushed
+            P = A @ P @ A.T + Q
+            return Covariance(P=(P + P.T) / 2.0, T=T_ahead, L=L)
 
         own = None if belief.own is None else (belief.own[0], belief.own[1] + 1)
-        slow, level = belief.slow, belief.level
-        return Belief(x=ahead, forces=belief.forces, u=u, found=found, slow=slow, level=level, own=own)
-
-    def _propagated(
-        self,
-        belief: Belief,
-        model: Model,
-        ahead: Array,
-        u: Array,
-        K: Array | None,
-        by_law: npt.NDArray[np.bool_],
-        by_fail_safe: npt.NDArray[np.bool_],
-    ) -> Covariance:
-        """Return the covariance one tick later; arguments as those of `predict`."""
-        n = model.system.n
-        x, forces, actual = belief.x[:n], self.forces(belief), belief.x[n:] if self._inputs else u
-        linear = model.linearise(x, actual, forces=forces)
-        if self._inputs:
-            linear = motors.lagged(linear, actual, u, self._lag_s, model.system.commands_rates)
-        discrete = zero_order_hold(linear, self._period_s, remainder=_REMAINDER)
-        P, T = belief.covariance.P, belief.covariance.T
-        T_ahead, L = self.basis(ahead)
-        moved, s = discrete.A @ T, T.shape[1]
-        pushed = np.zeros((len(T), 0)) if forces is None else self._pushed(model, x, actual, forces, discrete.A)
-        # Nobody knows exactly when the fail-safe of another UAV took over, and at what thrust.
-        Q = self.lacking(1.0 if by_fail_safe.any() else belief.level)
-        lagging = L.T @ discrete.B * (UNKNOWN_LAG_S / self._period_s * (u - belief.u))
-        Q[:s, :s] += lagging @ lagging.T
-        if K is not None:
-            B, closed = discrete.B, by_law | by_fail_safe
-            apart = np.where(by_law, 1.0 - _SHARED, 1.0)
-            moved = moved + (B * apart)[:, closed] @ (K[closed] @ T)
-            effect, K_T = L.T @ B[:, by_law], K[by_law] @ T
-            Q[:s, :s] += (1.0 - _SHARED**2) * effect @ (K_T @ P[:s, :s] @ K_T.T) @ effect.T
-        A = np.eye(len(P))
-        A[:s, :s], A[:s, s:] = L.T @ moved, L.T @ pushed
-        P = A @ P @ A.T + Q
-        return Covariance(P=(P + P.T) / 2.0, T=T_ahead, L=L)
+        return replace(belief, x=ahead, u=u, found=found, own=own)
 
     def _pushed(self, model: Model, x: Array, u: Array, forces: Array, A: Array) -> Array:
         """Return the effect of the unknown forces over a period, (n, forces), to second order in it."""
         still = np.append(np.zeros(len(forces) - 1), forces[-1])
-        f = model.derivative(x, u, forces=still)
-        effect = np.zeros((len(A), self._spread.shape[1]))
+        f, effect = model.derivative(x, u, forces=still), np.zeros((len(A), self._spread.shape[1]))
         units = np.vstack([self._effects(model, x, u, forces), np.zeros((1, len(_FORCE)))])
         effect[: len(x)] = np.column_stack([model.derivative(x, u, forces=still + unit) - f for unit in units.T])
-        found: Array = self._period_s / 2.0 * (effect + A @ effect)
-        return found
+        return np.asarray(self._period_s / 2.0 * (effect + A @ effect))
 
     def correct(self, belief: Belief, model: Model, sensed: Sequence[tuple[int, tuple[int, ...], Array]]) -> Belief:
         """Return the belief with measurements of its tick; those of released UAVs are ignored.
@@ -380,8 +316,7 @@ class KalmanFilter:
         They are given as UAV, 0-based, sensors of it, and measurements of all its sensors, SI, in the layout of
         `model.state`, (15,); what stands behind these is ignored. Source: docs/equations.md (64).
         """
-        if model.released:
-            sensed = [entry for entry in sensed if entry[0] not in model.released]
+        sensed = [entry for entry in sensed if entry[0] not in model.released]
         if not sensed:
             return belief
         n = model.system.n
@@ -406,13 +341,13 @@ class KalmanFilter:
             gain = own[0]
             step = gain @ error
 
-            def found() -> Covariance:
+            def later() -> Covariance:
                 before, H = belief.covariance, observed()
                 G = np.vstack([before.L.T @ gain[: len(belief.x)], gain[len(belief.x) :]])
                 surprise = float(error @ np.linalg.solve(H @ before.P @ H.T + np.diag(R), error)), len(error)
                 return self._joseph(before, G, H, R, surprise)
 
-            later: Covariance | Callable[[], Covariance] = found
+            found: Covariance | Callable[[], Covariance] = later
         else:
             before, H = belief.covariance, observed()
             H_P = H @ before.P
@@ -423,24 +358,23 @@ class KalmanFilter:
             xi = G @ error
             step = np.concatenate([before.T @ xi[:s], xi[s:]])
             slow, level = self._leveled(belief, within, error, S.diagonal(), R)
-            later = self._joseph(before, G, H, R, (float(error @ solved[:, -1]), len(error)))
+            found = self._joseph(before, G, H, R, (float(error @ solved[:, -1]), len(error)))
             rows = np.flatnonzero(self._is_own[within])
             if len(rows) == state.SENSED * len(self._owned) > 0:
                 of_own = np.linalg.solve(S[rows[:, None], rows], H_P[rows]).T
                 own = np.vstack([before.T @ of_own[:s], of_own[s:]]), 0
         x, forces = self.moved(belief.x, step[: len(belief.x)]), belief.forces + step[len(belief.x) :]
-        return Belief(x=x, forces=forces, u=belief.u, found=later, slow=slow, level=level, own=own)
+        return replace(belief, x=x, forces=forces, found=found, slow=slow, level=level, own=own)
 
     def _leveled(
         self, belief: Belief, within: npt.NDArray[np.intp], error: Array, variance: Array, R: Array
     ) -> tuple[Array, float]:
         """Return slow part and level after innovations of some measurements. Source: docs/equations.md (63b)."""
-        of, slow = self._level, belief.slow.copy()
-        kept = math.exp(-self._period_s / of.time_s)
+        of, slow, kept = self._level, belief.slow.copy(), math.exp(-self._period_s / _SLOW_S)
         slow[within] = kept * slow[within] + error * np.sqrt((1.0 - kept**2) / variance)
         weights = 1.0 - R / variance if of.predicted else np.ones(len(R))
         excess = float(weights @ (slow[within] ** 2 - of.white) / weights.sum())
-        level = belief.level * math.exp(of.rate * min(max(excess, -1.0), of.most))
+        level = belief.level * math.exp(of.rate * min(max(excess, -1.0), _EXCESS))
         return slow, min(max(level, of.least), 1.0)
 
     @staticmethod
@@ -453,16 +387,11 @@ class KalmanFilter:
     def moved(self, x: Array, dx: Array) -> Array:
         """Return a state, (n,), SI, moved along the manifold by dx, (n,), with |e_i| = 1. Source: equations.md (62)."""
         x = x + dx
-        e, Omega = self._rods(x)
+        e, Omega = _rods(x, self._N)
         e /= np.sqrt(np.einsum("ij,ij->i", e, e))[:, None]
         Omega -= e * np.einsum("ij,ij->i", e, Omega)[:, None]
         x.setflags(write=False)
         return x
-
-    def _rods(self, x: Array) -> tuple[Array, Array]:
-        """Return views of rods and their rates, (N, 3) each, in a state."""
-        uavs = x[state.PAYLOAD : state.PAYLOAD + state.PER_UAV * self._N].reshape(self._N, -1)
-        return uavs[:, state.E], uavs[:, state.ROD_RATE]
 
     def certain(self, belief: Belief, entries: npt.NDArray[np.intp], deviation: float = 1e-3) -> Belief:
         """Return the belief with some entries of the state known, such as those that a failure sets."""

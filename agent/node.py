@@ -15,71 +15,40 @@ from agent.own import PROJECT, OwnPlanner, OwnStep
 from agent.step import Planner, Step
 from agent.team_estimate import Known
 from protocol.admission.arrivals import Arrivals
-from protocol.admission.membership import Membership
-from protocol.scenario.links import LinkChanges
+from protocol.admission.participant import Participant
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import check_target, headed
 from protocol.wire.errors import MessageError
-from protocol.wire.messages import Control, Event, LinkChange, Measurement, Message, Plan, Presence, Roster, Target
-from protocol.wire.names import COORDINATOR, PLANT, agent_name
-from protocol.wire.node import Outbox, lost
+from protocol.wire.messages import Measurement, Message, Plan, Roster, Target
+from protocol.wire.names import agent_name
 
 
-class AgentNode:
+class AgentNode(Participant):
     """One agent, 1-based, of a run; the stopwatch counts ns of a steady clock, for the step report only."""
 
     def __init__(
         self, setup: Setup, agent: int, incarnation: int = 0, stopwatch: Callable[[], int] = lambda: 0
     ) -> None:
-        self.name = agent_name(agent)
-        self.publish_ns = 0
-        self.finished: Control | None = None
-        self._setup, self._agent, self._stopwatch = setup, agent, stopwatch
+        self._agent, self._stopwatch = agent, stopwatch
         make = Planner if setup.scenario.agents.controller == PROJECT else OwnPlanner
         self._planner: Any = make(setup, agent, stopwatch)
-        self._waits = setup.scenario.clock.mode == "lockstep"
-        self._membership = Membership(agent)
-        self._ahead = setup  # the run with all targets that are known
         self._targets: deque[tuple[int, Setup]] = deque()  # those still to come: the tick, the run with it
-        self._begin(incarnation)
+        super().__init__(setup, agent_name(agent), incarnation, after=1, own=agent)
 
     def _begin(self, incarnation: int) -> None:
-        """Start anew under an incarnation; only the roster is kept."""
-        setup = self._setup
-        self.incarnation = incarnation
-        self._out = Outbox(self.name, incarnation)
-        speed = None if self._waits else setup.scenario.clock.speed
-        links = {name: setup.link(name, self.name) for name in map(agent_name, setup.agents) if name != self.name}
-        self._plans: Arrivals[Plan] = Arrivals(links, after=1, speed=speed)
-        from_plant = setup.link(PLANT, self.name)
-        self._measurements: Arrivals[Measurement] = Arrivals({PLANT: from_plant}, after=0, speed=speed)
-        self._link_changes = LinkChanges([*links.values(), from_plant])
+        super()._begin(incarnation)
+        self._measurements: Arrivals[Measurement] = Arrivals(self._links, after=0, speed=self._speed)
         self._measurement: Measurement | None = None  # of the open tick, until its step begins
         self._step: Step | OwnStep | None = None  # being negotiated
-        self._arrived: dict[int, set[int]] = {}  # agents whose plans are physically here, by tick
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and exchanges to come, and agent
-        self._last_tick = -1
 
     @property
     def wake_ns(self) -> int | None:
         """Time of the next poll: in real time at once when a measurement is here, else none."""
         return 0 if self._measurement is not None and not self._waits else None
 
-    def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
-        """Take in the roster, measurements and the others' plans."""
-        match event:
-            case Message():
-                self._handle(event, now_ns)
-            case Presence(alive=False) if event.name == COORDINATOR:
-                self.finished = lost(self._out, self._last_tick, "coordinator is gone")
-        if self.finished is not None:
-            last: list[Message] = self._planner.end(max(self._last_tick, 0), self._out)
-            return last
-        return self._work(now_ns) if self._waits else ()
-
     def poll(self, now_ns: int) -> Sequence[Message]:
         """In real time, plan from the newest measurement once all received messages are taken in."""
-        return () if self._waits else self._work(now_ns)
+        return self._work(now_ns, polled=True)
 
     @property
     def belief(self) -> Belief | None:
@@ -90,43 +59,32 @@ class AgentNode:
         """Compute a step and discard it, so that the first step of the run is not slower than the others."""
         self._planner.warm_up()
 
-    def _handle(self, message: Message, now_ns: int) -> None:
-        match message:
-            case Control():
-                self.finished = message
-            case Roster():
-                for plan in self._enlist(message):
-                    self._handle(plan, now_ns)
-            case LinkChange():
-                self._link_changes.apply(message)
-            case Target() if message.number == len(self._ahead.maneuver.targets) + 1:
-                self._ahead = headed(self._ahead, message)
-                self._targets.append((message.tick, self._ahead))
-            case Measurement():
-                self._measurement = message
-                self._measurements.put(message, now_ns)
-            case Plan() if self._membership.admits(message) and message.tick >= self._membership.since[self._agent]:
-                if message.negotiation > 0:
-                    self._proposals.setdefault((message.tick, message.negotiation), {})[message.agent] = message
-                else:
-                    self._arrived.setdefault(message.tick, set()).add(message.agent)
-                    self._plans.put(message, now_ns)
+    def _head(self, target: Target) -> None:
+        self._targets.append((target.tick, self._setup))
+
+    def _take(self, message: Message, now_ns: int) -> None:
+        if isinstance(message, Measurement):
+            self._measurement = message
+            self._measurements.put(message, now_ns)
+
+    def _take_plan(self, plan: Plan, now_ns: int) -> None:
+        if plan.tick < self._membership.since[self._agent]:
+            return
+        super()._take_plan(plan, now_ns)
+        if plan.negotiation > 0:
+            self._proposals.setdefault((plan.tick, plan.negotiation), {})[plan.agent] = plan
+
+    def _end(self) -> Sequence[Message]:
+        last: Sequence[Message] = self._planner.end(max(self._tick, 0), self._out)
+        return last
 
     def check_moment(self, message: Message) -> None:
-        """Refuse plans and measurements of earlier starts, and impossible changes.
-
-        Raises: MessageError: with the reason.
-        """
-        match message:
-            case LinkChange():
-                self._link_changes.check(message)
-            case Target():
-                check_target(self._ahead, message)
-            case Plan():
-                self._membership.check(message)
-            case Measurement(tick=tick, roster=version) if self._agent not in self._membership.since:
-                if version <= self._membership.version:
-                    raise MessageError("past", f"measurement of tick {tick}, without this start on the roster")
+        """Refuse also measurements of earlier starts. Raises: MessageError: with the reason."""
+        super().check_moment(message)
+        membership = self._membership
+        is_off = self._agent not in membership.since
+        if isinstance(message, Measurement) and is_off and message.roster <= membership.version:
+            raise MessageError("past", f"measurement of tick {message.tick}, without this start on the roster")
 
     def _enlist(self, roster: Roster) -> list[Plan]:
         """Take in a roster and return the plans that were ahead of it."""
@@ -138,27 +96,25 @@ class AgentNode:
             self._begin(self.incarnation + 1)
         return waiting
 
-    def _work(self, now_ns: int) -> list[Message]:
+    def _work(self, now_ns: int, *, polled: bool = False) -> list[Message]:
         """Begin the open tick and continue its negotiation as far as the messages received allow."""
         out: list[Message] = []
+        if not self._waits and not polled:
+            return out
         if self._measurement is not None and self._step is None and self._has_plans_for(self._measurement):
             measurement, self._measurement = self._measurement, None
-            self._last_tick = measurement.tick
-            self._head(measurement.tick)
+            self._tick = measurement.tick
+            followed = None
+            while self._targets and self._targets[0][0] <= self._tick:
+                followed = self._targets.popleft()[1]
+            if followed is not None:
+                self._planner.head(followed)
             self._step = self._planner.begin(self._known(measurement, now_ns))
             out += self._plan(self._step)
         while self._step is not None and self._has_proposals_for(self._step):
             self._planner.adopt(self._step, self._take_proposals(self._step))
             out += self._plan(self._step)
         return out
-
-    def _head(self, tick: int) -> None:
-        """Follow the newest of the targets that hold at a tick."""
-        found = None
-        while self._targets and self._targets[0][0] <= tick:
-            found = self._targets.popleft()[1]
-        if found is not None:
-            self._planner.head(found)
 
     def _plan(self, step: Step | OwnStep) -> list[Message]:
         """Return the next proposal of a step, or its plan and report, which conclude it."""

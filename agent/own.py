@@ -1,15 +1,14 @@
 """A controller of the user: a class named in the scenario plans the inputs of an agent's UAVs.
 
-The class takes the place of estimator, prediction and program. Bus, links, clock, roster, faults, record and replay do
-not notice: each step ends in a plan and a report, as one of the project's controller does. A step that raises, or that
-returns anything but inputs, is data: the shifted previous plan is applied, as after a solve without solution, and a
-`Note` says why. docs/bring-your-own.md has a controller of a few lines.
+The class takes the place of estimator, prediction and program; docs/bring-your-own.md has its methods. A step that
+raises, or that returns anything but inputs, is data: the shifted previous plan is applied, as after a solve without
+solution, and a `Note` says why.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,6 @@ from protocol.wire.messages import MAX_NAME, MAX_NAMES, STAGES, Measurement, Mes
 from protocol.wire.node import Outbox
 
 PROJECT = "mpc"  # the controller of the project
-_METHODS = ("start", "step", "stop")
 
 
 @dataclass(slots=True, kw_only=True)
@@ -56,35 +54,11 @@ class Run:
 
     def reference(self, tick: int) -> Array:
         """Return the reference state at a tick, (12 + 12 N,), held after the end of the maneuver."""
-        state: Array = self._X_ref[min(tick, len(self._X_ref) - 1)].copy()
-        return state
-
-
-class OwnController(Protocol):
-    """Interface of a controller of the user. Errors may be raised as any exception."""
-
-    def start(self, run: Run) -> None:
-        """Prepare for a run, before its first step; a new object starts when the agent comes back to the roster."""
-
-    def step(self, measurement: Measurement, messages: Sequence[Plan]) -> Any:
-        """Return the inputs of the owned UAVs from the first tick on that the plan acts at.
-
-        Given are the newest measurement that its link has delivered, and the other agents' plans that theirs have
-        delivered since the last step, in order.
-
-        Returns: Thrust and moments of each owned UAV, N and N m: one row, (4 owned,), held, or a row for each step of a
-            horizon, (rows, 4 owned); or these and a dictionary of numbers for the log.
-        """
-
-    def stop(self) -> None:
-        """End the run; not called when the process is killed."""
+        return np.array(self._X_ref[min(tick, len(self._X_ref) - 1)])
 
 
 def checked_controller(setup: Setup) -> str:
-    """Return name and version of the controller of a run after starting a user's class once, as an agent will.
-
-    Raises: ScenarioError: it is not found, or cannot be started.
-    """
+    """Return name and version of the controller after starting it once. Raises: ScenarioError: it cannot be used."""
     name = setup.scenario.agents.controller
     if name == PROJECT:
         return name
@@ -93,41 +67,33 @@ def checked_controller(setup: Setup) -> str:
 
 
 def controller_version(name: str) -> str:
-    """Return the version of a controller: empty for that of the project, which is the package's.
-
-    Raises: OwnClassError: it is not found.
-    """
+    """Return the version of a controller, empty for that of the project. Raises: OwnClassError: it is not found."""
     return "" if name == PROJECT else version_of(own_class(name))
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(slots=True)
 class OwnStep:
     """A tick of a controller of the user; it has no negotiation before its plan."""
 
     known: Known
     negotiation: int = 1
-    times_ns: dict[str, int] = field(default_factory=lambda: dict.fromkeys(STAGES, 0))
 
 
 class OwnPlanner:
-    """Planner of an agent, 1-based, whose controller is a class of the user; see `agent.step.Planner`.
-
-    Raises: ScenarioError: the class cannot be used.
-    """
+    """Planner of an agent, 1-based, whose controller is a class of the user; ScenarioError: it cannot be used."""
 
     def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
         self._setup, self._agent, self._stopwatch = setup, agent, stopwatch
-        self._name = setup.scenario.agents.controller
-        self._owned = setup.owned[agent - 1]
+        self._name, self._owned = setup.scenario.agents.controller, setup.owned[agent - 1]
         self._peers = tuple(other for other in setup.agents if other != agent)
-        self._controller: OwnController | None = None
-        try:
-            self._start()
-        except OwnClassError as error:
-            raise ScenarioError(setup.scenario.name, "agents.controller", str(error)) from error
+        self._controller: Any = None
+        self.restart()
+        if self._problem:
+            raise ScenarioError(setup.scenario.name, "agents.controller", self._problem)
 
-    def _start(self) -> None:
-        """Make and start an object of the class, without knowledge of the run so far."""
+    def restart(self) -> None:
+        """Start a new object of the class, without knowledge of the run so far."""
+        self.stop()
         setup, uavs = self._setup, len(self._owned)
         self._run = Run(
             agent=self._agent,
@@ -150,16 +116,11 @@ class OwnPlanner:
         self._previous = 0, setup.hover.u[input_indices(self._owned)][None]  # first tick and rows of the last plan
         self._problem = ""  # why the class did not start
         self._idle_since_ns = self._stopwatch()
-        controller: OwnController = made(own_class(self._name), _METHODS)
-        with told("start"):
-            controller.start(self._run)
-        self._controller = controller
-
-    def restart(self) -> None:
-        """Start a new object of the class, as this process comes back to the roster."""
-        self.stop()
         try:
-            self._start()
+            controller = made(own_class(self._name), ("start", "step", "stop"))
+            with told("start"):
+                controller.start(self._run)
+            self._controller = controller
         except OwnClassError as error:
             self._problem = str(error)
 
@@ -189,15 +150,12 @@ class OwnPlanner:
             self._newest[plan.agent] = max(plan.tick, self._newest.get(plan.agent, -1))
         self._run.tick = known.measurement.tick
         self._run.agents, self._run.failed = tuple(sorted(known.agents)), tuple(sorted(known.off))
-        return OwnStep(known=known)
-
-    def adopt(self, step: OwnStep, proposals: Sequence[Plan]) -> None:
-        """Do nothing: there is no negotiation."""
+        return OwnStep(known)
 
     def plan(self, step: OwnStep, out: Outbox, publish_ns: int) -> list[Message]:
         """Return the tick's plan and report, and a note if the class has something to say or has failed."""
-        known, step.negotiation = step.known, 0
-        k, start, begun_ns = known.measurement.tick, known.measurement.tick + self._run.delay, self._stopwatch()
+        known, step.negotiation, begun_ns = step.known, 0, self._stopwatch()
+        k, start = known.measurement.tick, known.measurement.tick + self._run.delay
         inputs = self._previous[1][min(start - self._previous[0], len(self._previous[1]) - 1) :]
         status: PlanStatus = "solved"
         data: Mapping[str, float] = {}
@@ -222,10 +180,9 @@ class OwnPlanner:
             negotiation=0,
             shared=True,
         )
-        times_ns = step.times_ns
-        times_ns["wait"], times_ns["publish"] = known.started_ns - self._idle_since_ns, publish_ns
-        times_ns["solve"] = self._stopwatch() - begun_ns
-        times_ns["total"] = self._stopwatch() - known.started_ns
+        now_ns = self._stopwatch()
+        waited_ns = known.started_ns - self._idle_since_ns
+        spent_ns = {"wait": waited_ns, "publish": publish_ns, "solve": now_ns - begun_ns}
         ages = tuple(k - self._newest[peer] if peer in self._newest else -1 for peer in self._peers)
         report = step_report(
             known,
@@ -233,32 +190,33 @@ class OwnPlanner:
             out,
             status=status,
             solver=self._name,
+            fallback=False,
+            iterations=0,
+            residual=-1.0,
+            force=np.zeros(3),
             peers=self._peers,
             plan_ages=ages,
             state_ages=ages,
             measurement_age=-1 if measured is None else k - measured.tick,
-            times_ns=times_ns,
+            times_ns={**dict.fromkeys(STAGES, 0), **spent_ns, "total": now_ns - known.started_ns},
         )
-        note = [self._note(k, problem, data, out)] if problem or data else []
+        note = self._note(k, problem, data, out)
         self._idle_since_ns = self._stopwatch()
         return [*note, plan, report]
 
     def end(self, tick: int, out: Outbox) -> list[Message]:
         """End the run for the class; return a note if that failed."""
-        problem = self.stop()
-        return [self._note(tick, problem, {}, out)] if problem else []
+        return self._note(tick, self.stop(), {}, out)
 
-    def _note(self, tick: int, problem: str, data: Mapping[str, float], out: Outbox) -> Note:
+    def _note(self, tick: int, problem: str, data: Mapping[str, float], out: Outbox) -> list[Message]:
+        if not problem and not data:
+            return []
         said = f"controller {self._name}: {problem}" if problem else ""
-        return out.stamp(
-            Note, tick=tick, agent=self._agent, problem=said, names=tuple(data), values=list(data.values())
-        )
+        names, values = tuple(data), list(data.values())
+        return [out.stamp(Note, tick=tick, agent=self._agent, problem=said, names=names, values=values)]
 
     def _stepped(self, known: Known, previous: Array) -> tuple[Array, Mapping[str, float]]:
-        """Return the inputs of a step, (rows, 4 owned), within the limits, and its numbers for the log.
-
-        Raises: OwnClassError: the class has failed, or what it returned cannot be used.
-        """
+        """Return inputs of a step, (rows, 4 owned), within the limits, and numbers. Raises: OwnClassError: it fails."""
         if self._controller is None:
             raise OwnClassError(self._problem)
         if self._measurement is None:
@@ -268,18 +226,15 @@ class OwnPlanner:
             given = self._controller.step(self._measurement, known.plans)
             if isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], Mapping):
                 given, data = given
-            inputs, columns, rows = real_array(given), len(self._run.lower), self._run.horizon
+            inputs, columns, rows = np.atleast_2d(real_array(given)), len(self._run.lower), self._run.horizon
             numbers = {str(name): float(value) for name, value in dict(data).items()}  # type: ignore[call-overload]
-        if inputs.shape == (columns,):
-            inputs = inputs[None]
         if inputs.ndim != 2 or inputs.shape[1] != columns or not 1 <= len(inputs) <= rows:
             expected = f"expected shape ({columns},) or (1 to {rows}, {columns})"
             raise OwnClassError(f"step: {expected}, got {np.shape(given)}")
-        if not np.isfinite(inputs).all():
-            row, column = np.argwhere(~np.isfinite(inputs))[0]
-            raise OwnClassError(f"step: expected finite inputs, got {inputs[row, column]} at [{row}, {column}]")
-        wrong = [name for name, value in numbers.items() if not math.isfinite(value)]
-        if wrong or len(numbers) > MAX_NAMES or any(len(name) > MAX_NAME for name in numbers):
-            expected = f"expected at most {MAX_NAMES} finite numbers with names of at most {MAX_NAME} characters"
-            raise OwnClassError(f"step: {expected} for the log, got {f'{wrong[0]} = nan' if wrong else len(numbers)}")
+        wrong = [*inputs[~np.isfinite(inputs)], *(value for value in numbers.values() if not math.isfinite(value))]
+        if wrong:
+            raise OwnClassError(f"step: expected finite inputs and numbers for the log, got {wrong[0]}")
+        if len(numbers) > MAX_NAMES or any(len(name) > MAX_NAME for name in numbers):
+            expected = f"expected at most {MAX_NAMES} numbers with names of at most {MAX_NAME} characters"
+            raise OwnClassError(f"step: {expected} for the log, got {len(numbers)}")
         return np.clip(inputs, self._run.lower, self._run.upper), numbers

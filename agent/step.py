@@ -1,20 +1,14 @@
-"""One tick's work of an agent: estimate the state, form its problem, solve it, negotiate, conclude.
+"""One tick's work of an agent: estimate the state, form its problem, solve it, negotiate, conclude."""
 
-`Planner` takes what the agent knows at a tick and returns the tick's plan and report. The node decides which messages
-count and when a tick may begin.
-"""
-
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from agent.estimator import STEPS
 from agent.kalman import TOLD, Belief, told
-from agent.sharing import Sharing
 from agent.team_estimate import Known, TeamEstimate
 from model import motors
 from model.arrays import Array, ShapeError
@@ -24,40 +18,67 @@ from mpc.controller import Controller, StepResult
 from mpc.feedback import FeedbackLaw
 from mpc.prediction import Linear
 from mpc.regulation import CostToGo
+from protocol.scenario.schema import ControllerSection
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, Message, Note, Plan, StepReport
 from protocol.wire.node import Outbox
 
-# Stages counted as computation (not waiting or publishing), before the negotiation and in each of its iterations.
-_PREPARATION, _ITERATION = ("estimate", "linearise", "discretise"), ("condense", "solve")
+# Stages counted as computation, not waiting or publishing.
+_COMPUTATION = ("estimate", "linearise", "discretise", "condense", "solve")
 # Time between the notes of a Kalman filter, s.
 _NOTED_S = 1.0
 
 
 @dataclass(slots=True, kw_only=True)
 class Step:
-    """A tick's problem, common to all iterations of the negotiation, and the newest result.
+    """A tick's problem, common to all iterations of the negotiation, and the newest result."""
 
-    Attributes:
-        known: What the problem was formed from.
-        uav_states: Estimated states of the owned UAVs, (owned, 12); with vehicle sensors what they reported.
-        start: First tick the plan is for.
-        discrete: None if out-of-range states have no discrete model.
-        negotiation: Exchanges of plans still to come.
-    """
-
-    known: Known
-    uav_states: Array
-    start: int
+    known: Known  # what it was formed from
+    uav_states: Array  # estimates of the owned UAVs, (owned, 12); with vehicle sensors what they reported
+    start: int  # first tick the plan is for
     y_ref: Array
     U: Array
     law: FeedbackLaw | None
     end: CostToGo | None
     linear: Linear
-    discrete: Discrete | None
-    negotiation: int
+    discrete: Discrete | None  # None if out-of-range states have no discrete model
+    negotiation: int  # exchanges of plans still to come
+    times_ns: dict[str, int]
     result: StepResult | None = None
-    times_ns: dict[str, int] = field(default_factory=lambda: dict.fromkeys(STAGES, 0))
+
+
+class Sharing:
+    """Event-triggered sharing of plans; smallest and largest inputs of the agent's UAVs, (4 owned,), are its scale.
+
+    With closed-loop prediction the others know the shared control law, but not the agent's corrections to it. They
+    assume the last shared corrections, shifted to the present tick and zero after their end.
+    """
+
+    def __init__(self, settings: ControllerSection, lower: Array, upper: Array) -> None:
+        self._always, self._threshold = settings.share == "always", settings.share_threshold
+        # At least one tick; rounding must not take one from a whole number of periods.
+        self._heartbeat = max(1, math.floor(settings.share_heartbeat_s / settings.sampling_period_s + 1e-9))
+        self._span = upper - lower
+        self._shared: tuple[int, int, Array, int] | None = None  # arguments of the last plan that was shared
+
+    def decide(self, tick: int, start: int, c: Array, roster: int) -> bool:
+        """Decide whether to share a plan; the others assume a shared plan from then on.
+
+        Shared are the first plan, the first one under each roster (control law or receivers may be new), one that is a
+        heartbeat newer than the last shared one, and one whose corrections c to the shared control law, (N_p, 4 owned),
+        from tick `start` on, have changed by more than the threshold of the inputs' range.
+        Source: docs/equations.md (49).
+        """
+        if self._shared is not None and not self._always:
+            before, begun, corrections, version = self._shared
+            assumed = np.zeros_like(c)
+            left = corrections[start - begun :][: len(c)]
+            assumed[: len(left)] = left
+            change = np.max(np.abs(c - assumed) / self._span, initial=0.0)
+            if roster == version and tick - before < self._heartbeat and change <= self._threshold:
+                return False
+        self._shared = tick, start, c, roster
+        return True
 
 
 class Planner:
@@ -66,7 +87,6 @@ class Planner:
     def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
         self._setup, self._agent, self._stopwatch = setup, agent, stopwatch
         self._owned = setup.owned[agent - 1]
-        self._own_inputs = input_indices(self._owned)
         self._controller = Controller(
             setup.model, setup.hover, setup.settings, self._owned, setup.X_ref, setup.track, setup.obstacles
         )
@@ -86,7 +106,7 @@ class Planner:
     def _reset_sharing(self) -> None:
         settings, uavs = self._setup.settings, len(self._owned)
         self._sharing = Sharing(self._setup.scenario.controller, settings.lower(uavs), settings.upper(uavs))
-        self._idle_since_ns = self._stopwatch()
+        self._lapped_ns = self._stopwatch()  # end of the last stage
 
     @property
     def belief(self) -> Belief | None:
@@ -95,20 +115,19 @@ class Planner:
 
     def warm_up(self) -> None:
         """Compute a step and discard it, so that the first step of the run is not slower than the others."""
-        controller, hover = self._controller, self._setup.hover
+        controller, hover, settings = self._controller, self._setup.hover, self._setup.settings
         forces = self._team.forces
-        U = np.tile(hover.u, (self._setup.settings.horizon, 1))
-        lag_s = self._setup.settings.motor_lag_s
-        x0 = np.concatenate([hover.x, hover.u]) if lag_s > 0.0 else hover.x
+        U = np.tile(hover.u, (settings.horizon, 1))
+        x0 = np.concatenate([hover.x, hover.u]) if settings.motor_lag_s > 0.0 else hover.x
         law = controller.law(x0, np.tile(hover.x, (len(U), 1)), np.zeros_like(U), forces)
         y_ref = np.tile(self._setup.model.outputs(hover.x), (len(U) + 1, 1))
-        end = controller.end(x0, hover.x, forces)
-        controller.step(x0, hover.u, U, y_ref, law, forces, end=end)
-        motors.integrate(self._setup.model, x0, hover.u, self._setup.settings.sampling_period_s, STEPS, lag_s)
+        controller.step(x0, hover.u, U, y_ref, law, forces, end=controller.end(x0, hover.x, forces))
+        motors.integrate(self._setup.model, x0, hover.u, settings.sampling_period_s, STEPS, settings.motor_lag_s)
 
     def begin(self, known: Known) -> Step:
         """Estimate the state at a tick and form the problem that follows from it."""
-        watch = [known.started_ns]
+        times_ns = dict.fromkeys(STAGES, 0)
+        times_ns["wait"], self._lapped_ns = known.started_ns - self._lapped_ns, known.started_ns
         k, controller, setup, team = known.measurement.tick, self._controller, self._setup, self._team
         period_s, steps = setup.settings.sampling_period_s, setup.settings.horizon
         x = team.update(known)
@@ -117,14 +136,14 @@ class Planner:
             start, u0 = k + 1, announced.at(k, before=k, x=x)
             x0, _ = motors.integrate(controller.model, x, u0, period_s, STEPS, setup.settings.motor_lag_s, forces)
         else:
-            start, x0, u0 = k, x, team.inputs_until(k)
+            start, x0, u0 = k, x, team.estimator.inputs_until(k, announced)
         U = announced.sequence(start, steps, before=k)
         c = announced.corrections(start, steps, before=k)
         law = controller.law(x0, setup.X_ref[start : start + steps], c, forces, start)
         end = controller.end(x0, setup.X_ref[start + steps], forces, start + steps)
-        watch.append(self._stopwatch())
+        self._lap(times_ns, "estimate")
         linear = controller.linearise(x0, u0, forces)
-        watch.append(self._stopwatch())
+        self._lap(times_ns, "linearise")
         try:
             discrete = controller.discretise(linear)
         except ShapeError:
@@ -133,8 +152,8 @@ class Planner:
         if law is not None and discrete is not None and outdated:
             columns = np.concatenate([input_indices(setup.owned[agent - 1]) for agent in outdated])
             law = controller.adapted(law, linear, discrete, U, columns)
-        watch.append(self._stopwatch())
-        step = Step(
+        self._lap(times_ns, "discretise")
+        return Step(
             known=known,
             uav_states=team.reported(k, x),
             start=start,
@@ -145,11 +164,8 @@ class Planner:
             linear=linear,
             discrete=discrete,
             negotiation=setup.scenario.controller.negotiation_iterations,
+            times_ns=times_ns,
         )
-        step.times_ns["wait"] = watch[0] - self._idle_since_ns
-        for stage, (begun, done) in zip(_PREPARATION, pairwise(watch), strict=True):
-            step.times_ns[stage] = done - begun
-        return step
 
     def plan(self, step: Step, out: Outbox, publish_ns: int) -> list[Message]:
         """Solve a step's problem and return a proposal to the others, or at the end the tick's plan and report.
@@ -176,10 +192,13 @@ class Planner:
             return [plan]
         self._team.announced.add(plan)
         step.times_ns["publish"] = publish_ns
-        step.times_ns["total"] = sum(step.times_ns[stage] for stage in (*_PREPARATION, *_ITERATION))
+        step.times_ns["total"] = sum(step.times_ns[stage] for stage in _COMPUTATION)
         report = self._report(step, result, out)
-        notes = self._notes(k, out)
-        self._idle_since_ns = self._stopwatch()
+        # What a Kalman filter knows of the payload, once in a while: the covariance of each tick is work.
+        notes, every = [], max(1, round(_NOTED_S / self._setup.settings.sampling_period_s))
+        if self.belief is not None and k > 0 and k % every == 0:
+            notes = [out.stamp(Note, tick=k, agent=self._agent, problem="", names=TOLD, values=told(self.belief))]
+        self._lapped_ns = self._stopwatch()
         return [*notes, plan, report]
 
     def end(self, tick: int, out: Outbox) -> list[Message]:  # noqa: ARG002
@@ -188,47 +207,41 @@ class Planner:
 
     def adopt(self, step: Step, proposals: Sequence[Plan]) -> None:
         """Take the others' proposals and the own one into the next iteration of the negotiation."""
-        U, c = step.U.copy(), None if step.law is None else step.law.c.copy()
-        known: list[tuple[npt.NDArray[np.intp], Array, Array]] = [
-            (input_indices(self._setup.owned[plan.agent - 1]), plan.inputs, plan.corrections) for plan in proposals
-        ]
+        U, law = step.U.copy(), step.law and replace(step.law, c=step.law.c.copy())
+        known = [(plan.agent, plan.inputs, plan.corrections) for plan in proposals]
         if step.result is not None:
-            known.append((self._own_inputs, step.result.U, step.result.c))
-        for columns, inputs, corrections in known:
+            known.append((self._agent, step.result.U, step.result.c))
+        for agent, inputs, corrections in known:
+            columns = input_indices(self._setup.owned[agent - 1])
             if len(inputs) == len(U):
                 U[:, columns] = inputs
-            if c is not None and len(corrections) == len(c):
-                c[:, columns] = corrections
-        step.U = U
-        if step.law is not None and c is not None:
-            step.law = replace(step.law, c=c)
+            if law is not None and len(corrections) == len(law.c):
+                law.c[:, columns] = corrections
+        step.U, step.law = U, law
+
+    def _lap(self, times_ns: dict[str, int], stage: str) -> None:
+        """Count the time since the end of the last stage as that of a stage."""
+        before_ns, self._lapped_ns = self._lapped_ns, self._stopwatch()
+        times_ns[stage] += self._lapped_ns - before_ns
 
     def _solved(self, step: Step) -> StepResult:
         """Predict, condense, solve and conclude."""
         controller = self._controller
-        watch = [self._stopwatch()]
+        self._lapped_ns = self._stopwatch()
         if step.discrete is None:
             result = controller.give_up(step.U, step.law)
-            watch += [self._stopwatch(), self._stopwatch()]
-        else:
-            with np.errstate(over="ignore", invalid="ignore"):
-                prediction = controller.predict(step.linear, step.discrete, step.U, step.law)
-                qp = controller.condense(step.linear, prediction, step.y_ref, step.law, step.end)
-                watch.append(self._stopwatch())
-                solution = controller.solve(qp)
-                result = controller.conclude(solution, prediction, step.U, step.law, step.known.ticks_since_start)
-                watch.append(self._stopwatch())
-                if step.law is not None:
-                    self._team.expect(step.start, prediction, result.U)
-        for stage, (begun, done) in zip(_ITERATION, pairwise(watch), strict=True):
-            step.times_ns[stage] += done - begun
+            self._lap(step.times_ns, "condense")
+            return result
+        with np.errstate(over="ignore", invalid="ignore"):
+            prediction = controller.predict(step.linear, step.discrete, step.U, step.law)
+            qp = controller.condense(step.linear, prediction, step.y_ref, step.law, step.end)
+            self._lap(step.times_ns, "condense")
+            solution = controller.solve(qp)
+            result = controller.conclude(solution, prediction, step.U, step.law, step.known.ticks_since_start)
+            self._lap(step.times_ns, "solve")
+            if step.law is not None:
+                self._team.expected = step.start, prediction, result.U
         return result
-
-    def _notes(self, k: int, out: Outbox) -> list[Message]:
-        """Return what a Kalman filter knows of the payload, once in a while: the covariance of each tick is work."""
-        if self.belief is None or k == 0 or k % max(1, round(_NOTED_S / self._setup.settings.sampling_period_s)):
-            return []
-        return [out.stamp(Note, tick=k, agent=self._agent, problem="", names=TOLD, values=told(self.belief))]
 
     def _report(self, step: Step, result: StepResult, out: Outbox) -> StepReport:
         k, solution, team = step.known.measurement.tick, result.solution, self._team
@@ -252,14 +265,8 @@ class Planner:
         )
 
 
-_WITHOUT_SOLVER: Mapping[str, Any] = {"fallback": False, "iterations": 0, "residual": -1.0, "force": np.zeros(3)}
-
-
 def step_report(known: Known, agent: int, out: Outbox, *, times_ns: Mapping[str, int], **fields: Any) -> StepReport:
-    """Return the report of a step from what the agent, 1-based, knew, and the other fields of the message.
-
-    Fields that describe a solver are those of a step without one, unless they are given.
-    """
+    """Return the report of a step of an agent, 1-based, from what it knew, the times of stages, and other fields."""
     return out.stamp(
         StepReport,
         tick=known.measurement.tick,
@@ -268,5 +275,5 @@ def step_report(known: Known, agent: int, out: Outbox, *, times_ns: Mapping[str,
         lost=known.lost,
         late=sum(plan.tick < known.measurement.tick - 1 for plan in known.plans),
         times_ms=np.array([times_ns[stage] / 1e6 for stage in STAGES]),
-        **{**_WITHOUT_SOLVER, **fields},
+        **fields,
     )

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.announced import AnnouncedInputs
-from agent.disturbance import DisturbanceEstimator
-from agent.estimator import WINDOW, StateEstimator
+from agent.estimator import WINDOW, DisturbanceEstimator, StateEstimator
 from agent.kalman import KalmanFilter
 from model import state
 from model.arrays import Array
 from model.hover import motor_off_state, released_state
-from model.state import input_indices
 from mpc.controller import Controller
 from mpc.prediction import Prediction
 from mpc.tracking import Course
@@ -42,6 +40,7 @@ class TeamEstimate:
     Attributes:
         announced: Inputs announced by all agents.
         estimator: Estimated states, by tick.
+        expected: Start, prediction and own inputs of the last step, for the inputs of an agent that leaves.
     """
 
     def __init__(self, setup: Setup, agent: int, controller: Controller) -> None:
@@ -54,33 +53,31 @@ class TeamEstimate:
     def restart(self) -> None:
         """Reset for a new start in the run; the controller keeps its state, also the agents that it leaves out."""
         setup, section = self._setup, self._setup.scenario.controller
-        period_s = setup.settings.sampling_period_s
+        period_s, is_kalman = setup.settings.sampling_period_s, section.estimator == "kalman"
         self._disturbance: DisturbanceEstimator | None = None
-        self._filtered: Array | None = None  # forces that the Kalman filter has estimated by the last tick
-        if section.disturbance.estimate and section.estimator == "measured":
+        if section.disturbance.estimate and not is_kalman:
             self._disturbance = DisturbanceEstimator(
                 setup.model, setup.hover, self._owned, period_s, section.disturbance.time_constant_s
             )
-        self._kalman = KalmanFilter(setup, self._feedback, self._owned) if section.estimator == "kalman" else None
+        self._filtered: Array | None = None  # forces that the Kalman filter has estimated by the last tick
+        self._kalman = KalmanFilter(setup, self._controller.regulation.gain, self._owned) if is_kalman else None
         self.estimator = StateEstimator(
             setup.model, self._reference, period_s, self._disturbance, setup.settings.motor_lag_s, self._kalman
         )
         self.announced = AnnouncedInputs(
             setup.owned,
             setup.hover.u,
-            setup.fail_safe,
             section.received_plans,
             own=self._agent,
             law=self._law_inputs,
-            past=self.estimator.known,
+            past=None if is_kalman else self.estimator.known,
             settings=setup.settings,
-            carried=self._kalman is None,
         )
+        self.announced.fail_safe = setup.fail_safe
         self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()  # UAVs off, and released
-        # Start, prediction and own inputs of the last step.
-        self._expected: tuple[int, Prediction | Course, Array] | None = None
+        self.expected: tuple[int, Prediction | Course, Array] | None = None
         # Arguments and result of `_law_inputs` by tick.
-        self._law_cache: dict[int, tuple[Array, Array | None, object, Array | None]] = {}
+        self._law_cache: dict[int, tuple[tuple[object, ...], Array | None]] = {}
 
     def head(self, setup: Setup) -> None:
         """Take the reference from a run with a further target."""
@@ -107,7 +104,10 @@ class TeamEstimate:
         if self._kalman is not None and self.estimator.belief is not None:
             self._filtered = self._kalman.forces(self.estimator.belief)
         if self._setup.scenario.controller.received_states == "as_received":
-            x = self._with_states_as_received(x, k)
+            x = x.copy()
+            for plan in filter(None, (self.announced.newest(agent, before=k) for agent in self.peers)):
+                for uav, block in zip(plan.uavs, plan.uav_states, strict=True):
+                    x[state.uav_slice(uav - 1)] = block
         return x
 
     def reported(self, k: int, x: Array) -> Array:
@@ -119,57 +119,33 @@ class TeamEstimate:
             return state.StateView(x[: self._setup.system.n]).uavs[list(self._owned)]
         return self.estimator.reports(k, self._owned)
 
-    def inputs_until(self, k: int) -> Array:
-        """Return the inputs in force until a tick: own ones as the actuators report them, the others as announced."""
-        u = self._setup.hover.u.copy()
-        if k > 0:
-            u = self.estimator.inputs_until(k, self.announced)
-        reported = self.estimator.reported_inputs(k)
-        if reported is not None:
-            u[input_indices(self._owned)] = reported.reshape(-1)
-        return u
-
-    def expect(self, start: int, prediction: Prediction | Course, inputs: Array) -> None:
-        """Keep a step's prediction from tick `start` on, from which the inputs of an agent that leaves are taken."""
-        self._expected = start, prediction, inputs
-
     def _update_roster(self, known: Known) -> None:
         """Take in the roster of a tick; all agents do that at the same tick."""
-        tick = known.measurement.tick
-        off_roster = set(self._setup.agents) - known.agents
-        self.announced.off_roster = off_roster
-        if self._controller.regulation.advance(tick):
-            self.announced.law_since = tick
+        tick, controller, announced = known.measurement.tick, self._controller, self.announced
+        off_roster = announced.off_roster = set(self._setup.agents) - known.agents
+        if controller.regulation.advance(tick):
+            announced.law_since = tick
         # An agent that starts has no control law for the meantime.
         since = tick if known.ticks_since_start > 0 else None
-        self._update_failures(known, since)
+        if (known.off, known.released) != self._failed:
+            self._update_failures(known, since)
         if off_roster == self._off_roster:
             return
         for agent in self._off_roster - off_roster:
-            self.announced.forget(agent)
+            announced.forget(agent)
         for agent in off_roster - self._off_roster:
-            self._assume_last_plan(agent, tick)
-        self._off_roster, self.announced.law_since = off_roster, tick
-        self._controller.without([uav for agent in sorted(off_roster) for uav in self._setup.owned[agent - 1]], since)
-
-    def _assume_last_plan(self, agent: int, tick: int) -> None:
-        """Assume the predicted inputs of an agent that leaves the roster at a tick, if its last plan was not received.
-
-        Source: docs/equations.md (32b).
-        """
-        newest = self.announced.newest(agent, before=tick)
-        if self._expected is not None and newest is not None and newest.tick < tick - 1:
-            start, prediction, inputs = self._expected
-            self.announced.assume(agent, start, self._controller.foreseen(prediction, inputs))
+            # The last plan of an agent that leaves may not have been received: docs/equations.md (32b).
+            newest = announced.newest(agent, before=tick)
+            if self.expected is not None and newest is not None and newest.tick < tick - 1:
+                start, prediction, inputs = self.expected
+                announced.assume(agent, start, controller.foreseen(prediction, inputs))
+        self._off_roster, announced.law_since = off_roster, tick
+        controller.without([uav for agent in sorted(off_roster) for uav in self._setup.owned[agent - 1]], since)
 
     def _update_failures(self, known: Known, since: int | None) -> None:
-        """Switch to model and control law of the remaining UAVs if further UAVs have failed."""
-        off, released = known.off, known.released
-        known_off, known_released = self._failed
-        if (off, released) == self._failed:
-            return
-        self._failed = off, released
-        stopped, cut = sorted(off - known_off - released), sorted(released - known_released)
+        """Switch to model and control law of the remaining UAVs, as further UAVs have failed."""
+        (known_off, known_released), self._failed = self._failed, (known.off, known.released)
+        stopped, cut = sorted(known.off - known_off - known.released), sorted(known.released - known_released)
 
         def moved(x: Array) -> Array:
             for uav in stopped:
@@ -179,11 +155,10 @@ class TeamEstimate:
             return x
 
         controller, failed = self._controller, min(known.measurement.tick, known.failed_since)
-        controller.fail(off, released, since)
-        self.announced.fail_safe = controller.regulation.fail_safe
+        controller.fail(known.off, known.released, since)
+        self.announced.fail_safe, self.announced.failed_since = controller.regulation.fail_safe, failed
         self.estimator.change(failed, controller.model, moved)
-        self.announced.failed_since = failed
-        left = [uav for uav in self._owned if uav not in off]
+        left = [uav for uav in self._owned if uav not in known.off]
         if self._disturbance is not None and left:
             self._disturbance.rebuild(controller.model, controller.regulation.hover, left)
 
@@ -193,27 +168,16 @@ class TeamEstimate:
         Cached by tick: the inputs are needed for each of the others, and those of a past tick again at later ticks.
         """
         forces, regulation = self.forces, self._controller.regulation
-        cached = self._law_cache.get(tick)
-        if cached is None or cached[0] is not x or cached[1] is not forces or cached[2] is not regulation.version:
+        key = x, forces, regulation.version
+        cached, inputs = self._law_cache.get(tick, ((None,) * 3, None))
+        if any(new is not old for new, old in zip(key, cached, strict=True)):
             inputs = regulation.inputs(x, self._setup.X_ref[tick], forces, tick)
-            cached = self._law_cache[tick] = x, forces, regulation.version, inputs
+            self._law_cache[tick] = key, inputs
             if len(self._law_cache) > 2 * WINDOW:
                 del self._law_cache[min(self._law_cache)]
-        return cached[3]
-
-    def _feedback(self, tick: int) -> Array:
-        """Return the gain of the shared control law at a tick, (m, n); with motor lag (m, n + m)."""
-        return self._controller.regulation.gain(tick)
+        return inputs
 
     def _reference(self, tick: int) -> Array:
         """Return the reference state at a tick, (n,); with motor lag (n + m,), the actual inputs those of hover."""
         reference: Array = self._setup.X_ref[tick].copy()
         return np.concatenate([reference, self._setup.hover.u]) if self._setup.settings.motor_lag_s else reference
-
-    def _with_states_as_received(self, x: Array, k: int) -> Array:
-        """Return the estimate with the others' states as last received, not predicted to the tick."""
-        x = x.copy()
-        for plan in filter(None, (self.announced.newest(agent, before=k) for agent in self.peers)):
-            for uav, block in zip(plan.uavs, plan.uav_states, strict=True):
-                x[state.uav_slice(uav - 1)] = block
-        return x

@@ -1,83 +1,10 @@
-"""Sampling clocks, when a tick opens and which answers to it are late; and the roster of a run with its changes."""
+"""Sampling clocks: when a tick opens, and which answers to it are late."""
 
 from collections.abc import Collection
 
-from protocol.scenario.faults import failures
+from coordinator.roster import names
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Plan, Roster, agent_name
-from protocol.wire.node import Outbox
-
-
-class TeamRoster:
-    """The agents that take part in a run, and the messages that announce them."""
-
-    def __init__(self, setup: Setup, out: Outbox) -> None:
-        self.agents = {agent_name(agent): agent for agent in setup.agents}  # all of the run
-        self.members = set(setup.agents)  # on the roster
-        self.joining: dict[int, int] = {}  # to be put on it when the next tick opens, with their incarnations
-        self.incarnations: dict[str, int] = {}  # newest ones of the processes that take part
-        self.version = 0  # of the newest roster
-        self._out, self._period_ns = out, setup.period_ns
-        self._uav_faults = failures(setup.faults)  # still to be reported
-        self._off: set[int] = set()  # UAVs without motors, 1-based
-        self._released: set[int] = set()
-        self._returns: dict[int, set[int]] = {}  # agents that scripted faults bring back, by tick
-        for fault in setup.faults if setup.scenario.clock.mode == "lockstep" else ():
-            if fault.do in ("continue", "start") and fault.target in self.agents:
-                self._returns.setdefault(fault.tick, set()).add(self.agents[fault.target])
-
-    def time(self, tick: int) -> str:
-        """Return the time of a tick as text."""
-        return f"t = {tick * self._period_ns / 1e9:.2f} s"
-
-    def message(self, reason: str, tick: int) -> Roster:
-        """Return the next version of the roster, which holds from a tick on."""
-        members = sorted(self.members)
-        self.version += 1
-        return self._out.stamp(
-            Roster,
-            tick=max(tick, 0),
-            version=self.version,
-            agents=tuple(members),
-            incarnations=tuple(self.incarnations[agent_name(agent)] for agent in members),
-            off=tuple(sorted(self._off)),
-            released=tuple(sorted(self._released)),
-            reason=reason,
-        )
-
-    def awaited(self, tick: int) -> set[int]:
-        """Return the agents a tick waits for: scripted faults bring them back at it, and they are not ready yet."""
-        return self._returns.get(tick, set()) - self.joining.keys() - self.members
-
-    def give_up(self, tick: int) -> Roster:
-        """Return the roster without the agents that a tick has waited for."""
-        return self.message(f"{names(self._returns.pop(tick))} did not return at {self.time(tick)}", tick - 1)
-
-    def join(self, tick: int) -> tuple[set[int], list[Roster]]:
-        """Put the joining agents on the roster at a tick; return them, and the roster if there are any."""
-        joined, self.joining = self.joining, {}
-        self.members |= joined.keys()
-        self.incarnations |= {agent_name(agent): incarnation for agent, incarnation in joined.items()}
-        rosters = [self.message(f"{names(joined)} joined at {self.time(tick)}", tick)] if joined else []
-        return set(joined), rosters
-
-    def fail_uavs(self, tick: int) -> list[Roster]:
-        """Return rosters that report the UAVs whose motors or rods fail at a tick, never before it."""
-        rosters = []
-        while self._uav_faults and self._uav_faults[0].tick <= tick:
-            fault = self._uav_faults.pop(0)
-            self._off.add(fault.uav + 1)
-            if fault.do == "release":
-                self._released.add(fault.uav + 1)
-            event = "released" if fault.do == "release" else "motors off"
-            rosters.append(self.message(f"{fault.target} {event} at {self.time(tick)}", tick))
-        return rosters
-
-
-def names(agents: Collection[int]) -> str:
-    """Return the process names of agents as text."""
-    return ", ".join(agent_name(agent) for agent in sorted(agents))
-
+from protocol.wire.messages import Plan
 
 # A process that wakes up so much later than planned was frozen, or had no processor to run on.
 _AWAY_NS = 200_000_000
@@ -86,19 +13,18 @@ _AWAY_NS = 200_000_000
 class Clock:
     """Sampling clock of a run. Ticks are due relative to the first one, so that delays do not add up.
 
-    In lockstep it waits for the answers of all agents; a speed above 0 holds the next tick until it is due. In real
-    time it opens ticks at their deadlines; `clock.on_overrun` says what happens when plans miss them.
-
-    All times are ns on a clock that only goes forward. `missing` are the agents on the roster that have not answered
-    the open tick.
+    In lockstep it waits for all answers, and at a speed above 0 until the next tick is due. In real time it opens ticks
+    at their deadlines; `clock.on_overrun` says what happens when plans miss them. Times are ns of a steady clock;
+    `missing` are the agents on the roster that have not answered the open tick.
     """
 
     def __init__(self, setup: Setup) -> None:
         self.waiting_since_ns = 0  # start of the barrier timeout
         self._settings, self._period_ns = setup.scenario.clock, setup.period_ns
-        self.is_realtime = self._settings.mode == "realtime"
+        self.is_realtime, self._holds = self._settings.mode == "realtime", self._settings.on_overrun == "hold"
         self._barrier_ns = round(self._settings.barrier_timeout_s * 1e9)
-        self._start_ns = self._plant_ns = 0
+        self._start_ns = 0
+        self.plant_ns = 0  # when the plant answered, or was first asked for the next interval
         self._owed_since_ns: dict[int, int] = {}  # by agent: since when it owes an answer
         self._overrun_ns = 0  # largest overrun of a plan since the last tick
         self._overruns = 0  # missed deadlines
@@ -115,6 +41,11 @@ class Clock:
         """End of the barrier timeout."""
         return self.waiting_since_ns + self._barrier_ns
 
+    @property
+    def hold_ends_ns(self) -> int:
+        """End of the time for which a tick waits for agents that the scenario's faults bring back."""
+        return self.waiting_since_ns + round(self._settings.join_timeout_s * 1e9)
+
     def excuse_absence(self, tick: int, wake_ns: int | None, now_ns: int) -> None:
         """Restart all timeouts if the coordinator woke up late: answers that came meanwhile are still to be read.
 
@@ -124,7 +55,7 @@ class Clock:
         if wake_ns is None or self._excused_tick == tick or now_ns <= max(wake_ns, called_ns) + _AWAY_NS:
             return
         self._excused_tick = tick
-        self.waiting_since_ns = self._plant_ns = now_ns
+        self.waiting_since_ns = self.plant_ns = now_ns
         self._owed_since_ns = dict.fromkeys(self._owed_since_ns, now_ns)
 
     def open(self, tick: int, members: Collection[int], joined: Collection[int], now_ns: int) -> None:
@@ -144,10 +75,6 @@ class Clock:
             del self._owed_since_ns[plan.agent]
         self._overrun_ns = max(self._overrun_ns, now_ns - self.due_ns(plan.tick + 1))
 
-    def plant_answer(self, now_ns: int) -> None:
-        """Note that the plant has answered, or that it has only now been asked for the next interval."""
-        self._plant_ns = now_ns
-
     def lateness_ns(self, tick: int, now_ns: int) -> tuple[int, int]:
         """Return how late a tick opens, and by how much the latest plan since the tick before missed its deadline.
 
@@ -156,7 +83,7 @@ class Clock:
         if not self.is_realtime:
             return 0, 0
         late_ns = max(0, now_ns - self.due_ns(tick)) if tick > 0 else 0
-        if self._settings.on_overrun == "hold":
+        if self._holds:
             self._start_ns += late_ns  # all later deadlines move by the wait
         return late_ns, self._overrun_ns
 
@@ -167,11 +94,8 @@ class Clock:
         return {a for a in members if now_ns >= self._owed_since_ns.get(a, now_ns) + self._barrier_ns}
 
     def plant_is_silent(self, now_ns: int) -> bool:
-        """Return whether the plant has owed an answer for the barrier timeout while agents still answer.
-
-        In lockstep agents without measurements do not answer either.
-        """
-        return self.is_realtime and now_ns >= self._plant_ns + self._barrier_ns
+        """Return whether the plant has owed an answer for the barrier timeout; in lockstep agents wait for it, too."""
+        return self.is_realtime and now_ns >= self.plant_ns + self._barrier_ns
 
     def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
         """Return whether the open tick may be closed; in lockstep the last one closes with its last answer."""
@@ -196,4 +120,4 @@ class Clock:
 
     def waits_for(self, missing: set[int]) -> bool:
         """Return whether the open tick waits for answers."""
-        return bool(missing) and (not self.is_realtime or self._settings.on_overrun == "hold")
+        return bool(missing) and (not self.is_realtime or self._holds)

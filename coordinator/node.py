@@ -1,34 +1,21 @@
 """The coordinator as a state machine: opens tick k + 1 when all agents have answered tick k, or at its deadline.
 
-`coordinator.clock` has the difference between lockstep and real time.
-Agents that are gone or do not answer are taken off the roster; those that return with a higher incarnation are put on
-it again when a tick is opened.
+`coordinator.clock` has the difference between lockstep and real time. Agents that are gone or do not answer are taken
+off the roster; those that return with a higher incarnation are put on it again when a tick is opened.
 """
 
 from collections.abc import Collection, Sequence
 from enum import Enum
 
-from coordinator.clock import Clock, TeamRoster, names
-from coordinator.links import Changes
+from coordinator.clock import Clock
+from coordinator.roster import TeamRoster, names
 from protocol.admission.plausibility import check_tick
 from protocol.scenario.errors import RequestError
-from protocol.scenario.links import words_of
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import target_in_words
+from protocol.scenario.targets import asked
 from protocol.wire.errors import MessageError
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
-from protocol.wire.messages import (
-    Control,
-    Event,
-    LinkChange,
-    Message,
-    Plan,
-    PlantState,
-    Presence,
-    Request,
-    Target,
-    Tick,
-)
+from protocol.wire.messages import Control, Event, Message, Plan, PlantState, Presence, Request, Target, Tick
 from protocol.wire.names import COORDINATOR, PLANT
 from protocol.wire.node import Outbox
 
@@ -56,16 +43,11 @@ class CoordinatorNode:
         self.state, self.tick = State.WAITING, -1
         self.incarnation = incarnation
         self.finished: Control | None = None
-        self._ticks, self._period_ns, self._settings = setup.ticks, setup.period_ns, setup.scenario.clock
-        self._negotiation_iterations = setup.scenario.controller.negotiation_iterations
-        self._out = Outbox(self.name, incarnation)
-        self._clock = Clock(setup)
-        self._roster = TeamRoster(setup, self._out)
-        self._changes = Changes(setup, self._out)
+        self._setup, self._ticks, self._out = setup, setup.ticks, Outbox(self.name, incarnation)
+        self._clock, self._roster = Clock(setup), TeamRoster(setup, self._out)
         self._awaited = {PLANT, *self._roster.agents, *observers}
         self._observers = set(observers)  # that have not left
-        self._answered: set[int] = set()
-        self._shared: set[int] = set()  # agents that answered with a plan the other agents received
+        self._answered: dict[int, bool] = {}  # agents that answered, and whether with a plan the others received
         self._negotiating: dict[int, int] = {}  # negotiation iterations left in the open tick, by agent
         self._plant_tick = -1  # newest tick the plant has recorded
         self._divergence = ""
@@ -76,7 +58,7 @@ class CoordinatorNode:
         if self.state in (State.WAITING, State.STOPPED):
             return None
         if self.state is State.HELD:
-            return self._hold_ends_ns
+            return self._clock.hold_ends_ns
         waits = self._awaits_plant or self._clock.waits_for(self._missing)
         return self._clock.expires_ns if waits else self._clock.due_ns(self.tick + 1)
 
@@ -96,7 +78,7 @@ class CoordinatorNode:
                 return self._process_gone(event, now_ns)
             case PlantState():
                 self._plant_tick = event.tick
-                self._clock.plant_answer(now_ns)
+                self._clock.plant_ns = now_ns
                 if event.diverged and not self._divergence:
                     self._divergence = f"{event.diverged} at {self._roster.time(event.tick)}"
                     self.state = State.DIVERGED
@@ -104,9 +86,7 @@ class CoordinatorNode:
                 self._negotiating[event.agent] = left
             case Plan():
                 if event.tick == self.tick:
-                    self._answered.add(event.agent)
-                    if event.shared:
-                        self._shared.add(event.agent)
+                    self._answered[event.agent] = event.shared
                 self._clock.answer(event, self.tick, now_ns)
         return self._advance(now_ns)
 
@@ -116,7 +96,7 @@ class CoordinatorNode:
             return ()
         self._clock.excuse_absence(self.tick, self.wake_ns, now_ns)
         if self.state is State.HELD:
-            if now_ns < self._hold_ends_ns:
+            if now_ns < self._clock.hold_ends_ns:
                 return ()
             return [self._roster.give_up(self.tick + 1), *self._advance(now_ns)]
         expired = now_ns >= self._clock.expires_ns
@@ -133,7 +113,7 @@ class CoordinatorNode:
 
     def interrupt(self, reason: str) -> Sequence[Message]:
         """End the run because of a signal."""
-        return () if self.state is State.STOPPED else self._stop(EXIT_INTERRUPTED, reason)
+        return self._stop(EXIT_INTERRUPTED, reason)
 
     @property
     def _is_last(self) -> bool:
@@ -147,17 +127,10 @@ class CoordinatorNode:
     @property
     def _missing(self) -> set[int]:
         """Agents on the roster that have not answered the open tick."""
-        return self._roster.members - self._answered
-
-    @property
-    def _hold_ends_ns(self) -> int:
-        return self._clock.waiting_since_ns + round(self._settings.join_timeout_s * 1e9)
+        return self._roster.members - self._answered.keys()
 
     def check_moment(self, message: Message) -> None:
-        """Refuse answers to other ticks than the open one, and plans of agents off the roster.
-
-        Raises: MessageError: with the reason.
-        """
+        """Raise MessageError for answers to other ticks than the open one, and plans of agents off the roster."""
         match message:
             case PlantState():
                 check_tick(message, self._plant_tick + 1, self.tick)
@@ -169,13 +142,12 @@ class CoordinatorNode:
 
     def _process_ready(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Note that a process is ready; open the first tick when all are."""
-        if event.name in {PLANT, *self._roster.agents} | self._awaited:
-            self._awaited.discard(event.name)
-            known = self._roster.incarnations.get(event.name, -1)
-            self._roster.incarnations[event.name] = max(event.incarnation, known)
-            if not self._awaited:
-                return [self._roster.message("all processes are ready", 0), *self._open(now_ns)]
-        return ()
+        if event.name not in {PLANT, *self._roster.agents} | self._awaited:
+            return ()
+        self._awaited.discard(event.name)
+        known = self._roster.incarnations.get(event.name, -1)
+        self._roster.incarnations[event.name] = max(event.incarnation, known)
+        return () if self._awaited else [self._roster.message("all processes are ready", 0), *self._open(now_ns)]
 
     def _agent_returned(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Let a new incarnation of an agent join at the next tick."""
@@ -210,39 +182,32 @@ class CoordinatorNode:
                 raise RequestError(f"what: expected status, link or target, got {request.what!r}")
             if self.state is State.WAITING or self._is_last:
                 raise RequestError("expected a running simulation")
-            change: LinkChange | Target
+            messages: Sequence[Message]
             if request.what == "target":
-                change = self._changes.target(request.given, self.tick + 1)
+                messages = self._roster.target(asked(request.given), self.tick + 1)
             else:
-                change = self._changes.link(request.given, self.tick + 1)
+                messages = self._roster.link(request.given, self.tick + 1)
         except RequestError as error:
             request.reply({"error": str(error)})
             return ()
-        since_s = change.tick * self._period_ns / 1e9
-        reached = {}
+        change, since_s = messages[0], (self.tick + 1) * self._setup.period_ns / 1e9
+        reply = {"tick": self.tick + 1, "t_s": since_s}
         if isinstance(change, Target):
-            reached_s = since_s + change.approach_s
-            reached = {"reached_s": reached_s, "ends_s": reached_s + change.way_s}
-        request.reply({"tick": change.tick, "t_s": since_s, **reached})
-        return self._announced(change)
-
-    def _announced(self, change: LinkChange | Target | RequestError) -> list[Message]:
-        """Return a change with a roster, whose version ticks name: no process opens the next one without knowing it."""
-        if isinstance(change, RequestError):
-            return [self._roster.message(f"target refused: {change}", self.tick)]
-        words = words_of(change) if isinstance(change, LinkChange) else target_in_words(change)
-        tick = self.tick if isinstance(change, LinkChange) else change.tick
-        return [change, self._roster.message(f"{words}, from {self._roster.time(change.tick)} on", tick)]
+            reply["reached_s"] = since_s + change.approach_s
+            reply["ends_s"] = reply["reached_s"] + change.way_s
+        request.reply(reply)
+        return messages
 
     def _drop_silent(self, silent: set[int], now_ns: int) -> Sequence[Message]:
         """Take agents that have not answered in time off the roster."""
         # An agent that is behind in a negotiation blocks the others: drop it alone and restart their timeout.
-        left = {agent: self._negotiating.get(agent, self._negotiation_iterations) for agent in silent}
+        iterations = self._setup.scenario.controller.negotiation_iterations
+        left = {agent: self._negotiating.get(agent, iterations) for agent in silent}
         behind = {agent for agent in silent if left[agent] == max(left.values())}
         if behind < silent:
             silent, self._clock.waiting_since_ns = behind, now_ns
         members = self._roster.members
-        if len(silent) > 1 and silent == members and self._answered.isdisjoint(members):
+        if len(silent) > 1 and silent == members and members.isdisjoint(self._answered):
             # All at once: more likely the plant, on which all depend.
             return self._stop(EXIT_UNREACHABLE, f"no agent answered tick {self.tick} in time: is the plant alive?")
         return self._lose(silent, f"{names(silent)} did not answer tick {self.tick} in time", now_ns)
@@ -250,7 +215,7 @@ class CoordinatorNode:
     def _lose(self, agents: Collection[int], reason: str, now_ns: int) -> Sequence[Message]:
         """Take agents off the roster, and continue or end the run by `clock.on_agent_loss`."""
         reason = f"{reason} at {self._roster.time(max(self.tick, 0))}"
-        if self._settings.on_agent_loss == "abort" or self.state is State.WAITING:
+        if self._setup.scenario.clock.on_agent_loss == "abort" or self.state is State.WAITING:
             return self._stop(EXIT_UNREACHABLE, reason)
         self._roster.members.difference_update(agents)
         if not self._roster.members:
@@ -266,7 +231,9 @@ class CoordinatorNode:
             return self._stop(EXIT_DIVERGED, self._divergence)
         if not self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last) or self._awaits_plant:
             return ()
-        if self._is_held(now_ns):
+        if self.state is not State.DIVERGED and not self._is_last and self._roster.awaited(self.tick + 1):
+            if self.state is not State.HELD:
+                self.state, self._clock.waiting_since_ns = State.HELD, now_ns
             return ()
         overrun = self._clock.overrun(self.tick, self._missing, now_ns)
         if overrun:
@@ -276,46 +243,35 @@ class CoordinatorNode:
         opened = self._open(now_ns)
         return [*opened, *self._advance(now_ns)] if self.state is State.DIVERGED else opened
 
-    def _is_held(self, now_ns: int) -> bool:
-        """Return whether the next tick waits for agents that scripted faults bring back at it."""
-        if self._is_last or self.state is State.DIVERGED or not self._roster.awaited(self.tick + 1):
-            return False
-        if self.state is not State.HELD:
-            self.state = State.HELD
-            self._clock.waiting_since_ns = now_ns
-        return True
-
     def _open(self, now_ns: int) -> list[Message]:
         """Open the next tick, also for agents that have returned."""
         tick = self.tick + 1
-        changes = self._changes.repeated() if self._roster.joining else []
-        joined, rosters = self._roster.join(tick)
-        messages: list[Message] = [*changes, *rosters, *self._roster.fail_uavs(tick)]
-        for target in self._changes.due(tick):
-            messages += self._announced(target)
+        joined, messages = self._roster.begin(tick)
         late_ns, overrun_ns = self._clock.lateness_ns(tick, now_ns)
         opened = self._out.stamp(
             Tick,
             tick=tick,
             members=tuple(sorted(self._roster.members)),
             answered=tuple(sorted(self._answered)),
-            shared=tuple(sorted(self._shared)),
+            shared=tuple(sorted(agent for agent, shared in self._answered.items() if shared)),
             roster=self._roster.version,
             late_ns=late_ns,
             overrun_ns=overrun_ns,
         )
         self.tick = tick
-        self.state = State.DIVERGED if self.state is State.DIVERGED else State.OPEN
-        self._answered, self._shared, self._negotiating = set(), set(), {}
+        if self.state is not State.DIVERGED:
+            self.state = State.OPEN
+        self._answered, self._negotiating = {}, {}
         self._clock.open(tick, self._roster.members, joined, now_ns)
         if self._plant_tick + 1 == tick:
-            self._clock.plant_answer(now_ns)  # it owes no earlier interval
+            self._clock.plant_ns = now_ns  # it owes no earlier interval
         return [*messages, opened]
 
     def _stop(self, exit_code: int, reason: str) -> Sequence[Message]:
+        if self.state is State.STOPPED:
+            return ()
         self.state = State.STOPPED
         outcome = {0: "completed", EXIT_DIVERGED: "diverged"}.get(exit_code, "aborted")
-        self.finished = self._out.stamp(
-            Control, tick=max(self.tick, 0), outcome=outcome, reason=reason, exit_code=exit_code
-        )
+        fields = {"outcome": outcome, "reason": reason, "exit_code": exit_code}
+        self.finished = self._out.stamp(Control, tick=max(self.tick, 0), **fields)
         return [self.finished]

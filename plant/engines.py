@@ -2,11 +2,11 @@
 
 import importlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import metadata
 from importlib.util import find_spec
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from model.arrays import Array
 from model.linearisation import Model
 from model.parameters import System
 from model.state import StateView
+from plant.actuators import checked_firmware
 from plant.environment import Environment
-from plant.inner_loop import checked_firmware
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.own_class import OwnClassError, made, own_class, real_array, told, version_of
 from protocol.scenario.plant_sections import PlantSection
@@ -23,10 +23,7 @@ from protocol.scenario.setup import Setup
 
 
 class Rods:
-    """Massless rigid rods, no ground; steps of at most `plant.step_s`, halved where their local error is large.
-
-    Source: docs/equations.md (4)-(13).
-    """
+    """Massless rigid rods, no ground; steps halved where their local error is large: docs/equations.md (4)-(13)."""
 
     version = metadata.version("payload-transport")
 
@@ -51,35 +48,26 @@ class Rods:
 
 
 class Physics(Protocol):
-    """Integration of the ground truth: N UAVs, one payload, in the layout and the signs of `model.state`.
+    """Integration of the ground truth: N UAVs, one payload, in the layout and the signs of `model.state`, SI.
 
-    An engine is called with the actual `System` of the plant and its section of the scenario. Wind, drag, noise, mass
-    errors and failures of UAVs are the plant's. An engine with cables may have an attribute `tensions`, the least
-    tension of each in the last interval, (N,), N. Errors may be raised as any exception: the run
-    then ends with its text.
+    An engine is made of the plant's actual `System` and its section of the scenario. Wind, drag, noise, mass errors and
+    failures are the plant's. `version`, if there is one, is recorded, else a hash of its file; `tensions`, of one with
+    cables, are their least tensions in the last interval, (N,), N. A run ends with the text of any exception.
     """
 
     def reset(self, x: Array) -> None:
-        """Continue from a state, (12 + 12 N,), SI; called before the first interval and after the failure of a UAV."""
+        """Continue from a state, (12 + 12 N,); called before the first interval and after the failure of a UAV."""
 
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> float | None:
-        """Integrate an interval, a sampling period or a part of one.
+        """Integrate a sampling period or a part of one; return the largest local error of a component, if known.
 
-        Args:
-            u: Thrust and moments of each UAV, held, (4 N,), N and N m, in its body frame; thrust >= 0 acts along -b3.
-            forces: External forces on the centres of mass of payload and UAVs, held, (3 + 3 N,), inertial frame, N;
-                None without any.
-            duration_s: > 0, s.
-        Returns: The largest local error of any component of the state, SI, if the engine can tell it.
+        Held are thrust and moments of each UAV, (4 N,), N and N m, in its body frame, with thrust >= 0 along -b3, and
+        external forces on the centres of mass of payload and UAVs, (3 + 3 N,), inertial frame, N, or None.
         """
 
     def state(self) -> Array:
-        """Return the present state, (12 + 12 N,), SI, with |e_i| = 1 and e_i . Omega_i = 0."""
+        """Return the present state, (12 + 12 N,), with |e_i| = 1 and e_i . Omega_i = 0."""
 
-
-# What makes an engine: its class, or any function with the same arguments. Its attribute `version`, if there is
-# one, is recorded, else a hash of its file.
-EngineClass = Callable[[System, PlantSection], Physics]
 
 # How far the state that an engine reads out after `reset` may be from the given one, SI.
 _SAME_STATE = 1e-6
@@ -91,7 +79,7 @@ UNKNOWN_ERROR = -1.0
 class Engine:
     """The engine of a plant with the actual bodies; its failure is data: `failure` says why the run ends.
 
-    Raises: ScenarioError: no such engine, a package is missing, or it does not take the initial state.
+    Raises: ScenarioError: no such engine, or it does not take the initial state.
     """
 
     def __init__(self, setup: Setup, system: System) -> None:
@@ -107,19 +95,16 @@ class Engine:
     def warm_up(self, setup: Setup) -> None:
         """Integrate a period and go back to the initial state: the first period may compile what others use."""
         self.advance(setup.hover.u, None, setup.settings.sampling_period_s)
-        self.reset(setup.initial_state())
+        self.restart(setup.initial_state(), self._system)
 
-    def replace(self, system: System, x: Array) -> None:
-        """Continue from a state, (n,), with other bodies."""
+    def restart(self, x: Array, system: System) -> None:
+        """Continue from a state, (n,); with other bodies by a new object."""
         self._x = x
         with self._failing():
-            self._build(system)
-
-    def reset(self, x: Array) -> None:
-        """Continue from a state, (n,)."""
-        self._x = x
-        with self._failing():
-            self._reset()
+            if system is self._system:
+                self._reset()
+            else:
+                self._build(system)
 
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> tuple[Array, float]:
         """Integrate an interval under held inputs, (4 N,), and forces, (3 + 3 N,), or none.
@@ -134,8 +119,8 @@ class Engine:
         if not self.failure:
             with self._failing():
                 with told("advance"):
-                    estimate = self._physics.advance(u, forces, duration_s)
-                    error = error if estimate is None or not math.isfinite(estimate) else float(estimate)
+                    found = self._physics.advance(u, forces, duration_s)
+                    error = float(found) if found is not None and math.isfinite(found) else error
                 self._x = self._read()
         return self._x, error
 
@@ -145,6 +130,7 @@ class Engine:
         return np.asarray(getattr(self._physics, "tensions", ()), dtype=np.float64)
 
     def _build(self, system: System) -> None:
+        self._system = system
         self._physics: Physics = made(self._make, ("reset", "advance", "state"), system, self._section)
         self._reset()
 
@@ -155,10 +141,8 @@ class Engine:
         found = self._read()
         furthest = int(np.argmax(np.abs(found - x)))
         if not abs(found[furthest] - x[furthest]) <= _SAME_STATE:
-            raise OwnClassError(
-                f"state: expected the state given to reset, got {found[furthest]:g} instead of {x[furthest]:g} "
-                f"at index {furthest}"
-            )
+            got = f"{found[furthest]:g} instead of {x[furthest]:g} at index {furthest}"
+            raise OwnClassError(f"state: expected the state given to reset, got {got}")
 
     def _read(self) -> Array:
         """Return a copy of the state of the engine; it need not be finite."""
@@ -185,7 +169,7 @@ class Engine:
 def checked_engine(setup: Setup) -> str:
     """Return name and version of the engine of a run after building it once, as the plant will, and of a firmware.
 
-    Raises: ScenarioError: no such engine, a package is missing, or it does not take the initial state.
+    Raises: ScenarioError: no such engine or firmware, or it does not take the initial state.
     """
     firmware, name = checked_firmware(setup), setup.scenario.plant.engine
     Engine(setup, Environment(setup).system)
@@ -193,23 +177,14 @@ def checked_engine(setup: Setup) -> str:
 
 
 def engine_version(name: str) -> str:
-    """Return the version of an engine: of its package, or what its class has as `version`, or a hash of its file.
-
-    Raises: OwnClassError: it is not found.
-    """
+    """Return the version of an engine, or a hash of its file. Raises: OwnClassError: it is not found."""
     return version_of(_engine_class(name))
 
 
-def _engine_class(name: str) -> EngineClass:
-    """Return the class of an engine, or another callable that makes one.
-
-    Raises: OwnClassError: it is not found.
-    """
-    found: EngineClass = Rods
+def _engine_class(name: str) -> Any:
+    """Return the class of an engine, or another callable that makes one. Raises: OwnClassError: it is not found."""
+    if name == "mujoco" and find_spec("mujoco") is None:
+        raise OwnClassError("expected the package mujoco, got none; pip install 'payload-transport[mujoco]'")
     if name == "mujoco":
-        if find_spec("mujoco") is None:
-            raise OwnClassError("expected the package mujoco, got none; pip install 'payload-transport[mujoco]'")
-        found = importlib.import_module("plant.mujoco_engine").MujocoEngine
-    elif name != "rods":
-        found = own_class(name)
-    return found
+        return importlib.import_module("plant.mujoco_engine").MujocoEngine
+    return Rods if name == "rods" else own_class(name)

@@ -6,7 +6,7 @@ not depend on the order of calls.
 
 import math
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -49,11 +49,11 @@ class Environment:
         uav = [noise.rod_direction_rad, noise.rod_rate_rads, noise.attitude_rad, noise.rate_rads]
         self._deviations = np.repeat([*payload, *uav * N], 3)
 
-    def release(self, uavs: Collection[int]) -> None:
-        """Replace UAVs, 0-based, by bobs of negligible mass and drag. Source: docs/equations.md (50)."""
-        self.system = with_released(self.system, uavs)
+    def release(self, uav: int) -> None:
+        """Replace a UAV, 0-based, by a bob of negligible mass and drag. Source: docs/equations.md (50)."""
+        self.system = with_released(self.system, [uav])
         self.model = Model(self.system)
-        self._drag[[1 + uav for uav in uavs]] = 0.0
+        self._drag[1 + uav] = 0.0
 
     def wind(self, tick: int) -> Array:
         """Return the velocity of the air, (3,), inertial frame, m/s. Source: docs/equations.md (43)."""
@@ -69,10 +69,8 @@ class Environment:
     def _gust(self, interval: int) -> Array:
         """Return the gust at the beginning of an interval, (3,), in units of its standard deviation."""
         while len(self._gusts) <= interval:
-            gust = drawn(self._seed, "wind", len(self._gusts), 3)
-            if self._gusts:
-                gust = self._gust_decay * self._gusts[-1] + math.sqrt(1.0 - self._gust_decay**2) * gust
-            self._gusts.append(gust)
+            new, decay = drawn(self._seed, "wind", len(self._gusts), 3), self._gust_decay
+            self._gusts.append(decay * self._gusts[-1] + math.sqrt(1.0 - decay**2) * new if self._gusts else new)
         return self._gusts[interval]
 
     def forces(self, tick: int, x: Array) -> Array | None:
@@ -121,10 +119,7 @@ class Sensors:
         self._true.appendleft(model.sense(x, u, forces=forces)[0].reshape(-1, SENSED))
 
     def measured(self, tick: int, uavs: Sequence[int]) -> Array:
-        """Return the measurements of UAVs, 0-based, at the newest tick, (UAVs, 15). Source: docs/equations.md (61).
-
-        Before the first tick the team is at rest.
-        """
+        """Return the measurements of UAVs, 0-based, at the newest tick, (UAVs, 15). Source: docs/equations.md (61)."""
         ages = np.minimum(self._ages, len(self._true) - 1)
         true = np.array(self._true)[ages, :, np.arange(SENSED)].T
         noise = np.array([self._noise * drawn(self._seed, f"sensors/{uav + 1}", tick, SENSED) for uav in uavs])
@@ -134,11 +129,6 @@ class Sensors:
 
 def _scaled(system: System, payload: float, uavs: float) -> System:
     """Return the bodies with masses and inertias of payload and UAVs multiplied by factors; inputs are moments."""
-    return System(
-        payload=Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia),
-        uavs=[
-            Uav(mass=uavs * uav.mass, inertia=uavs * uav.inertia, rho=uav.rho, rod_length=uav.rod_length)
-            for uav in system.uavs
-        ],
-        gravity=system.gravity,
-    )
+    body, of = Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia), system.uavs
+    scaled = [Uav(mass=uavs * u.mass, inertia=uavs * u.inertia, rho=u.rho, rod_length=u.rod_length) for u in of]
+    return System(payload=body, uavs=scaled, gravity=system.gravity)

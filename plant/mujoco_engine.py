@@ -1,7 +1,6 @@
 """The engine "mujoco": the team as bodies of the physics engine MuJoCo, with ground, contacts and rods with a mass."""
 
 import math
-from collections.abc import Iterable
 from typing import Any
 
 import mujoco
@@ -18,12 +17,12 @@ from protocol.scenario.plant_sections import PlantSection
 # Radius of the sphere with which a UAV touches the ground, m.
 _UAV_RADIUS_M = 0.1
 # Contact pairs: the ground meets payload and UAVs; these do not meet each other.
-_GROUND, _MEETS_GROUND = 'contype="1" conaffinity="0"', 'contype="0" conaffinity="1"'
+_GROUND, _MEETS_GROUND = {"contype": 1, "conaffinity": 0}, {"contype": 0, "conaffinity": 1}
 # Time constant, s, and damping ratio of the limit on the length of a cable, and its share of a rigid one: a cable of
 # the paper's team is less than 0.1 mm longer under load.
-_CABLE = 'solreflimit="0.01 1" solimplimit="0.99 0.999 0.001"'
+_CABLE: dict[str, Any] = {"solref_limit": [0.01, 1.0], "solimp_limit": [0.99, 0.999, 0.001, 0.5, 2.0]}
 # Inputs of a UAV as forces and moments in its frame: thrust along -b3, three moments.
-_GEARS = ("0 0 -1 0 0 0", "0 0 0 1 0 0", "0 0 0 0 1 0", "0 0 0 0 0 1")
+_GEARS = np.vstack([[0, 0, -1, 0, 0, 0], np.eye(3, 6, k=3)])
 
 # MuJoCo would write its warnings into a file in the current folder; a run that becomes unstable ends as diverged.
 mujoco.set_mju_user_warning(lambda _: None)
@@ -41,7 +40,7 @@ class MujocoEngine:
     def __init__(self, system: System, section: PlantSection) -> None:
         self._system, self._section = system, section
         self._cables = section.mujoco.suspension == "cables"
-        self._model = mujoco.MjModel.from_xml_string(mjcf(system, section))
+        self._model = _specification(system, section).compile()
         self._data = mujoco.MjData(self._model)
         self.tensions = np.zeros(system.N if self._cables else 0)
         self._turns = np.zeros((1 + system.N, 3))  # attitudes of the last state, of payload and UAVs
@@ -59,10 +58,13 @@ class MujocoEngine:
                 swing_P = uav.rod_length * np.cross(Omega_P, e_P)
                 v_I = R0 @ (view.v0_P + np.cross(view.omega0_P, uav.rho) - swing_P)
                 _set(data.joint(f"uav{i}"), [*r_I, *_quaternion(R)], [*v_I, *omega_B])
-                continue
-            rod_P = _rotation_to(e_P)
-            _set(data.joint(f"rod{i}"), _quaternion(rod_P), rod_P.T @ (Omega_P - view.omega0_P))
-            _set(data.joint(f"uav{i}"), _quaternion((R0 @ rod_P).T @ R), omega_B - R.T @ R0 @ Omega_P)
+            else:
+                # A rotation whose third column is e, from the axis farthest from it.
+                first = np.cross(np.eye(3)[np.argmin(np.abs(e_P))], e_P)
+                first = first / np.linalg.norm(first)
+                rod_P = np.column_stack([first, np.cross(e_P, first), e_P])
+                _set(data.joint(f"rod{i}"), _quaternion(rod_P), rod_P.T @ (Omega_P - view.omega0_P))
+                _set(data.joint(f"uav{i}"), _quaternion((R0 @ rod_P).T @ R), omega_B - R.T @ R0 @ Omega_P)
         self._turns = np.vstack([view.Theta0[None], view.Theta])
 
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> None:
@@ -88,16 +90,14 @@ class MujocoEngine:
 
     def state(self) -> Array:
         """Return the present state, (n,)."""
-        system, data = self._system, self._data
-        x = np.zeros(system.n)
-        view = StateView(x)
-        payload = data.joint("payload")
+        data, x = self._data, np.zeros(self._system.n)
+        view, payload = StateView(x), data.joint("payload")
         R0 = _matrix(payload.qpos[3:])
         view.r0_I[:] = payload.qpos[:3]
         view.v0_P[:] = R0.T @ payload.qvel[:3]
         view.omega0_P[:] = payload.qvel[3:]
         attitudes = [R0]
-        for i, uav in enumerate(system.uavs):
+        for i, uav in enumerate(self._system.uavs):
             joint = data.joint(f"uav{i}")
             if self._cables:
                 R = _matrix(joint.qpos[3:])
@@ -118,21 +118,13 @@ class MujocoEngine:
             attitudes.append(R)
         angles = euler_angles(np.array(attitudes))
         # Roll and yaw continue beyond half a turn, as when they are integrated.
-        angles += 2.0 * math.pi * np.round((self._turns - angles) / (2.0 * math.pi))
-        self._turns = angles
-        view.Theta0[:], view.Theta[:] = angles[0], angles[1:]
+        self._turns = angles + 2.0 * math.pi * np.round((self._turns - angles) / (2.0 * math.pi))
+        view.Theta0[:], view.Theta[:] = self._turns[0], self._turns[1:]
         return x
 
 
 def _set(joint: Any, qpos: Any, qvel: Any) -> None:
     joint.qpos[:], joint.qvel[:] = qpos, qvel
-
-
-def _rotation_to(e: Array) -> Array:
-    """Return a rotation whose third column is e, (3, 3)."""
-    least = np.eye(3)[np.argmin(np.abs(e))]  # the axis farthest from e, so that the product is far from zero
-    first = np.cross(least, e) / np.linalg.norm(np.cross(least, e))
-    return np.column_stack([first, np.cross(e, first), e])
 
 
 def _quaternion(R: Array) -> Array:
@@ -152,68 +144,50 @@ def _cross(a: Array, b: Array) -> Array:
     return found
 
 
-def mjcf(system: System, section: PlantSection) -> str:
-    """Return the team as a MuJoCo model (MJCF), world frame = inertial frame with z down.
+def _specification(system: System, section: PlantSection) -> Any:
+    """Return the team as a model of MuJoCo, world frame = inertial frame with z down.
 
     A rod is a body on a ball joint at the payload, the UAV a body on a ball joint at the rod's other end, in its centre
     of mass. A cable is a tendon, which pulls at its full length and never pushes, between the payload and a free UAV.
     """
-    cables = section.mujoco.suspension == "cables"
-    attached = "" if cables else "".join(_rod(system, section, i) for i in range(system.N))
-    free = "".join(_uav(system, i, "freejoint", "") for i in range(system.N)) if cables else ""
-    sites = "".join(f'<site name="attachment{i}" pos="{_text(uav.rho)}"/>' for i, uav in enumerate(system.uavs))
-    tendons = "".join(
-        f'<spatial name="cable{i}" limited="true" range="0 {uav.rod_length!r}" {_CABLE}>'
-        f'<site site="attachment{i}"/><site site="uav{i}"/></spatial>'
-        for i, uav in enumerate(system.uavs)
-    )
-    ground = ""
+    spec, ball, geom = mujoco.MjSpec(), mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtGeom
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.gravity = [0.0, 0.0, system.gravity]
+    # Not its own restart from the initial pose: a diverged run must end.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if section.ground_m is not None:
         # Half a turn about x: the normal points up, along -z.
-        ground = f'<geom type="plane" size="0 0 1" pos="0 0 {section.ground_m!r}" quat="0 1 0 0" {_GROUND}/>'
-    motors = "".join(f'<motor site="uav{i}" gear="{gear}"/>' for i in range(system.N) for gear in _GEARS)
-    return (
-        f'<mujoco><option timestep="{section.mujoco.step_s!r}" integrator="RK4" gravity="0 0 {system.gravity!r}">'
-        # Not its own restart from the initial pose: a diverged run must end.
-        '<flag autoreset="disable"/></option>'
-        f'<worldbody>{ground}<body name="payload"><freejoint name="payload"/>'
-        f"{_inertial(system.payload.mass, system.payload.inertia)}"
-        f'<geom type="box" size="{_text(payload_half_size(system))}" {_MEETS_GROUND}/>{sites}{attached}</body>{free}'
-        f"</worldbody><tendon>{tendons if cables else ''}</tendon><actuator>{motors}</actuator></mujoco>"
-    )
+        place = {"pos": [0.0, 0.0, section.ground_m], "quat": [0.0, 1.0, 0.0, 0.0]}
+        spec.worldbody.add_geom(type=geom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **place, **_GROUND)
+    payload = spec.worldbody.add_body(name="payload", **_inertial(system.payload.mass, system.payload.inertia))
+    payload.add_freejoint(name="payload")
+    payload.add_geom(type=geom.mjGEOM_BOX, size=payload_half_size(system), **_MEETS_GROUND)
+    for i, uav in enumerate(system.uavs):
+        inertial = _inertial(uav.mass, uav.inertia)
+        if section.mujoco.suspension == "cables":
+            body = spec.worldbody.add_body(name=f"uav{i}", **inertial)
+            body.add_freejoint(name=f"uav{i}")
+            payload.add_site(name=f"attachment{i}", pos=uav.rho)
+            cable = spec.add_tendon(name=f"cable{i}", limited=True, range=[0.0, uav.rod_length], **_CABLE)
+            cable.wrap_site(f"attachment{i}")
+            cable.wrap_site(f"uav{i}")
+        else:
+            # A homogeneous thin rod. Its inertia about its own axis has no effect, as the ball joints leave it without
+            # spin; the same value about all axes is well conditioned.
+            mass, end = section.mujoco.rod_mass_kg, np.array([0.0, 0.0, -uav.rod_length])
+            thin = {"mass": mass, "inertia": [mass * uav.rod_length**2 / 12.0] * 3, "ipos": end / 2.0}
+            rod = payload.add_body(name=f"rod{i}", pos=uav.rho, explicitinertial=True, **thin)
+            rod.add_joint(name=f"rod{i}", type=ball)
+            body = rod.add_body(name=f"uav{i}", pos=end, **inertial)
+            body.add_joint(name=f"uav{i}", type=ball)
+        if uav.mass > RELEASED_MASS_KG:  # a released UAV is a bob below the payload, which may lie on the ground
+            body.add_geom(type=geom.mjGEOM_SPHERE, size=[_UAV_RADIUS_M, 0.0, 0.0], **_MEETS_GROUND)
+        body.add_site(name=f"uav{i}")
+        for gear in _GEARS:
+            spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_SITE, target=f"uav{i}", gear=gear)
+    return spec
 
 
-def _rod(system: System, section: PlantSection, i: int) -> str:
-    """Return a homogeneous thin rod with its UAV.
-
-    Its inertia about its own axis has no effect, as the ball joints leave it without spin; the same value about all
-    axes is well conditioned.
-    """
-    uav, mass = system.uavs[i], section.mujoco.rod_mass_kg
-    inertia = mass * uav.rod_length**2 / 12.0
-    return (
-        f'<body name="rod{i}" pos="{_text(uav.rho)}"><joint name="rod{i}" type="ball"/>'
-        f'<inertial pos="0 0 {-uav.rod_length / 2.0!r}" mass="{mass!r}" diaginertia="{_text([inertia] * 3)}"/>'
-        f"{_uav(system, i, 'joint', f'0 0 {-uav.rod_length!r}')}</body>"
-    )
-
-
-def _uav(system: System, i: int, joint: str, pos: str) -> str:
-    uav = system.uavs[i]
-    # A released UAV is a bob below the payload, which may lie on the ground.
-    ball = f'<geom type="sphere" size="{_UAV_RADIUS_M}" {_MEETS_GROUND}/>' if uav.mass > RELEASED_MASS_KG else ""
-    kind = ' type="ball"' if joint == "joint" else ""
-    place = f' pos="{pos}"' if pos else ""
-    return (
-        f'<body name="uav{i}"{place}><{joint} name="uav{i}"{kind}/>{_inertial(uav.mass, uav.inertia)}'
-        f'{ball}<site name="uav{i}"/></body>'
-    )
-
-
-def _inertial(mass: float, J: Array) -> str:
+def _inertial(mass: float, J: Array) -> dict[str, Any]:
     full = [J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2]]
-    return f'<inertial pos="0 0 0" mass="{mass!r}" fullinertia="{_text(full)}"/>'
-
-
-def _text(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
+    return {"mass": mass, "fullinertia": full, "ipos": np.zeros(3), "explicitinertial": True}

@@ -14,47 +14,24 @@ import numpy as np
 from model import state
 from model.arrays import Array
 from model.hover import motor_off_state, no_inputs, released_state
+from plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
 from plant.engines import UNKNOWN_ERROR, Engine
 from plant.environment import Environment, Sensors
-from plant.inner_loop import INNER_STEP_S, inner_loop
-from plant.motors import Motors
-from plant.schedule import MOTOR_OFF, ActuatorSchedule
-from protocol.admission.arrivals import Arrivals
-from protocol.admission.membership import Membership
+from protocol.admission.participant import Participant
 from protocol.scenario.faults import OF_UAVS
-from protocol.scenario.links import LinkChanges
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import check_target, headed
-from protocol.wire.messages import (
-    ActualInputs,
-    Control,
-    Event,
-    LinkChange,
-    Measurement,
-    Message,
-    Plan,
-    PlantState,
-    Presence,
-    Roster,
-    Target,
-    Tick,
-)
-from protocol.wire.names import COORDINATOR, PLANT, agent_name
-from protocol.wire.node import Outbox, lost
+from protocol.wire.messages import ActualInputs, Measurement, Message, PlantState, Target, Tick
+from protocol.wire.names import PLANT
 
 
-class PlantNode:
+class PlantNode(Participant):
     """Plant of one run."""
 
-    name = PLANT
     wake_ns = None
-    publish_ns = 0
 
     def __init__(self, setup: Setup, incarnation: int = 0) -> None:
-        section, clock, self._setup = setup.scenario.plant, setup.scenario.clock, setup
-        self.incarnation = incarnation
-        self.finished: Control | None = None
-        self._out = Outbox(self.name, incarnation)
+        section = setup.scenario.plant
+        super().__init__(setup, PLANT, incarnation, after=int(setup.scenario.clock.next_tick))
         self.environment = Environment(setup)
         self.engine = Engine(setup, self.environment.system)
         self._period_s = setup.settings.sampling_period_s
@@ -62,12 +39,6 @@ class PlantNode:
         self._parts = 1 if setup.settings.inputs == "moments" else math.ceil(self._period_s / INNER_STEP_S - 1e-9)
         self._inner_loop = inner_loop(setup, self._period_s / self._parts)
         self._steps = math.ceil(self._period_s / self._parts / section.step_s - 1e-9)
-        self._delay = 1 if clock.next_tick else 0
-        self._waits = clock.mode == "lockstep"
-        links = {name: setup.link(name, self.name) for name in map(agent_name, setup.agents)}
-        speed = None if self._waits else clock.speed
-        self._plans: Arrivals[Plan] = Arrivals(links, after=self._delay, speed=speed)
-        self._link_changes = LinkChanges(links.values())
         self._path, _ = setup.maneuver.path(self._period_s * np.arange(setup.ticks + 1, dtype=np.float64))
         self._schedule = ActuatorSchedule(setup.hover.u, setup.fail_safe, setup.settings)
         self._faults = deque(fault for fault in setup.faults if fault.do in OF_UAVS)  # still to come
@@ -78,60 +49,21 @@ class PlantNode:
         self._u: Array = setup.hover.u.copy()  # in force until now
         self._sensors = Sensors(setup) if setup.sensors.vehicle else None
         self._acted: tuple[Array, Array | None] = self._u, None  # actual inputs and forces until now
-        self._restart_inner_loop()
-        self._state_tick = 0  # self._x is the state at this tick
+        self._tick = 0  # self._x is the state at this tick
         self._measured_tick = -1
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
-        self._arrived: dict[int, set[int]] = {}  # agents whose plans have been received, by tick
-        self._membership = Membership()
         self._diverged = False
-
-    def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
-        """Take in ticks, plans and the roster."""
-        match event:
-            case Message():
-                self._handle(event, now_ns)
-            case Presence(alive=False) if event.name == COORDINATOR:
-                self.finished = lost(self._out, self._state_tick, "coordinator is gone")
-        return self._work(now_ns) if self.finished is None else ()
 
     def poll(self, now_ns: int) -> Sequence[Message]:  # noqa: ARG002
         """Return nothing: the plant acts on messages only."""
         return ()
 
-    def _handle(self, message: Message, now_ns: int) -> None:
-        match message:
-            case Control():
-                self.finished = message
-            case Roster():
-                for plan in self._membership.update(message):
-                    self._handle(plan, now_ns)
-            case LinkChange():
-                self._link_changes.apply(message)
-            case Target() if message.number == len(self._setup.maneuver.targets) + 1:
-                self._head(message)
-            case Tick():
-                self._pending.append(message)
-            case Plan(negotiation=0) if self._membership.admits(message):
-                self._plans.put(message, now_ns)
-                self._arrived.setdefault(message.tick, set()).add(message.agent)
-
-    def check_moment(self, message: Message) -> None:
-        """Refuse plans of earlier starts, and impossible changes.
-
-        Raises: MessageError: with the reason.
-        """
-        match message:
-            case LinkChange():
-                self._link_changes.check(message)
-            case Target():
-                check_target(self._setup, message)
-            case Plan():
-                self._membership.check(message)
+    def _take(self, message: Message, now_ns: int) -> None:  # noqa: ARG002
+        if isinstance(message, Tick):
+            self._pending.append(message)
 
     def _head(self, target: Target) -> None:
         """Take in a target: the path and the fail-safe before its tick stay as they were, bit for bit."""
-        self._setup = headed(self._setup, target)
         instants = np.arange(target.tick, len(self._path), dtype=np.float64)
         self._path[target.tick :], _ = self._setup.maneuver.path(self._period_s * instants)
         self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
@@ -141,7 +73,7 @@ class PlantNode:
         out: list[Message] = []
         while not self._diverged:
             tick = self._pending[0] if self._pending else None
-            if tick and tick.tick == self._state_tick and tick.roster <= self._membership.version:
+            if tick and tick.tick == self._tick and tick.roster <= self._membership.version:
                 out += self._measure(self._pending.popleft())
             elif self._can_integrate():
                 out += self._integrate(now_ns)
@@ -151,10 +83,10 @@ class PlantNode:
 
     def _can_integrate(self) -> bool:
         """Return whether the inputs from t_k on are decided: tick k is measured, and its plans have been received."""
-        k = self._state_tick
+        k = self._tick
         if self._measured_tick != k:
             return False
-        decisive = k - self._delay
+        decisive = k - self._after
         if decisive < 0 or not self._waits:
             return True
         senders = self._membership.took_part(decisive)
@@ -168,30 +100,27 @@ class PlantNode:
         self._fail_uavs(tick.tick)
         if self._sensors is not None:
             self._sensors.observe(self.environment.model, self._x, *self._acted)
-        u = self._u.reshape(-1, state.INPUTS)
-        found: list[Message] = []
-        for agent in sorted(self._membership.incarnations):
-            owned = list(self._setup.owned[agent - 1])
-            if self._sensors is not None:
-                payload, uav_states = np.zeros(0), self._sensors.measured(tick.tick, owned)
-            else:
-                x = self.environment.measured(tick.tick, agent, self._x)
-                payload, uav_states = x[: state.PAYLOAD], state.StateView(x).uavs[owned]
-            found.append(
-                self._out.stamp(
-                    Measurement,
-                    tick=tick.tick,
-                    agent=agent,
-                    answered=tick.answered,
-                    shared=tick.shared,
-                    roster=tick.roster,
-                    payload=payload,
-                    uavs=tuple(i + 1 for i in owned),
-                    uav_states=uav_states,
-                    inputs=u[owned],
-                )
-            )
-        return found
+        return [self._measurement(tick, agent) for agent in sorted(self._membership.incarnations)]
+
+    def _measurement(self, tick: Tick, agent: int) -> Measurement:
+        owned = list(self._setup.owned[agent - 1])
+        if self._sensors is not None:
+            payload, uav_states = np.zeros(0), self._sensors.measured(tick.tick, owned)
+        else:
+            x = self.environment.measured(tick.tick, agent, self._x)
+            payload, uav_states = x[: state.PAYLOAD], state.StateView(x).uavs[owned]
+        return self._out.stamp(
+            Measurement,
+            tick=tick.tick,
+            agent=agent,
+            answered=tick.answered,
+            shared=tick.shared,
+            roster=tick.roster,
+            payload=payload,
+            uavs=tuple(i + 1 for i in owned),
+            uav_states=uav_states,
+            inputs=self._u.reshape(-1, state.INPUTS)[owned],
+        )
 
     def _fail_uavs(self, tick: int) -> None:
         """Apply the scenario's failures of UAVs due at a tick, before it is measured."""
@@ -204,23 +133,17 @@ class PlantNode:
                 continue
             self._off.add(uav)
             self._motors.degrade(uav, 0.0)
+            self._x = released_state(self._x, uav) if fault.do == "release" else motor_off_state(self._x, uav)
             if fault.do == "release":
                 self._released.add(uav)
-                self.environment.release([uav])
-                self._x = released_state(self._x, uav)
-                self.engine.replace(self.environment.system, self._x)
-            else:
-                self._x = motor_off_state(self._x, uav)
-                self.engine.reset(self._x)
+                self.environment.release(uav)
+            self.engine.restart(self._x, self.environment.system)
             self._schedule.fail_safe = self._setup.fail_safe.of_team(self._off, self._released)
-            self._restart_inner_loop()
-
-    def _restart_inner_loop(self) -> None:
-        if self._inner_loop is not None:
-            self._inner_loop.reset(self._x, self._u)
+            if self._inner_loop is not None:
+                self._inner_loop.reset(self._x)
 
     def _integrate(self, now_ns: int) -> list[Message]:
-        k, x = self._state_tick, self._x
+        k, x = self._tick, self._x
         for plan in self._plans.take(k, now_ns)[0]:
             self._schedule.add(plan)
         u, sources = self._schedule.inputs(k, x, self._u)
@@ -231,11 +154,11 @@ class PlantNode:
         end, error, mean = x, UNKNOWN_ERROR, np.zeros_like(u)
         tensions = np.full(len(self.engine.tensions), np.inf)
         part_s = self._period_s / self._parts
-        for part in range(self._parts):
+        for _ in range(self._parts):
             command = u
             if self._inner_loop is not None:
                 rates = u.reshape(-1, state.INPUTS)
-                command = self._inner_loop.moments(k * self._period_s + part * part_s, rates, end).reshape(-1)
+                command = self._inner_loop.moments(rates, end).reshape(-1)
             for actual, duration_s in self._motors.inputs(command, part_s, self._steps):
                 end, local_error = self.engine.advance(actual, forces, duration_s)
                 error, mean = max(local_error, error), mean + duration_s / self._period_s * actual
@@ -244,30 +167,17 @@ class PlantNode:
                     tensions = np.minimum(tensions, self.engine.tensions)
         reason = self.engine.failure or (self._inner_loop and self._inner_loop.failure) or self._divergence(k + 1, end)
         self._diverged = bool(reason)
-        self._x, self._u, self._state_tick = end, u, k + 1
-        self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._delay}
+        self._x, self._u, self._tick = end, u, k + 1
+        self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._after}
+        known = error if np.isfinite(end).all() else UNKNOWN_ERROR
         recorded: list[Message] = [
-            self._out.stamp(
-                PlantState,
-                tick=k,
-                x=x,
-                u=u,
-                plan_ticks=sources,
-                local_error=error if np.isfinite(end).all() else -1.0,
-                diverged=reason,
-            )
+            self._out.stamp(PlantState, tick=k, x=x, u=u, plan_ticks=sources, local_error=known, diverged=reason)
         ]
         if not self._motors.ideal or self._inner_loop is not None or len(tensions):
-            uavs = tuple(range(1, len(sources) + 1))
+            uavs, inputs = tuple(range(1, len(sources) + 1)), mean.reshape(-1, state.INPUTS)
+            cables = uavs[: len(tensions)]
             recorded.append(
-                self._out.stamp(
-                    ActualInputs,
-                    tick=k,
-                    uavs=uavs,
-                    inputs=mean.reshape(-1, state.INPUTS),
-                    cables=uavs[: len(tensions)],
-                    tensions=tensions,
-                )
+                self._out.stamp(ActualInputs, tick=k, uavs=uavs, inputs=inputs, cables=cables, tensions=tensions)
             )
         return recorded
 

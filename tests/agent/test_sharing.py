@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.sharing import Sharing
+from agent.step import Sharing
 from protocol.scenario.schema import ControllerSection
 
 STEPS, RANGE = 4, 8.0
@@ -37,7 +37,6 @@ def test_threshold() -> None:
     """A change is a share of the input's range, the largest over horizon and inputs; more is shared."""
     sharing = rule(threshold=0.25)
     assert sharing.decide(0, 0, corrections(), 1)
-    assert sharing.change(1, corrections(0.0, 0.0, -2.0)) == 0.25
     assert not sharing.decide(1, 1, corrections(0.0, 0.0, -2.0), 1)
     assert sharing.decide(2, 2, corrections(0.0, 0.0, 0.0, -2.1), 1)
 

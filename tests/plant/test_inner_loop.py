@@ -10,7 +10,7 @@ from model.motors import rate_places
 from model.parameters import System
 from model.state import StateView, uav_slice
 from mpc.fail_safe import FailSafe
-from plant.inner_loop import INNER_STEP_S, RateLoop
+from plant.actuators import INNER_STEP_S, RateLoop
 from tests.support.random_systems import random_input, random_state, random_system
 
 GAINS = np.array([25.0, 20.0, 10.0])
@@ -33,7 +33,7 @@ def test_the_model_is_that_of_moments_with_the_inner_loop(N: int) -> None:
     """The derivative under body rates is that under the moments of the inner loop, (57); so are the tensions."""
     rng = np.random.default_rng(N)
     system, x, u = random_system(rng, N), random_state(rng, N), random_input(rng, N)
-    inputs = RateLoop(with_rates(system), WIDE_NM).moments(0.0, u.reshape(N, 4), x).reshape(-1)
+    inputs = RateLoop(with_rates(system), WIDE_NM).moments(u.reshape(N, 4), x).reshape(-1)
     rates, moments = Model(with_rates(system)), Model(system)
     assert np.abs(rates.derivative(x, u) - moments.derivative(x, inputs)).max() < ROUNDING
     assert np.abs(rates.tensions(x, u) - moments.tensions(x, inputs)).max() < ROUNDING
@@ -65,7 +65,7 @@ def test_the_plant_approaches_the_model() -> None:
     for step_s in (INNER_STEP_S, INNER_STEP_S / 2.0):
         found = x
         for _ in range(round(0.05 / step_s)):
-            held = loop.moments(0.0, u.reshape(2, 4), found).reshape(-1)
+            held = loop.moments(u.reshape(2, 4), found).reshape(-1)
             found, _ = moments.integrate(found, held, step_s, 1)
         errors.append(np.abs(StateView(found - exact).omega_B).max())
     assert errors[0] < 0.02 * np.abs(StateView(exact - x).omega_B).max()
@@ -79,7 +79,7 @@ def test_moments_are_limited() -> None:
     command = np.array([[20.0, 9.0, -9.0, 9.0], [15.0, 0.0, 0.0, 0.0]])
     x = random_state(rng, 2, rate=0.0)
     x[StateView(np.arange(float(len(x)))).omega_B.astype(int)] = 0.0
-    inputs = RateLoop(system, limits_Nm).moments(0.0, command, x)
+    inputs = RateLoop(system, limits_Nm).moments(command, x)
     assert inputs.tolist() == [[20.0, 0.2, -0.3, 0.1], [15.0, 0.0, 0.0, 0.0]]
 
 

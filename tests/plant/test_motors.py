@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from model import state
 from model.arrays import Array
-from plant.motors import Motors, Rotors
+from plant.actuators import Motors, Rotors
 from protocol.scenario.plant_sections import MotorsSection, RotorsSection
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import ActualInputs, Message

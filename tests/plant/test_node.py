@@ -3,7 +3,7 @@
 import numpy as np
 
 from model import state
-from plant.schedule import FAIL_SAFE
+from plant.actuators import FAIL_SAFE
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Measurement, Message, PlantState, Presence
 from tests.support.nodes import PlantNode

@@ -9,7 +9,7 @@ from model.parameters import Payload, System, Uav
 from model.rotations import euler_rates, rotation
 from mpc.fail_safe import FailSafe
 from mpc.settings import ControllerSettings, Limits
-from plant.schedule import ActuatorSchedule
+from plant.actuators import ActuatorSchedule
 from protocol.wire.messages import Plan
 
 N, STEPS = 3, 4

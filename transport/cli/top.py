@@ -13,7 +13,7 @@ from rich.text import Text
 from typer import Option
 
 from model.state import StateView
-from plant.schedule import FAIL_SAFE
+from plant.actuators import FAIL_SAFE
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
 from protocol.scenario.targets import with_targets

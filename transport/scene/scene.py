@@ -14,7 +14,7 @@ from model.state import INPUTS, StateView
 from mpc.feedback import FeedbackLaw
 from mpc.regulation import Ahead, Regulation
 from mpc.tracking import rollout
-from plant.schedule import FAIL_SAFE
+from plant.actuators import FAIL_SAFE
 from protocol.scenario.links import words_of
 from protocol.scenario.setup import Setup
 from protocol.scenario.stage_cost import StageCost
