@@ -10,9 +10,9 @@ from enum import Enum
 from coordinator.clock import Clock
 from coordinator.roster import TeamRoster, names
 from protocol.admission.plausibility import check_tick
-from protocol.scenario.errors import RequestError
+from protocol.scenario.errors import RequestError, requested
+from protocol.scenario.schema import TargetSection
 from protocol.scenario.setup import Setup
-from protocol.scenario.targets import asked
 from protocol.wire.errors import MessageError
 from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
 from protocol.wire.messages import Control, Event, Message, Plan, PlantState, Presence, Request, Target, Tick
@@ -184,7 +184,7 @@ class CoordinatorNode:
                 raise RequestError("expected a running simulation")
             messages: Sequence[Message]
             if request.what == "target":
-                messages = self._roster.target(asked(request.given), self.tick + 1)
+                messages = self._roster.target(requested(TargetSection, dict(request.given)), self.tick + 1)
             else:
                 messages = self._roster.link(request.given, self.tick + 1)
         except RequestError as error:
