@@ -79,7 +79,7 @@ class Replay:
     ) -> None:
         self.setup, self.log, self.agent, self.before_measurement = setup, log, agent, before_measurement
         self.notes: list[str] = []
-        self._rejections = Rejections(agent_name(agent))
+        self._rejections = Rejections()
 
     @property
     def refused(self) -> list[str]:

@@ -17,9 +17,8 @@ from protocol.network.rmw_zenoh import RosNode
 from transport.cli.operate import RunOption, find_active
 from transport.cli.output import blame
 from transport.flight.live import Commands
-from transport.log.run_folder import setup_of
-from transport.log.run_log import LogTail
-from transport.scene.history import KINDS, RunHistory
+from transport.log.run_log import LogTail, setup_of
+from transport.scene.history import RunHistory
 from transport.scene.scene import SceneBuilder
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ def ros2(
     os.nice(_NICE)
     folder, there = find_active(run, "name its folder with --run")
     setup = setup_of(folder)
-    history, tail = RunHistory(setup), LogTail(folder / _LOG, KINDS, setup)
+    history, tail = RunHistory(setup), LogTail(folder / _LOG, setup)
     messages = Ros2Messages(SceneBuilder(setup, history))
     kinds = {topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics.items()}
     heard = {TARGET[0]: (TARGET[1], types().hash_rihs01(TARGET[1]))}
