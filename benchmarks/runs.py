@@ -22,7 +22,7 @@ from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
 from protocol.wire.messages import Message, StepReport
 from transport.flight import memory
-from transport.flight.header import machine
+from transport.flight.run_files import machine
 
 # Calls that are not counted, while caches fill and modules load.
 WARM_UP = 3

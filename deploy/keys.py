@@ -1,4 +1,4 @@
-"""Keys of a deployment: an authority and a certificate for each name. Hosts get their own part by `deploy.render`."""
+"""Keys of a deployment: an authority and a certificate for each name. Hosts get their own part by `deploy.hosts`."""
 
 import ipaddress
 import os
@@ -17,21 +17,14 @@ from deploy.hosts import DeployError
 from protocol.network.security import AUTHORITY
 from protocol.wire.keys import OPERATOR, RECORDER, ROUTER, WATCHER
 
-# The authority's own key, needed to sign further certificates; no host has it.
-AUTHORITY_KEY = "ca.key"
-# Names with keys besides the processes of a run.
-OTHERS = (RECORDER, WATCHER, OPERATOR, ROUTER)
-# Addresses of a certificate by default.
-LOOPBACK = ("127.0.0.1", "::1", "localhost")
-# Clocks of hosts may differ: a certificate is valid from some time before it was made.
-_BEFORE = timedelta(days=2)
+AUTHORITY_KEY = "ca.key"  # the authority's own, needed to sign further certificates; no host has it
+OTHERS = (RECORDER, WATCHER, OPERATOR, ROUTER)  # names with keys besides the processes of a run
+LOOPBACK = ("127.0.0.1", "::1", "localhost")  # addresses of a certificate by default
+_BEFORE = timedelta(days=2)  # clocks of hosts may differ: a certificate is valid from before it was made
 
 
 def make_certificates(folder: Path, addresses: Mapping[str, Sequence[str]], days: int) -> None:
-    """Make an authority and, for each name and its addresses, a certificate valid for `days`; keep those that exist.
-
-    Raises: DeployError: the folder cannot be written to, or holds half of an authority.
-    """
+    """Make an authority and, for each name and its addresses, a certificate valid for `days`; keep those that exist."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         file = folder / AUTHORITY

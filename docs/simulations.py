@@ -16,7 +16,7 @@ from transport.analysis.series import series_of
 from transport.experiments.cases import Case, cases_of_point
 from transport.experiments.simulation import Result
 from transport.experiments.sweep import simulated
-from transport.flight.header import machine, versions
+from transport.flight.run_files import machine, versions
 from transport.log.run_log import RunLog
 
 RESULTS = ROOT / "runs" / "figures" / "simulations"

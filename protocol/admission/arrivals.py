@@ -1,7 +1,4 @@
-"""Messages on their way to one receiver, delayed or lost by the links.
-
-In lockstep what a tick may use depends on the scenario alone; in real time a message is held back by the clock.
-"""
+"""Messages on their way to one receiver: in lockstep delayed by ticks, in real time held back by the clock."""
 
 from collections.abc import Mapping
 from typing import Generic, TypeVar
@@ -13,13 +10,11 @@ M = TypeVar("M", bound=Message)
 
 
 class Arrivals(Generic[M]):
-    """Messages of one kind to one receiver, over the link from each sender, by process name.
-
-    Over a perfect link in lockstep one is used `after` so many ticks; `speed`: scenario s per s, None in lockstep.
-    """
+    """Messages of one kind to one receiver, over the link from each sender, by process name."""
 
     def __init__(self, links: Mapping[str, Link], *, after: int, speed: float | None) -> None:
         self.links = links
+        # In lockstep: ticks until one is used over a perfect link. Else: scenario seconds per second.
         self._after, self._speed = after, speed
         self._sent: list[M] = []  # in lockstep, until their tick: link changes may precede it
         self._held: list[tuple[int, M]] = []  # with the tick of their arrival, or in real time its instant (ns)

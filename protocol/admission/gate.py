@@ -1,24 +1,19 @@
-"""The gate of a process: all checks of a received message, once, for the network and for readers of a log.
-
-A refused message is counted and changes nothing. docs/protocol.md lists order and reasons of the checks.
-"""
+"""The gate of a process or of a reader of a log: all checks of a received message (docs/protocol.md)."""
 
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 from protocol.admission.plausibility import check_plausible
-from protocol.wire.codec import CLASSES, Header, decode, header_of
+from protocol.wire.codec import Header, decode, header_of
 from protocol.wire.errors import MessageError, Reason
 from protocol.wire.keys import Keys, matches
 from protocol.wire.messages import MAX_KEY, MAX_TEXT, Bundle, LinkChange, Message, Plan, Rejected, Target
 from protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, agent_name
-from protocol.wire.node import RunShape
+from protocol.wire.node import Outbox, RunShape
 
-# Between two batches of `Rejected` messages.
-_EVERY_NS = 1_000_000_000
+_EVERY_NS = 1_000_000_000  # between two batches of `Rejected` messages
 
 
 @dataclass(slots=True)
@@ -33,43 +28,28 @@ class Rejection:
 
 
 class Rejections:
-    """Counts of one process, which iteration yields in the order they began; `total` is their sum."""
+    """Counts of one process, which iteration yields in the order they began."""
 
-    def __init__(self, name: str) -> None:
-        self.total = 0
-        self._name = name
+    def __init__(self) -> None:
         self._entries: dict[tuple[str, Reason], Rejection] = {}
-        self._sent = 0  # `Rejected` messages
-        self._next_ns = 0
 
     def __iter__(self) -> Iterator[Rejection]:
         return iter(self._entries.values())
+
+    @property
+    def total(self) -> int:
+        """Number of refused messages."""
+        return sum(entry.count for entry in self)
 
     def add(self, sender: str, error: MessageError) -> None:
         """Count a message of a sender, or under a key."""
         new = Rejection(sender[:MAX_KEY], error.reason, str(error)[:MAX_TEXT])
         self._entries.setdefault((new.sender, new.reason), new).count += 1
-        self.total += 1
-
-    def notices(self, incarnation: int, tick: int, now_ns: int | None = None) -> list[Rejected]:
-        """Return the messages to send: at most one batch a second of a monotonic clock, without a time all."""
-        news = [entry for entry in self if entry.count > entry.reported]
-        if not news or (now_ns is not None and now_ns < self._next_ns):
-            return []
-        self._next_ns = (now_ns or 0) + _EVERY_NS
-        messages = []
-        for entry in news:
-            told: dict[str, Any] = {"offender": entry.sender, "reason": entry.reason, "example": entry.example}
-            told |= {"sender": self._name, "incarnation": incarnation, "sequence": self._sent, "tick": tick}
-            messages.append(Rejected(count=entry.count - entry.reported, **told))
-            entry.reported = entry.count
-            self._sent += 1
-        return messages
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """Event: a message as it came, of which only the header was read; its key belongs to its sender."""
+    """Event: a message as it came, of which only the header was read."""
 
     key: str
     data: bytes
@@ -91,7 +71,8 @@ class Gate:
         check_moment: Callable[[Message], None] | None = None,
         unread: Collection[str] = (),
     ) -> None:
-        self.rejections = Rejections(name)
+        self.rejections = Rejections()
+        self._out, self._next_ns = Outbox(name, 0), 0  # notices of refusals, and the time of the next
         self.bundle: Bundle | None = None  # that the last accepted message came in
         self.tick = 0  # newest of an accepted message
         self._name, self._keys, self._shape, self._check_moment = name, keys, shape, check_moment
@@ -100,13 +81,7 @@ class Gate:
         self._senders = {COORDINATOR, PLANT, RECORDER, *map(agent_name, agents)}
         self._subscribed = [keys.end(key) for key in keys.subscriptions(name)]
         self._own = {keys.end(key) for key in keys.publications(name)}
-        self._is_mine = cache(self._receives)
-        self._owners = {
-            (f"{keys.prefix}/{key}{end}", kind): agent_name(agent) if route.sender == AGENT else str(route.sender)
-            for kind, route in ((kind, CLASSES[kind].route) for kind in unread)
-            for key in filter(None, (route.key or kind, route.unshared_key))
-            for agent, end in ([(agent, f"/{agent}") for agent in agents] if route.each else [(0, "")])
-        }
+        self._is_mine, self._unread = cache(self._receives), unread
         self._incarnations: dict[str, int] = {}  # newest announced, by sender
         # Place and sequence number of the newest message, by kind, end of the key and incarnation. Proposals of a
         # negotiation have an order of their own: they come alone, and may overtake the plan of the tick before.
@@ -115,38 +90,39 @@ class Gate:
     def accept(self, key: str, data: bytes) -> Iterator[Message | Sample]:
         """Yield the messages in some bytes that pass all checks, each to be handled before the next is asked for."""
         with suppress(MessageError):
-            header = header_of(data) if self._owners else None
-            if header and self._owners.get((key, header.kind)) == header.sender:
+            if self._unread and (header := header_of(data)).kind in self._unread:
                 yield Sample(key, data, header)
                 return
         message = self._checked(key, data)
-        if message is None:
-            return
         if not isinstance(message, Bundle):
-            yield message
+            if message is not None:
+                yield message
             return
         self.bundle = message
         for end, part in zip(message.keys, message.parts, strict=True):
             if not message.may_carry(end):
                 text = f"{message.kind} of {message.sender} with a message under the key {end}"
-                self.refuse(message.sender, MessageError("wrong_sender", text))
-            elif self._is_mine(end):
-                inner = self._checked(f"{self._keys.prefix}/{end}", part)
-                if inner is not None:
-                    yield inner
+                self.rejections.add(message.sender, MessageError("wrong_sender", text))
+            elif self._is_mine(end) and (inner := self._checked(f"{self._keys.prefix}/{end}", part)):
+                yield inner
         self.bundle = None
 
     def announce(self, name: str, incarnation: int) -> None:
         """Refuse messages of other incarnations of a process from now on: the token of this one has appeared."""
         self._incarnations[name] = max(incarnation, self._incarnations.get(name, 0))
 
-    def refuse(self, sender: str, error: MessageError) -> None:
-        """Count a refused message."""
-        self.rejections.add(error.sender or sender, error)
-
     def notices(self, incarnation: int, now_ns: int | None = None) -> list[Rejected]:
-        """Return the notices about refused messages that are to be published now; without a time all, for the end."""
-        return self.rejections.notices(incarnation, self.tick, now_ns)
+        """Return the notices of refusals to publish: one batch a second of a monotonic clock; without a time all."""
+        news = [entry for entry in self.rejections if entry.count > entry.reported]
+        if not news or (now_ns is not None and now_ns < self._next_ns):
+            return []
+        self._next_ns, self._out.incarnation = (now_ns or 0) + _EVERY_NS, incarnation
+        messages = []
+        for entry in news:
+            told = {"offender": entry.sender, "reason": entry.reason, "example": entry.example}
+            messages.append(self._out.stamp(Rejected, tick=self.tick, count=entry.count - entry.reported, **told))
+            entry.reported = entry.count
+        return messages
 
     def _checked(self, key: str, data: bytes) -> Message | None:
         """Return the message in some bytes if it passes all checks, and remember its place."""
@@ -169,7 +145,7 @@ class Gate:
             if self._check_moment is not None:
                 self._check_moment(message)
         except MessageError as error:
-            self.refuse(sender, error)
+            self.rejections.add(error.sender or sender, error)
             return None
         self._newest[stream] = message.place, message.sequence
         if not isinstance(message, LinkChange | Target):  # a repeated one is of the past

@@ -1,7 +1,4 @@
-"""The agents that take part, as a node knows them from the rosters it has received.
-
-A plan may overtake the roster that admits its sender, over another connection: it is kept until that is here.
-"""
+"""The agents that take part, by the rosters a node has received; plans that overtake their roster are kept."""
 
 from collections import deque
 from typing import Any
@@ -10,8 +7,7 @@ from protocol.wire.errors import MessageError
 from protocol.wire.messages import Plan, Roster
 from protocol.wire.names import COORDINATOR
 
-# Plans kept for a roster to come: a few ticks of a large team.
-_KEPT = 1024
+_KEPT = 1024  # plans kept for a roster to come: a few ticks of a large team
 _EMPTY: dict[str, Any] = {"agents": (), "incarnations": (), "off": (), "released": (), "reason": ""}
 _NONE = Roster(sender=COORDINATOR, incarnation=0, sequence=0, tick=0, version=0, **_EMPTY)
 

@@ -10,16 +10,15 @@ from protocol.wire.errors import MessageError
 from protocol.wire.messages import ActualInputs, Measurement, Message, Plan, PlantState, Roster, StepReport, Tick
 from protocol.wire.node import RunShape
 
-# Deviation of a rod direction's length from 1 that sensor noise can cause.
-_OFF_UNIT = 0.2
+_OFF_UNIT = 0.2  # deviation of a rod direction's length from 1 that sensor noise can cause
 # Fields with ids of agents and of UAVs.
-_AGENTS: dict[type[Message], tuple[str, ...]] = {
+_IDS: dict[type[Message], tuple[str, ...]] = {
     Tick: ("members", "answered", "shared"),
     Measurement: ("answered", "shared"),
-    Roster: ("agents",),
+    Roster: ("agents", "off"),
     StepReport: ("peers",),
+    ActualInputs: ("uavs", "cables"),
 }
-_UAVS: dict[type[Message], tuple[str, ...]] = {Roster: ("off",), ActualInputs: ("uavs", "cables")}
 
 
 def check_tick(message: Message, first: int, last: int) -> None:
@@ -33,12 +32,12 @@ def check_tick(message: Message, first: int, last: int) -> None:
 def check_plausible(message: Message, run: RunShape) -> None:
     """Raise MessageError for a message that no process of a run can have sent."""
     check_tick(message, 0, run.ticks - 1)
-    for field in _AGENTS.get(type(message), ()):
-        if strangers := [agent for agent in getattr(message, field) if agent not in run.owned]:
-            raise MessageError("unknown_agent", f"{field}: expected agents of this run, got {strangers}")
-    for field in _UAVS.get(type(message), ()):
-        if (last := max(getattr(message, field), default=0)) > run.uavs:
-            raise MessageError("out_of_range", f"{field}: expected UAVs of this run, 1 to {run.uavs}, got {last}")
+    for field in _IDS.get(type(message), ()):
+        are_uavs = field in ("off", "uavs", "cables")
+        known = range(1, run.uavs + 1) if are_uavs else run.owned
+        if strangers := [number for number in getattr(message, field) if number not in known]:
+            what = "UAVs" if are_uavs else "agents"
+            raise MessageError("unknown_agent", f"{field}: expected {what} of this run, got {strangers}")
     match message:
         case Plan():
             _check_states(message, run, state.REPORTS * state.REPORTED, "corrections")

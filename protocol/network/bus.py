@@ -1,10 +1,6 @@
-"""The Zenoh bus: one session per process, liveliness in and out, and one queue of all that arrives.
-
-The thread that calls `next` handles it; Zenoh's threads only put it in.
-"""
+"""The Zenoh bus: one session per process, liveliness in and out, and one queue of all that arrives, read by `next`."""
 
 import json
-import math
 import queue
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -18,16 +14,15 @@ import zenoh
 from protocol.admission.gate import Gate, Sample
 from protocol.network.endpoints import Endpoints
 from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
-from protocol.wire.codec import VERSION, encode
+from protocol.wire.codec import VERSION
 from protocol.wire.errors import MessageError
 from protocol.wire.keys import RECORDER, WATCHER, Keys
 from protocol.wire.messages import Event, Message, Presence, Request
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-# How often a process that joins asks for those that still take part in a run that has begun, and says that it waits, s.
-ASK_EVERY_S, WAITING_S = 0.5, 5.0
-# How long a process waits at the end of the run for those that leave before it: a busy host may take seconds to read.
-LINGER_S = 10.0
+# How often a process that joins asks for those that still take part in a run that has begun, and says that it waits;
+# how long one waits at the end of the run for those that leave before it: a busy host may take seconds to read. s.
+ASK_EVERY_S, WAITING_S, LINGER_S = 0.5, 5.0, 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,42 +43,36 @@ BusEvent = Event | Sample | Interrupted | Left
 _Item = zenoh.Sample | zenoh.Query | Interrupted | Request
 
 
-def usage(process: int | None = None) -> dict[str, float | int | None]:
-    """Return memory (bytes), threads, open files and processor time (s) of a process, by default this one, or None."""
-    found: tuple[float | int | None, ...] = (None,) * 4
-    with suppress(psutil.Error):
-        of = psutil.Process(process)
-        found = of.memory_info().rss, of.num_threads(), of.num_fds(), sum(of.cpu_times()[:2])
-    return dict(zip(("memory_bytes", "threads", "open_files", "cpu_s"), found, strict=True))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """A process's place in a run."""
+
+    run: str
+    endpoints: Endpoints
+    incarnation: int = 0  # which start of this process
+    join_timeout_s: float = 30.0  # how long it waits for the other processes, or a client for its router
 
 
 class Bus:
-    """Connection of one process to one run; processes with different digests of the scenario refuse each other.
-
-    Sending waits `patience_s` for a peer that does not read, then closes the link; a client looks for its router for
-    `reach_s`. Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
-    """
+    """Connection of one process to one run; processes with different digests of the scenario refuse each other."""
 
     def __init__(
         self,
-        *,
         name: str,
-        incarnation: int,
-        run: str,
+        place: Place,
         digest: str,
-        endpoints: Endpoints,
         gate: Gate,
+        *,
         serves: bool = False,  # whether its node answers requests; every process answers for its health
-        patience_s: float = 1.0,
+        patience_s: float = 1.0,  # how long sending waits for a peer that does not read, before its link is closed
         gather_s: float = 0.0,  # how long an arrival may wait for more: one wake-up for many messages costs less
-        reach_s: float = 30.0,
     ) -> None:
         self.arrived_ns = 0  # wall-clock time of arrival of the last event that `next` returned, ns since 1970
         self.before_wait: Callable[[], None] = lambda: None  # called when no message of a bundle is left to be read
         self.alive: dict[str, int] = {}  # incarnations of the processes that are up, by name
         self.gate = gate  # has the bundle that the last event came in
-        self.name, self.incarnation, self._digest = name, incarnation, digest
-        self._keys, self._endpoints = Keys(run), endpoints
+        self.name, self.incarnation, self._digest, self._place = name, place.incarnation, digest, place
+        self._keys = Keys(place.run)
         self._gather_s, self._serves = gather_s, serves
         self._left: set[str] = set()  # processes that were up, and are not any more
         self._accepted: Iterator[Message | Sample] = iter(())  # in the bytes that arrived last
@@ -91,7 +80,7 @@ class Bus:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         log_errors(to_output=name not in (RECORDER, WATCHER))
-        self._session = open_session(endpoints, patience_s, name, self._keys, reach_s)
+        self._session = open_session(place.endpoints, patience_s, name, self._keys, place.join_timeout_s)
         # Subscribers before the token: a process that sees the token may send at once, and nothing is lost. Their
         # callback runs on the thread that receives, which must be brief, but saves a second thread.
         arrived: zenoh.handlers.Callback[zenoh.Sample] = zenoh.handlers.Callback(self._put, indirect=False)
@@ -105,57 +94,45 @@ class Bus:
             for kind in ("alive", "ready")
         ]
 
-    def __enter__(self) -> "Bus":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def join(
-        self, expected: Collection[str], timeout_s: float, on_wait: Callable[[str], object] = lambda _: None
-    ) -> Interrupted | None:
+    def join(self, expected: Collection[str], on_wait: Callable[[str], object] = lambda _: None) -> Interrupted | None:
         """Announce this process and wait until all expected ones are up, or for an interruption, which is returned.
 
-        Every `WAITING_S` seconds `on_wait` is called with a sentence about the missing ones.
         Raises: BusError: a process did not appear, runs another scenario or protocol, or has this name already.
         """
         self._declare_token(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
+        timeout_s, ends = self._place.join_timeout_s, self._place.endpoints
         deadline, sign_s = time.monotonic() + timeout_s, time.monotonic() + WAITING_S
-        awaited = set(expected) - {self.name}
-        # When all are up, or the coordinator is ready, which has seen all, it is asked whether the run has begun.
-        asks, ask_s = self.name != COORDINATOR, math.inf
+        awaited, is_begun, ask_s = set(expected) - {self.name}, False, 0.0
         early: list[tuple[int, _Item]] = []
         while True:
-            now_s = time.monotonic()
-            if now_s >= ask_s or (asks and awaited <= self.alive.keys()):
-                asks = False
+            now_s, missing = time.monotonic(), awaited - self.alive.keys()
+            # When all are up, or the coordinator is ready, which has seen all, it is asked who takes part.
+            if self.name != COORDINATOR and now_s >= ask_s and (is_begun or not missing):
                 awaited, ask_s = self._taking_part(expected) or awaited, now_s + ASK_EVERY_S
-            missing = awaited - self.alive.keys()
+                missing = awaited - self.alive.keys()
             if not missing:
                 break
+            if now_s >= deadline:
+                at = ", ".join(ends.listen) or "nothing", ", ".join(ends.connect) or "none: others connect to it"
+                absent = ", ".join(sorted(missing - self._left or missing))
+                text = f"{self.name}: no sign of {absent} within {timeout_s:g} s"
+                raise BusError(f"{text}; listening on {at[0]}, connecting to {at[1]}")
             if now_s >= sign_s:
                 sign_s += WAITING_S
-                on_wait(f"waiting for {', '.join(sorted(missing))}; gives up in {max(0.0, deadline - now_s):.0f} s")
+                on_wait(f"waiting for {', '.join(sorted(missing))}; gives up in {deadline - now_s:.0f} s")
+            until_s = min(deadline, sign_s, ask_s if is_begun else deadline)
             try:
-                at_ns, item = self._inbox.get(timeout=max(0.0, min(deadline, sign_s, ask_s) - now_s))
+                at_ns, item = self._inbox.get(timeout=max(0.0, until_s - now_s))
             except queue.Empty:
-                if time.monotonic() < deadline:
-                    continue
-                listens, calls = (", ".join(at) for at in (self._endpoints.listen, self._endpoints.connect))
-                ends = f"listening on {listens or 'nothing'}, connecting to {calls or 'none: others connect to it'}"
-                absent = ", ".join(sorted(missing - self._left or missing))
-                raise BusError(f"{self.name}: no sign of {absent} within {timeout_s:g} s; {ends}") from None
+                continue
             if isinstance(item, Interrupted):
                 return item
             key = self._keys.end(str(item.key_expr)) if isinstance(item, zenoh.Sample) else ""
-            if isinstance(item, zenoh.Query):
-                request = self._request(item)
-                early += [(at_ns, request)] if request is not None else []
-            elif isinstance(item, zenoh.Sample) and key.startswith("alive/"):
+            is_begun |= key.startswith(f"ready/{COORDINATOR}/")
+            if isinstance(item, zenoh.Sample) and key.startswith("alive/"):
                 self._note(item, joins=True)
-            else:
-                early.append((at_ns, item))
-                ask_s = 0.0 if key.startswith(f"ready/{COORDINATOR}/") else ask_s
+            elif request := self._request(item) if isinstance(item, zenoh.Query) else item:
+                early.append((at_ns, request))
         self._declare_token(self._keys.ready(self.name, self.incarnation))
         for stamped in early:
             self._inbox.put(stamped)
@@ -168,7 +145,7 @@ class Bus:
             token = self._keys.token(key)
         except MessageError as error:
             if here:
-                self.gate.refuse(self._keys.end(key), error)
+                self.gate.rejections.add(self._keys.end(key), error)
             return None
         if token.digest is None:
             return Presence(token.name, token.incarnation, alive=True) if here else None
@@ -202,8 +179,7 @@ class Bus:
 
     def renew(self, incarnation: int) -> None:
         """Announce a new incarnation of this process, which is ready at once."""
-        old, self._tokens = self._tokens, []
-        self.incarnation = incarnation
+        old, self._tokens, self.incarnation = self._tokens, [], incarnation
         self.gate.announce(self.name, incarnation)
         self._declare_token(self._keys.alive(self.name, incarnation, self._digest, VERSION))
         self._declare_token(self._keys.ready(self.name, incarnation))
@@ -216,21 +192,16 @@ class Bus:
         """Send a request to a process; return its answer, or None if there is none in time."""
         return fetch_answer(self._session, self._keys.request(name, what), given or {}, timeout_s)
 
-    def publish(self, message: Message) -> None:
-        """Send a message to its subscribers."""
-        self.put(self._keys.of(message), encode(message))
-
     def put(self, key: str, data: bytes) -> None:
         """Send an encoded message under its key; block rather than drop it when a peer is slow."""
-        publisher = self._publishers.get(key)
-        if publisher is None:
-            publisher = self._publishers[key] = self._session.declare_publisher(
+        if key not in self._publishers:
+            self._publishers[key] = self._session.declare_publisher(
                 key,
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 reliability=zenoh.Reliability.RELIABLE,
                 allowed_destination=zenoh.Locality.REMOTE,
             )
-        publisher.put(data)
+        self._publishers[key].put(data)
 
     def next(self, timeout_s: float | None) -> BusEvent | None:
         """Return the next event, or None after the timeout (None: no timeout). Refused messages are only counted."""
@@ -246,19 +217,15 @@ class Bus:
                 self.arrived_ns, item = self._inbox.get(timeout=left_s)
             except queue.Empty:
                 return None
-            event = self._event(item)
-            if event is not None:
+            if (event := self._event(item)) is not None:
                 return event
 
     def leave(self, after: Collection[str] = ()) -> None:
-        """Say that the last message was sent; wait `LINGER_S` at most until the recorder and others have left.
-
-        Closing a session drops what a peer has not read yet.
-        """
+        """Say that the last message was sent; wait for the recorder and others: closing drops what is not read yet."""
         self.put(self._keys.left(self.name), b"")
         deadline = time.monotonic() + LINGER_S
-        while {RECORDER, *after} & set(self.alive) and time.monotonic() < deadline:
-            if isinstance(self.next(max(0.0, deadline - time.monotonic())), Interrupted):
+        while {RECORDER, *after} & set(self.alive) and (left_s := deadline - time.monotonic()) > 0.0:
+            if isinstance(self.next(left_s), Interrupted):
                 return
 
     def interrupt(self, reason: str) -> None:
@@ -267,12 +234,7 @@ class Bus:
 
     def close(self) -> None:
         """Undeclare everything and close the session, within bounded time."""
-        in_bounded_time(self._close)
-
-    def _close(self) -> None:
-        for declared in (*self._tokens, *self._declared):
-            declared.undeclare()
-        self._session.close()  # type: ignore[no-untyped-call]
+        in_bounded_time(*(declared.undeclare for declared in (*self._tokens, *self._declared)), self._session.close)
 
     def _declare_token(self, token: str) -> None:
         self._tokens.append(self._session.liveliness().declare_token(token))
@@ -288,15 +250,16 @@ class Bus:
 
         given = None
         with suppress(ValueError, RecursionError, zenoh.ZError):
-            given = json.loads(query.payload.to_string()) if query.payload is not None else {}
+            given = json.loads(query.payload.to_string() if query.payload else "{}")
         if not isinstance(given, dict) or "/" in what or "*" in what:
-            self.gate.refuse(self._keys.end(key), MessageError("malformed", "not a request"))
-            query.reply_err(json.dumps({"error": "expected a JSON object under the key of one request"}))
+            self.gate.rejections.add(self._keys.end(key), MessageError("malformed", "not a request"))
             query.drop()  # type: ignore[no-untyped-call]
-            return None
-        if what == "health":
-            seen = {"protocol": VERSION, "tick": self.gate.tick, "refused": self.gate.rejections.total}
-            reply({"name": self.name, "incarnation": self.incarnation, **seen, **usage()})
+        elif what == "health":
+            own = psutil.Process()
+            known = {"name": self.name, "incarnation": self.incarnation, "protocol": VERSION}
+            known |= {"tick": self.gate.tick, "refused": self.gate.rejections.total}
+            used = {"memory_bytes": own.memory_info().rss, "threads": own.num_threads(), "open_files": own.num_fds()}
+            reply({**known, **used, "cpu_s": time.process_time()})
         elif self._serves:
             return Request(what, given, reply)
         else:

@@ -24,17 +24,13 @@ class Endpoints:
     security: Security | None = None  # None: every process that can connect may send everything
 
     def checked(self, name: str, scenario: Scenario) -> "Endpoints":
-        """Return these endpoints, if a process with a name can use them.
-
-        Raises: SecurityError: its keys are unusable, or other hosts could connect without, and not `insecure`.
-        """
+        """Return these endpoints, or raise SecurityError: unusable keys, or none, not `insecure`, beyond loopback."""
         if self.security is not None:
             self.security.check(name)
             scheme = f"{self.security.scheme}/"
             if wrong := [at for at in (*self.listen, *self.connect) if not at.startswith(scheme)]:
                 raise SecurityError(f"network.keys: expected {scheme}... with these keys, got {wrong[0]}")
-        at = exposed(self.listen)
-        if at is not None and not scenario.network.insecure:
+        if (at := exposed(self.listen)) and not scenario.network.insecure:
             expected = "expected a loopback address, or network.keys, or network.insecure = true to be open to all"
             raise SecurityError(f"network.host: {expected}, got {at}")
         return self
@@ -52,10 +48,7 @@ def security_of(scenario: Scenario) -> Security | None:
 
 
 def mesh(scenario: Scenario, names: Sequence[str], ports: Sequence[int]) -> dict[str, Endpoints]:
-    """Return the endpoints of processes with a port each: clients of the router, or each connected to those before it.
-
-    Raises: SecurityError: the folder of keys has none.
-    """
+    """Return the endpoints of processes with a port each: clients of the router, or each connected to those before."""
     network, security = scenario.network, security_of(scenario)
     if network.router is not None:
         client = Endpoints(listen=[], connect=[network.router], mode="client", security=security)
@@ -74,10 +67,7 @@ def default_mesh(scenario: Scenario) -> dict[str, Endpoints]:
 def endpoints_of(
     name: str, scenario: Scenario, listen: Sequence[str] | None = None, connect: Sequence[str] | None = None
 ) -> Endpoints:
-    """Return the endpoints of a process started by itself: as given, of its scenario, or connected to all.
-
-    Raises: SecurityError: as `Endpoints.checked`.
-    """
+    """Return the endpoints of a process started by itself: as given, of its scenario, or connected to all."""
     usual = default_mesh(scenario)
     everywhere = [at for endpoints in usual.values() for at in endpoints.listen]
     observer = replace(usual[COORDINATOR], listen=[], connect=everywhere or usual[COORDINATOR].connect)

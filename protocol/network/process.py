@@ -7,17 +7,15 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence, Set
+from contextlib import closing, suppress
 from types import FrameType
 from typing import Any
 
 import threadpoolctl
 
 from protocol.admission.gate import Gate, Sample
-from protocol.network.bus import Bus, Interrupted, Left
-from protocol.network.endpoints import Endpoints
+from protocol.network.bus import Bus, Interrupted, Left, Place
 from protocol.network.parent import PARENT_PIPE, ending_signals
 from protocol.network.security import exposed
 from protocol.scenario.faults import Fault, due
@@ -26,18 +24,16 @@ from protocol.wire import messages as wire
 from protocol.wire.codec import encode
 from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from protocol.wire.keys import Keys
-from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER
+from protocol.wire.names import AGENT, COORDINATOR, PLANT
 from protocol.wire.node import Node, Outbox
 
-# Sends encoded messages under a key.
-Put = Callable[[str, bytes], None]
+Put = Callable[[str, bytes], None]  # sends an encoded message under a key
 
 
 def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put) -> "Exchange":
     """Return the exchange of a process."""
-    if not setup.shape.relayed or name == RECORDER:
-        return Exchange(name, incarnation, keys, put)
-    return {COORDINATOR: _Coordinator, PLANT: _Plant}.get(name, _Agent)(name, incarnation, keys, put)
+    kinds = {COORDINATOR: _Coordinator, PLANT: _Plant} if setup.shape.relayed else {}
+    return kinds.get(name, _Agent if kinds else Exchange)(name, incarnation, keys, put)
 
 
 class Exchange:
@@ -59,13 +55,14 @@ class Exchange:
 
     def send(self, message: wire.Message) -> None:
         """Send a message, or keep it for a bundle; proposals of a negotiation are sent at once."""
-        if isinstance(message, self.bundled) and not getattr(message, "negotiation", 0):
-            if message.incarnation != self._out.incarnation:
-                self._out = Outbox(message.sender, message.incarnation)
-            self._kept.append((self._keys.end(self._keys.of(message)), encode(message)))
-            self._tick = message.tick
-        else:
-            self._put(self._keys.of(message), encode(message))
+        key, data = self._keys.of(message), encode(message)
+        if not isinstance(message, self.bundled) or getattr(message, "negotiation", False):
+            self._put(key, data)
+            return
+        if message.incarnation != self._out.incarnation:
+            self._out = Outbox(message.sender, message.incarnation)
+        self._kept.append((self._keys.end(key), data))
+        self._tick = message.tick
 
     def flush(self) -> None:
         """Send the bundle of the messages kept, whatever it waits for: before a process ends."""
@@ -75,11 +72,12 @@ class Exchange:
         self.flush()
 
     def _send_bundle(self, kind: type[wire.Bundle], entries: list[tuple[str, bytes]], **fields: int) -> None:
-        """Send messages, as they are kept, in a bundle; forget those kept."""
-        keys, parts = zip(*entries, strict=True)
-        bundle = self._out.stamp(kind, tick=self._tick, keys=keys, parts=parts, **fields)
-        self._put(self._keys.of(bundle), encode(bundle))
+        """Send messages, as they are kept, in a bundle, if there are any; forget those kept."""
         self._kept = []
+        if entries:
+            keys, parts = zip(*entries, strict=True)
+            bundle = self._out.stamp(kind, tick=self._tick, keys=keys, parts=parts, **fields)
+            self._put(self._keys.of(bundle), encode(bundle))
 
 
 class _Agent(Exchange):
@@ -88,8 +86,7 @@ class _Agent(Exchange):
     bundled = (wire.Plan, wire.StepReport)
 
     def flush(self) -> None:
-        if self._kept:
-            self._send_bundle(wire.Answer, self._kept, agent=int(self._out.sender.removeprefix(AGENT)))
+        self._send_bundle(wire.Answer, self._kept, agent=int(self._out.sender.removeprefix(AGENT)))
 
 
 class _Plant(Exchange):
@@ -105,12 +102,10 @@ class _Plant(Exchange):
 
     def flush(self) -> None:
         recorded = self._kept
-        measured = [entry for entry in recorded if entry[0].startswith(wire.Measurement.kind)]
-        if measured:
+        if measured := [entry for entry in recorded if entry[0].startswith(wire.Measurement.kind)]:
             self._send_bundle(wire.Instant, [*self._shared, *measured])
             self._shared = ()
-        if recorded:
-            self._send_bundle(wire.Record, recorded)
+        self._send_bundle(wire.Record, recorded)
 
 
 class _Coordinator(Exchange):
@@ -118,15 +113,13 @@ class _Coordinator(Exchange):
 
     bundled = (wire.Tick,)
 
-    def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
-        super().__init__(name, incarnation, keys, put)
-        self._answers: dict[int, wire.Answer] = {}  # accepted answers, by agent
-        self._awaited: set[int] = set()  # agents that are to answer the open tick
+    _answers: Mapping[int, wire.Answer] = {}  # accepted answers, by agent
+    _awaited: Set[int] = frozenset()  # agents that are to answer the open tick
 
     def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
         if isinstance(event, wire.Plan) and isinstance(bundle, wire.Answer):
-            self._awaited.discard(event.agent)
-            self._answers[event.agent] = bundle
+            self._awaited -= {event.agent}
+            self._answers = {**self._answers, event.agent: bundle}
             self._tick = bundle.tick
 
     def send(self, message: wire.Message) -> None:
@@ -142,45 +135,30 @@ class _Coordinator(Exchange):
     def flush(self) -> None:
         answers = [answer for _, answer in sorted(self._answers.items())]
         entries = [entry for answer in answers for entry in zip(answer.keys, answer.parts, strict=True)]
-        if entries or self._kept:
-            self._answers = {}
-            self._send_bundle(wire.Relay, [*entries, *self._kept])
+        self._answers = {}
+        self._send_bundle(wire.Relay, [*entries, *self._kept])
 
     def settle(self) -> None:
         if not self._awaited:
             self.flush()
 
 
-# Handled events between garbage collections.
-_COLLECT_EVERY = 256
+_COLLECT_EVERY = 256  # handled events between garbage collections
 # How long a peer that does not read may delay the others before the link to it is closed, by clock mode.
-PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
+_PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
 # Why a process without its parent ends, and how long it may take to do so in an orderly way.
 _ORPHANED, _ORPHAN_GRACE_S = "parent is gone", 5.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
-    """A process's place in a run."""
-
-    run: str
-    incarnation: int  # which start of this process
-    endpoints: Endpoints
-    join_timeout_s: float  # how long it waits for the other processes
-
-
 class Journal:
-    """Log events with run, role and key-value context on standard error: JSON lines, or plain text on a terminal."""
+    """Log events with run, role and key-value context on standard error, as JSON lines."""
 
     def __init__(self, run: str, role: str) -> None:
-        self._run, self._role = run, role
+        self._whose = {"run_id": run, "role": role}
 
     def log(self, event: str, **keys: object) -> None:
         """Write one event."""
-        line = json.dumps({"time": time.time(), "run_id": self._run, "role": self._role, "event": event, **keys})
-        if sys.stderr.isatty():
-            shown = "  ".join(f"{key}={value}" for key, value in keys.items() if value != "")
-            line = f"{time.strftime('%H:%M:%S')}  {self._role:<12}{event:<12}{shown}"
+        line = json.dumps({"time": time.time(), **self._whose, "event": event, **keys})
         with suppress(OSError):  # the disk is full: the process works without its log lines
             sys.stderr.write(line + "\n")
             sys.stderr.flush()
@@ -197,10 +175,10 @@ def run_node(
     """Join the run with the expected processes, drive the node until it is finished, leave; return the exit code.
 
     `on_interrupt` returns the node's last messages when a signal ends it; processes to `linger_for` leave before it.
-    Raises: BusError: the network cannot be used, or an expected process did not appear.
     """
-    journal = Journal(place.run, node.name)
-    gate = Gate(node.name, Keys(place.run), setup.shape, node.check_moment)
+    journal, keys = Journal(place.run, node.name), Keys(place.run)
+    gate = Gate(node.name, keys, setup.shape, node.check_moment)
+    serves, patience_s = node.name == COORDINATOR, _PATIENCE_S[setup.scenario.clock.mode]
     # A garbage collection in mid-step is a latency spike: reference counting frees nearly all that the loop makes, and
     # the rest is collected between steps. Before this process joins, no other waits for it.
     gc.collect()
@@ -208,25 +186,14 @@ def run_node(
     gc.disable()
     with (
         threadpoolctl.threadpool_limits(1),
-        Bus(
-            name=node.name,
-            incarnation=place.incarnation,
-            run=place.run,
-            digest=setup.scenario.digest(),
-            endpoints=place.endpoints,
-            gate=gate,
-            serves=node.name == COORDINATOR,
-            patience_s=PATIENCE_S[setup.scenario.clock.mode],
-            reach_s=place.join_timeout_s,
-        ) as bus,
+        closing(Bus(node.name, place, setup.scenario.digest(), gate, serves=serves, patience_s=patience_s)) as bus,
     ):
         _watch_signals(bus)
         if place.endpoints.security is None and place.endpoints.listen:
-            at = exposed(place.endpoints.listen) or ""
-            who = "host with access" if at else "process on this host"
-            journal.log("open", at=at, means=f"any {who} can read and send all messages (docs/deploy.md)")
+            who = "host with access" if exposed(place.endpoints.listen) else "process on this host"
+            journal.log("open", means=f"any {who} can read and send all messages (docs/deploy.md)")
         journal.log("listening", cpu_s=time.process_time(), at=", ".join(place.endpoints.listen))
-        exchange = exchange_of(setup, node.name, place.incarnation, Keys(place.run), bus.put)
+        exchange = exchange_of(setup, node.name, place.incarnation, keys, bus.put)
 
         def settle() -> None:
             begun_ns = time.monotonic_ns()
@@ -234,7 +201,7 @@ def run_node(
             node.publish_ns += time.monotonic_ns() - begun_ns
 
         bus.before_wait = settle
-        interruption = bus.join(expected, place.join_timeout_s, lambda text: journal.log("waiting", text=text))
+        interruption = bus.join(expected, lambda text: journal.log("waiting", text=text))
         if interruption is None:
             journal.log("joined", peers=len(expected))
             interruption = _drive(node, bus, exchange, setup.faults)
@@ -243,12 +210,11 @@ def run_node(
             for message in on_interrupt(interruption.reason) if on_interrupt else ():
                 exchange.send(message)
         exchange.flush()
-        for message in gate.notices(node.incarnation):
-            bus.publish(message)
+        for notice in gate.notices(node.incarnation):
+            exchange.send(notice)
         for entry in gate.rejections:
             journal.log("rejected", sender=entry.sender, reason=entry.reason, count=entry.count, example=entry.example)
-        end = node.finished
-        if end is not None:
+        if (end := node.finished) is not None:
             journal.log("finished", outcome=end.outcome, reason=end.reason, tick=end.tick, cpu_s=time.process_time())
             bus.leave(linger_for)
             return end.exit_code
@@ -273,7 +239,7 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
         if node.incarnation != bus.incarnation:
             bus.renew(node.incarnation)
         for notice in bus.gate.notices(node.incarnation, now_ns):
-            bus.publish(notice)
+            exchange.send(notice)
         if not messages:
             continue
         publishing_ns = time.monotonic_ns()

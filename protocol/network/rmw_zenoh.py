@@ -16,22 +16,17 @@ from protocol.wire.keys import Keys
 
 _NODE = "transport"
 _QOS = "::,10:,:,:,,"  # all as by default: reliable, volatile, keep the last 10
-# How long a router that does not read delays this process, and how long one is looked for, s.
-_PATIENCE_S, _REACH_S = 1.0, 5.0
 
 
 class RosNode:
-    """Node in one ROS domain; topics to publish and to hear have a type, "geometry_msgs/msg/PoseStamped", and its hash.
-
-    Raises: BusError: no router is reached.
-    """
+    """Node in one ROS domain; topics to publish and to hear have a type, "sensor_msgs/msg/Imu", and its hash."""
 
     def __init__(
         self, router: str, domain: int, topics: Mapping[str, tuple[str, str]], heard: Mapping[str, tuple[str, str]]
     ) -> None:
         self._newest: dict[str, bytes] = {}  # by topic
         endpoints = Endpoints(listen=[], connect=[router], mode="client", security=None)
-        self._session = open_session(endpoints, _PATIENCE_S, _NODE, Keys(_NODE), _REACH_S)
+        self._session = open_session(endpoints, 1.0, _NODE, Keys(_NODE), 5.0)
         tokens = self._session.liveliness()
         self._kept: list[Any] = [tokens.declare_token(self._token(domain, 0, "NN"))]
         self._counts = dict.fromkeys(topics, 0)

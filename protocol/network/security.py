@@ -1,14 +1,10 @@
-"""Authentication and access control: the folder of keys, and Zenoh's rules made from the table of key expressions.
-
-Certificates admit from each peer only what its name may send; a secret only keeps strangers out (docs/deploy.md).
-"""
+"""Authentication and access control: the folder of keys, and Zenoh's rules made from the table of key expressions."""
 
 import ipaddress
 import os
-import secrets
 import ssl
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,13 +13,9 @@ from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_SCENARIO
 from protocol.wire.keys import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
 
-# File of a folder of keys; besides it NAME.pem and NAME.key for each name.
-AUTHORITY = "ca.pem"
-# File of the one secret of a run: a line "user:password", as Zenoh reads it.
-SHARED = "secret.txt"
+AUTHORITY = "ca.pem"  # of a folder of keys; besides it NAME.pem and NAME.key for each name
+SHARED = "secret.txt"  # the one secret of a run: a line "user:password", as Zenoh reads it
 
-# Messages of a TLS handshake in either direction, at most.
-_FLIGHTS = 4
 # All kinds of messages in Zenoh's access control.
 _PUBLISHING, _OBSERVING = ("put", "delete"), ("declare_liveliness_subscriber", "liveliness_query")
 _ANSWERING, _JOINING = ("declare_queryable", "reply"), ("liveliness_token",)
@@ -89,37 +81,16 @@ class Security:
         configuration["access_control"] = access_control(self.names, prefix)
 
 
-@contextmanager
-def new_secret(folder: Path) -> Iterator[Path]:
-    """Make a folder of keys with a random secret, which only this user can read; remove it in the end.
-
-    Raises: SecurityError: the file system keeps no permissions (FAT, some shares). OSError: it cannot be made.
-    """
-    folder.mkdir(mode=0o700)
-    file = folder / SHARED
-    try:
-        file.touch(mode=0o600, exist_ok=False)
-        if file.stat().st_mode & 0o077:
-            raise SecurityError(f"network.keys: expected a file that only its owner can read, got {file} for all")
-        file.write_text(f"run:{secrets.token_hex(24)}\n", encoding="utf-8")
-        yield folder
-    finally:
-        with suppress(OSError):
-            file.unlink(missing_ok=True)
-            folder.rmdir()
-
-
 def access_control(names: Sequence[str], prefix: str) -> dict[str, Any]:
     """Return Zenoh's access control, which allows each name only the key expressions of `protocol.wire.keys`.
 
-    The run in the prefix may be `*`. Incoming messages are checked against the rights of their sender's certificate;
-    outgoing ones are not: the rights of the receiver were checked when it subscribed.
+    Outgoing messages are not checked: the rights of the receiver were checked when it subscribed.
     """
-    keys = Keys.below(prefix)
     subjects = [*dict.fromkeys([*names, WATCHER, OPERATOR, ROUTER])]
     rules, policies = [_rule("out", "egress", _ALL, [f"{prefix}/**"])], []
     for name in subjects:
-        own = [_rule(f"{name}.{place}", "ingress", *right) for place, right in enumerate(_rights(keys, name))]
+        rights = enumerate(_rights(Keys.below(prefix), name))
+        own = [_rule(f"{name}.{place}", "ingress", *right) for place, right in rights]
         rules += own
         policies.append({"rules": ["out", *[rule["id"] for rule in own]], "subjects": [name]})
     return {
@@ -146,18 +117,13 @@ def exposed(endpoints: Sequence[str]) -> str | None:
 
 def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
     """Check a certificate as a peer would, by a handshake with itself. Raises: ssl.SSLError, OSError."""
-    there, back, ends = ssl.MemoryBIO(), ssl.MemoryBIO(), []
-    for protocol, incoming, outgoing in (
-        (ssl.PROTOCOL_TLS_SERVER, there, back),
-        (ssl.PROTOCOL_TLS_CLIENT, back, there),
-    ):
-        context = ssl.SSLContext(protocol)
-        context.check_hostname = False  # its address is not known here
-        context.verify_mode = ssl.CERT_REQUIRED
-        context.load_verify_locations(authority)
-        context.load_cert_chain(certificate, key)
-        ends.append(context.wrap_bio(incoming, outgoing, server_side=protocol == ssl.PROTOCOL_TLS_SERVER))
-    for end in ends * _FLIGHTS:
+    context = ssl.create_default_context(cafile=authority)
+    context.check_hostname = False  # its address is not known here
+    own = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    own.load_cert_chain(certificate, key)
+    there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
+    client, server = context.wrap_bio(back, there), own.wrap_bio(there, back, server_side=True)
+    for end in (client, server) * 4:  # messages in either direction, at most
         with suppress(ssl.SSLWantReadError):
             end.do_handshake()
 

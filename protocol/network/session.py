@@ -5,22 +5,19 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Any
 
 import zenoh
 
 from protocol.network.endpoints import Endpoints
-from protocol.network.security import Security, SecurityError
+from protocol.network.security import Security
 from protocol.wire.codec import MAX_BYTES
 from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 
-# How long closing may take: it blocks while a peer does not read (zenoh issue 2675).
-CLOSE_S = 2.0
-# Duration of one attempt of a client to connect.
-_TRY_MS = 500
+CLOSE_S = 2.0  # how long closing may take: it blocks while a peer does not read (zenoh issue 2675)
 
 
 class BusError(TransportError, RuntimeError):
@@ -42,45 +39,38 @@ def check_usable() -> None:
 
 
 def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
-    """Open the session of a process; `patience_s` and `reach_s` as those of `Bus`.
+    """Open the session of a process, which waits `patience_s` for peers that do not read, `reach_s` for a router.
 
-    Raises: BusError: the endpoint cannot be listened on, the router not reached, or the keys not used.
+    Raises: BusError: the endpoint cannot be listened on, or the router not reached. SecurityError: unusable keys.
     """
     global _first_user
     check_usable()
     _first_user = os.getpid()
-    try:
-        text = json.dumps(configuration(endpoints, patience_s, name, keys), ensure_ascii=False)
-    except SecurityError as error:
-        raise BusError(str(error)) from error
+    text = json.dumps(configuration(endpoints, patience_s, name, keys), ensure_ascii=False)
     deadline = time.monotonic() + reach_s
     while True:
         try:
             return zenoh.open(zenoh.Config.from_json5(text))
         except zenoh.ZError as error:
+            where, problem = ", ".join(endpoints.listen), f"cannot listen ({error!s:.200})"
             if endpoints.mode == "client":
                 if time.monotonic() <= deadline:
                     continue
-                where = ", ".join(endpoints.connect)
-                raise BusError(f"{name}: no router accepts a connection at {where} within {reach_s:g} s") from error
-            problem = "address already in use; choose another base port, or end the process that has it"
-            if "in use" not in str(error):
-                problem = f"cannot listen ({error!s:.200})"
-            raise BusError(f"{', '.join(endpoints.listen)}: {problem}") from error
+                where, problem = name, f"no router accepts a connection at {', '.join(endpoints.connect)}"
+            elif "in use" in str(error):
+                problem = "address already in use; choose another base port, or end the process that has it"
+            raise BusError(f"{where}: {problem}") from error
 
 
 def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
-    """Return Zenoh's configuration of a process: fixed endpoints, no discovery, retries until `Bus.join` gives up.
-
-    Raises: SecurityError: keys that cannot be used.
-    """
+    """Return Zenoh's configuration of a process: fixed endpoints, no discovery, retries until `Bus.join` gives up."""
     found: dict[str, Any] = {
         "mode": endpoints.mode,
         "listen": {"endpoints": list(endpoints.listen), "exit_on_failure": True},
         "connect": {
             "endpoints": list(endpoints.connect),
             # `open_session` repeats a client's attempts, so that Ctrl-C can end them.
-            "timeout_ms": _TRY_MS if endpoints.mode == "client" else -1,
+            "timeout_ms": 500 if endpoints.mode == "client" else -1,
             "exit_on_failure": endpoints.mode == "client",
             "retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5},
         },
@@ -108,44 +98,44 @@ def ask(
     timeout_s: float = 5.0,
     security: Security | None = None,
 ) -> Mapping[str, Any]:
-    """Send a request, with its kind and arguments, to a process from outside its run (docs/protocol.md).
+    """Send a request to a process from outside its run (docs/protocol.md), as operator or, for status, as watcher.
 
-    Connects to endpoints of the run or of its router, as operator or, if nothing is changed, as watcher.
     Raises: BusError: there is no such process, or it does not answer in time.
     """
-    keys = Keys(run)
+    keys, deadline, whom = Keys(run), time.monotonic() + timeout_s, f"{name} of run {run}"
     log_errors(to_output=False)
     # One endpoint may be a process or a router; a client can connect to either.
     endpoints = Endpoints(listen=[], connect=connect, mode="client" if len(connect) == 1 else "peer", security=security)
-    deadline = time.monotonic() + timeout_s
     try:
-        session = open_session(endpoints, 1.0, OPERATOR if what in ACTING else WATCHER, keys, timeout_s)
+        with _session(endpoints, OPERATOR if what in ACTING else WATCHER, keys, timeout_s) as session:
+            token = f"{keys.prefix}/alive/{name}/**"
+            while not any(reply.ok for reply in session.liveliness().get(token, timeout=1.0)):
+                if time.monotonic() > deadline:
+                    raise BusError(f"no sign of it within {timeout_s:g} s at {', '.join(connect)}")
+                time.sleep(0.02)
+            answer = fetch_answer(session, keys.request(name, what), given, timeout_s)
     except BusError as error:
-        raise BusError(f"{name} of run {run} is not reachable, it has ended or uses other keys: {error}") from error
-    try:
-        while not any(reply.ok for reply in session.liveliness().get(f"{keys.prefix}/alive/{name}/**", timeout=1.0)):
-            if time.monotonic() > deadline:
-                raise BusError(f"no sign of {name} of run {run} within {timeout_s:g} s; tried {', '.join(connect)}")
-            time.sleep(0.02)
-        answer = fetch_answer(session, keys.request(name, what), given, timeout_s)
+        raise BusError(f"{whom} is not reachable, it has ended or uses other keys: {error}") from error
     except zenoh.ZError as error:  # its text is about Zenoh's sources
-        raise BusError(f"{name} of run {run} has closed the connection: it has ended, or is about to end") from error
-    finally:
-        in_bounded_time(session.close)
+        raise BusError(f"{whom} has closed the connection: it has ended, or is about to end") from error
     if answer is None:
-        raise BusError(f"{name} of run {run} does not answer")
+        raise BusError(f"{whom} does not answer")
     return answer
 
 
 @contextmanager
-def route(endpoints: Endpoints) -> Iterator[None]:
-    """Route the messages of the clients of any run while the context is open. Raises: BusError: as `open_session`."""
-    log_errors(to_output=True)
-    session = open_session(endpoints, 1.0, ROUTER, Keys.below("transport/*"), 0.0)
+def _session(endpoints: Endpoints, name: str, keys: Keys, reach_s: float) -> Iterator[zenoh.Session]:
+    session = open_session(endpoints, 1.0, name, keys, reach_s)
     try:
-        yield
+        yield session
     finally:
         in_bounded_time(session.close)
+
+
+def route(endpoints: Endpoints) -> AbstractContextManager[zenoh.Session]:
+    """Route the messages of the clients of any run while the context is open. Raises: BusError: as `open_session`."""
+    log_errors(to_output=True)
+    return _session(endpoints, ROUTER, Keys.below("transport/*"), 0.0)
 
 
 def log_errors(*, to_output: bool) -> None:
@@ -156,12 +146,13 @@ def log_errors(*, to_output: bool) -> None:
         zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
 
 
-def in_bounded_time(close: Callable[[], Any]) -> None:
-    """Call a closing function; return after `CLOSE_S` even if a peer that does not read blocks it."""
+def in_bounded_time(*closing: Callable[[], Any]) -> None:
+    """Call closing functions; return after `CLOSE_S` even if a peer that does not read blocks them."""
 
     def run() -> None:
         with suppress(zenoh.ZError):  # "timed out"
-            close()
+            for close in closing:
+                close()
 
     closer = threading.Thread(target=run, daemon=True)
     closer.start()

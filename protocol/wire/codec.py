@@ -8,7 +8,7 @@ import struct
 from contextlib import suppress
 from functools import reduce
 from operator import or_
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -52,26 +52,23 @@ def decode(data: bytes) -> Message:
     try:
         message: Message = _decoded(data, _DECODER)
         message.check()
+        return message
     except MessageError as error:
         with suppress(MessageError):
             sender = header_of(data).sender
             error.sender = sender if is_name(sender) else ""
         raise
-    return message
 
 
 def header_of(data: bytes) -> Header:
     """Return the header of a message. Raises: MessageError: no message of this version begins so."""
-    header: Header = _decoded(data, _HEADER_DECODER)
-    return header
+    return cast("Header", _decoded(data, _HEADER_DECODER))
 
 
 def _decoded(data: bytes, decoder: Any) -> Any:
-    if not data:
-        raise MessageError("malformed", "empty message")
     if len(data) > MAX_BYTES:
         raise MessageError("oversized", f"message of {len(data)} bytes, at most {MAX_BYTES} allowed")
-    if data[0] != VERSION:
+    if data and data[0] != VERSION:
         raise MessageError("wrong_version", f"protocol version {data[0]}, expected {VERSION}")
     try:
         return decoder.decode(memoryview(data)[1:])
@@ -89,19 +86,16 @@ def _refusal(text: str, data: bytes) -> MessageError:
     text, _, place = text.partition(" - at `$[")
     if text.startswith("Invalid value"):
         return MessageError("unknown_kind", f"unknown message kind {text[14:54]}")
-    number = int(place.split("]")[0]) if place else 0
-    if number == 0 and " length " not in text:
-        return MessageError("malformed", "expected a list that begins with a message kind")
+    number, field = int(place.split("]")[0]) if place else 0, ""
     reason: Reason = "wrong_shape"
-    if "float` >= " in text or "float` <= " in text:
-        reason = "not_finite"
-    elif number and any(word in text for word in (" length ", " <= ", " >= ", "enum")):
-        reason = "out_of_range"
-    field = ""
     if number:
+        if any(word in text for word in (" length ", " <= ", " >= ", "enum")):
+            reason = "not_finite" if "float" in text else "out_of_range"
         with suppress(msgspec.DecodeError, RecursionError, KeyError):
             kind = _KIND_DECODER.decode(memoryview(data)[1:]).kind
             field = f"{CLASSES[kind].__struct_fields__[number - 1]}: "
+    elif " length " not in text:
+        reason = "malformed"  # no list that begins with a kind
     return MessageError(reason, f"{field}{text[0].lower()}{text[1:120]}".replace("`", ""))
 
 
@@ -119,15 +113,12 @@ def _unpack_array(code: int, data: memoryview) -> Array:
     if code != _ARRAY or len(data) < _HEADER.size:
         raise MessageError("malformed", f"unknown extension type {code} of {len(data)} bytes")
     axes, *lengths = _HEADER.unpack_from(data)
-    if axes > _AXES:
-        raise MessageError("malformed", f"array of {axes} axes, at most {_AXES} allowed")
     shape = tuple(lengths[:axes])
-    if len(data) - _HEADER.size != 8 * math.prod(shape):
-        raise MessageError("malformed", f"array of shape {shape} in {len(data) - _HEADER.size} bytes")
+    if axes > _AXES or len(data) - _HEADER.size != 8 * math.prod(shape):
+        raise MessageError("malformed", f"array of {axes} axes, lengths {lengths}, in {len(data)} bytes")
     return np.ndarray(shape, _FLOAT64, bytes(data), _HEADER.size)  # a copy is aligned, and does not keep its bundle
 
 
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=_pack)
 _DECODER: Any = msgspec.msgpack.Decoder(reduce(or_, CLASSES.values()), ext_hook=_unpack_array)
-_HEADER_DECODER = msgspec.msgpack.Decoder(Header)
-_KIND_DECODER = msgspec.msgpack.Decoder(_Kind)
+_HEADER_DECODER, _KIND_DECODER = msgspec.msgpack.Decoder(Header), msgspec.msgpack.Decoder(_Kind)

@@ -6,22 +6,9 @@ from protocol.wire.exit_codes import EXIT_USAGE
 
 # Why a message is refused: docs/protocol.md says what each means.
 Reason = Literal[
-    "oversized",
-    "wrong_version",
-    "malformed",
-    "unknown_kind",
-    "wrong_shape",
-    "not_finite",
-    "out_of_range",
-    "wrong_sender",
-    "unknown_agent",
-    "wrong_incarnation",
-    "replayed",
-    "past",
-    "future",
-    "wrong_uavs",
-    "outside_limits",
-]
+    "oversized", "wrong_version", "malformed", "unknown_kind", "wrong_shape", "not_finite", "out_of_range",
+    "wrong_sender", "unknown_agent", "wrong_incarnation", "replayed", "past", "future", "wrong_uavs", "outside_limits",
+]  # fmt: skip
 
 
 class TransportError(Exception):

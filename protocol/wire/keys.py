@@ -1,8 +1,4 @@
-"""Key expressions: the only place that knows under which key a message travels and which process subscribes to it.
-
-Keys are transport/{run}/{kind}[/{agent or name}] and some others: docs/protocol.md has the table. Senders and receivers
-of each kind are in the `Route` of its class.
-"""
+"""Key expressions (docs/protocol.md) of messages, from the `Route` of their class, of tokens and of requests."""
 
 import re
 from dataclasses import dataclass
@@ -11,18 +7,13 @@ from protocol.wire.errors import MessageError, TransportError
 from protocol.wire.messages import BUNDLES, KINDS, Message
 from protocol.wire.names import AGENT, COORDINATOR, OPERATOR, PLANT, RECORDER, ROUTER, WATCHER, agent_name, role_of
 
-__all__ = ["ACTING", "OPERATOR", "READING", "RECORDER", "ROUTER", "WATCHER", "Keys", "RunNameError", "Token", "matches"]
+__all__ = ["ACTING", "OPERATOR", "READING", "RECORDER", "ROUTER", "WATCHER", "Keys", "Token", "matches"]
 
-_RUN = re.compile(r"[A-Za-z0-9_.-]{1,80}")
-_TOKEN = re.compile(r"(?:alive/([^/]+)/([0-9]{1,15})/([^/]+)/([0-9]{1,5}))|(?:ready/([^/]+)/([0-9]{1,15}))")
+_TOKEN = re.compile(r"(alive|ready)/([^/]+)/([0-9]{1,15})(?:/([^/]+)/([0-9]{1,5}))?")
 _CLASSES = (*KINDS.values(), *BUNDLES.values())
 
 # Requests that any client may send, and those that change the run.
 READING, ACTING = ("status", "health"), ("link", "fault")
-
-
-class RunNameError(TransportError, ValueError):
-    """A run name that cannot be part of a key expression."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +31,7 @@ class Keys:
 
     def __init__(self, run: str) -> None:
         if not self.allows(run):
-            raise RunNameError(f"run name: expected at most 80 letters, digits, '_', '.', '-', got {run!r}")
+            raise TransportError(f"run name: expected at most 80 letters, digits, '_', '.', '-', got {run!r}")
         self.run, self.prefix = run, f"transport/{run}"
 
     @classmethod
@@ -53,7 +44,7 @@ class Keys:
     @staticmethod
     def allows(run: str) -> bool:
         """Return whether a run can have this name."""
-        return _RUN.fullmatch(run) is not None
+        return re.fullmatch(r"[A-Za-z0-9_.-]{1,80}", run) is not None
 
     def of(self, message: Message) -> str:
         """Return the key a message travels under."""
@@ -68,7 +59,7 @@ class Keys:
         for cls in (cls for cls in _CLASSES if role in cls.route.receivers):
             # An agent receives what other processes send to it, and from the other agents everything they share.
             end = name.removeprefix(AGENT) if role == AGENT and cls.route.sender != AGENT else "*"
-            found += self._under(cls, end, unshared=role != AGENT)
+            found += self._under(cls, end)[: 1 if role == AGENT else None]
         return [*dict.fromkeys(found), *([self.left("*")] if role == RECORDER else [])]
 
     def publications(self, name: str) -> list[str]:
@@ -78,14 +69,13 @@ class Keys:
             return []
         for cls in (cls for cls in _CLASSES if cls.route.sender in (role, None)):
             end = name if cls.route.each == "sender" else name.removeprefix(AGENT) if role == AGENT else "*"
-            found += self._under(cls, end, unshared=True)
+            found += self._under(cls, end)
         return [*dict.fromkeys(found), self.left(name)]
 
-    def _under(self, cls: type[Message], end: str, *, unshared: bool) -> list[str]:
-        """Return the key expressions of a kind of message for one end or all."""
-        route = cls.route
-        keys = [route.key or cls.kind, *([route.unshared_key] if unshared and route.unshared_key else [])]
-        return [f"{self.prefix}/{key}/{end}" if route.each else f"{self.prefix}/{key}" for key in keys]
+    def _under(self, cls: type[Message], end: str) -> list[str]:
+        """Return the key expressions of a kind of message for one end or all, that of unshared ones last."""
+        keys = filter(None, (cls.route.key or cls.kind, cls.route.unshared_key))
+        return [f"{self.prefix}/{key}/{end}" if cls.route.each else f"{self.prefix}/{key}" for key in keys]
 
     def left(self, name: str) -> str:
         """Return the key under which a process says that it has sent its last message; `*` for all processes."""
@@ -106,11 +96,9 @@ class Keys:
     def token(self, key: str) -> Token:
         """Return the content of a liveliness token from its key. Raises: MessageError: it is none of this run."""
         found = _TOKEN.fullmatch(self.end(key))
-        if found is None:
+        if found is None or (found[1] == "alive") != (found[4] is not None):
             raise MessageError("malformed", f"expected the key of a token, got {key}")
-        if found[1] is None:
-            return Token(found[5], int(found[6]))
-        return Token(found[1], int(found[2]), found[3], int(found[4]))
+        return Token(found[2], int(found[3]), found[4], int(found[5]) if found[5] else None)
 
     def end(self, key: str) -> str:
         """Return a key without the prefix of the run."""

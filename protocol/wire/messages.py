@@ -1,12 +1,7 @@
-"""All messages of a run, and the other events that nodes receive.
-
-Per tick: coordinator -> plant `Tick`; plant -> each agent `Measurement`; agent -> plant, coordinator and, when it is
-shared, the other agents `Plan`. For the record: plant `PlantState` and `ActualInputs`, agents `StepReport`, any process
-`Rejected`. Around them: coordinator `Roster`, `LinkChange`, `Target` and `Control`. In lockstep most of them travel in
-bundles: `Answer`, `Relay`, `Instant` and `Record`.
-"""
+"""All messages of a run (docs/protocol.md), and the other events that nodes receive."""
 
 import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
@@ -18,33 +13,26 @@ from msgspec import Meta
 from model.arrays import Array
 from model.state import INPUTS, PAYLOAD, PER_UAV, REPORTED, REPORTS, SENSED
 from protocol.wire.errors import MessageError, Reason
-from protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, WATCHER, agent_name, is_name
+from protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, WATCHER, agent_name
 
 # Limits of a message; anything beyond them is refused, from any sender.
-MAX_HORIZON = 10_000
-MAX_NEGOTIATION_ITERATIONS = 20
+MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS = 10_000, 20
 MAX_TICK = 2**48
-MAX_TEXT = 1_000
-MAX_KEY = 80
+MAX_TEXT, MAX_KEY, MAX_PARTS = 1_000, 80, 1_024
 MAX_NAMES, MAX_NAME = 64, 80  # numbers of a note, characters of their names
-MAX_PARTS = 1_024
 MAX_POINTS = 256  # of a target
 
-_LARGEST = float(np.finfo(np.float64).max)
-
+_LARGEST = sys.float_info.max
 Count = Annotated[int, Meta(ge=0, le=MAX_TICK)]
-# In ticks; -1 where nothing was ever received.
 Age = Annotated[int, Meta(ge=-1, le=MAX_TICK)]
 Agent = Annotated[int, Meta(ge=1, le=MAX_UAVS)]
 # Ids of agents or UAVs, 1-based, ascending.
 Ids = Annotated[tuple[Agent, ...], Meta(max_length=MAX_UAVS)]
 Counts = Annotated[tuple[Count, ...], Meta(max_length=MAX_UAVS)]
 Ages = Annotated[tuple[Age, ...], Meta(max_length=MAX_UAVS)]
-# Tick of the plan that the actuators of each UAV follow; the negative ones are special.
 PlanTicks = Annotated[tuple[Annotated[int, Meta(ge=-3, le=MAX_TICK)], ...], Meta(max_length=MAX_UAVS)]
 Finite = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
-# Keys without the prefix of the run, and encoded messages.
 KeyEnds = Annotated[tuple[Annotated[str, Meta(max_length=MAX_KEY)], ...], Meta(max_length=MAX_PARTS)]
 Names = Annotated[tuple[Annotated[str, Meta(max_length=MAX_NAME)], ...], Meta(max_length=MAX_NAMES)]
 Parts = Annotated[tuple[bytes, ...], Meta(max_length=MAX_PARTS)]
@@ -72,6 +60,7 @@ class Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
     kind: ClassVar[str]
     route: ClassVar[Route]
     shapes: ClassVar[Mapping[str, ShapeOf]] = {}  # of its arrays, by field
+    as_long: ClassVar[tuple[str, ...]] = ()  # lists that are as long as each other
 
     sender: str  # process name
     incarnation: Count  # which start of that process, growing with every restart
@@ -80,12 +69,16 @@ class Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
     def check(self) -> None:
         """Check arrays, and fields against each other. Raises: MessageError: with field, expected and got."""
+        for field in self.as_long[1:]:
+            first, given, got = self.as_long[0], getattr(self, self.as_long[0]), getattr(self, field)
+            if len(got) != len(given):
+                text = f"{field}: expected one for each of {len(given)} {first}, got {len(got)}"
+                raise MessageError("wrong_shape", text)
         for field, shape_of in self.shapes.items():
             value: Array = getattr(self, field)
             expected = shape_of(self)
-            if value.shape != expected and (
-                len(value.shape) != len(expected)
-                or any(b not in (None, a) for a, b in zip(value.shape, expected, strict=True))
+            if len(value.shape) != len(expected) or any(
+                length not in (None, got) for got, length in zip(value.shape, expected, strict=True)
             ):
                 shown = ", ".join("any" if length is None else str(length) for length in expected)
                 raise MessageError("wrong_shape", f"{field}: expected shape ({shown}), got {value.shape}")
@@ -98,15 +91,6 @@ class Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
         """Value that grows from each message of its kind and sender to the next (docs/protocol.md)."""
         route = self.route
         return getattr(self, route.grows), -getattr(self, route.falls) if route.falls else 0
-
-
-def lengths_fit(**lists: tuple[object, ...]) -> None:
-    """Check that the lists of a message are as long as the first of them. Raises: MessageError: naming the field."""
-    (first, given), *others = lists.items()
-    for field, value in others:
-        if len(value) != len(given):
-            text = f"{field}: expected one for each of {len(given)} {first}, got {len(value)}"
-            raise MessageError("wrong_shape", text)
 
 
 Outcome = Literal["completed", "diverged", "aborted"]
@@ -154,6 +138,7 @@ class Roster(Message, tag="roster", frozen=True, kw_only=True):
     """Coordinator to all: the agents that take part from this tick on."""
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, grows="version")
+    as_long: ClassVar[tuple[str, ...]] = "agents", "incarnations"
 
     version: Count  # grows with every change
     agents: Ids  # agents on the roster
@@ -161,13 +146,6 @@ class Roster(Message, tag="roster", frozen=True, kw_only=True):
     off: Ids  # UAVs whose motors give no thrust and no moments, 1-based ids, ascending; the released ones too
     released: Ids  # UAVs that are no longer on their rods, 1-based ids, ascending
     reason: Text  # why it changed, for people
-
-    def check(self) -> None:
-        """Check that each agent has one incarnation, and that released UAVs are off."""
-        lengths_fit(agents=self.agents, incarnations=self.incarnations)
-        if not set(self.released) <= set(self.off):
-            text = f"released: expected UAVs among those off {list(self.off)}, got {list(self.released)}"
-            raise MessageError("out_of_range", text)
 
 
 class LinkChange(Message, tag="link", frozen=True, kw_only=True):
@@ -180,21 +158,12 @@ class LinkChange(Message, tag="link", frozen=True, kw_only=True):
     target: str  # the same
     settings: Text  # keys of a link and their new values, a JSON object (docs/keys.md, `links`)
 
-    def check(self) -> None:
-        """Check that the ends are processes."""
-        for field, end in (("source", self.source), ("target", self.target)):
-            if end and not is_name(end):
-                raise MessageError("out_of_range", f"{field}: expected a process name, got {end[:40]!r}")
-
 
 class Target(Message, tag="target", frozen=True, kw_only=True):
     """Coordinator to all: from this tick on the payload leaves its path for a target, or a curve that begins there."""
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
-    shapes: ClassVar[Mapping[str, ShapeOf]] = {
-        "points": lambda _: (None, 3),
-        "times": lambda message: (len(message.points),),
-    }
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {"points": lambda _: (None, 3), "times": lambda one: (len(one.points),)}
 
     number: Annotated[int, Meta(ge=1)]  # of the target in its run; sent again to processes that join late
     points: Array  # the target and further way points, (k, 3), inertial frame, m
@@ -205,7 +174,7 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
     way_ramp_s: Finite
 
     def check(self) -> None:
-        """Check the arrays and their length."""
+        """Check the number of points."""
         Message.check(self)
         if not 1 <= len(self.points) <= MAX_POINTS:
             raise MessageError("wrong_shape", f"points: expected 1 to {MAX_POINTS}, got {len(self.points)}")
@@ -294,6 +263,7 @@ class StepReport(Message, tag="report", frozen=True, kw_only=True):
 
     route: ClassVar[Route] = Route(sender=AGENT, receivers=(RECORDER, WATCHER), each="agent", grows="tick")
     shapes: ClassVar[Mapping[str, ShapeOf]] = {"force": lambda _: (3,), "times_ms": lambda _: (len(STAGES),)}
+    as_long: ClassVar[tuple[str, ...]] = "peers", "plan_ages", "state_ages"
 
     agent: Agent
     status: PlanStatus
@@ -310,11 +280,6 @@ class StepReport(Message, tag="report", frozen=True, kw_only=True):
     late: Count  # delivered plans that were older than one tick
     force: Array  # estimated, on the payload, inertial frame, (3,), N; or zero
     times_ms: Array  # of `STAGES` by the wall clock, not reproducible, (8,); "publish" is that of the step before
-
-    def check(self) -> None:
-        """Check the arrays, and that each peer has its ages."""
-        Message.check(self)
-        lengths_fit(peers=self.peers, plan_ages=self.plan_ages, state_ages=self.state_ages)
 
 
 class Note(Message, tag="note", frozen=True, kw_only=True):
@@ -352,10 +317,7 @@ class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):
     """
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(RECORDER,), grows="tick")
-    shapes: ClassVar[Mapping[str, ShapeOf]] = {
-        "inputs": _per_uav(INPUTS),
-        "tensions": lambda message: (len(message.cables),),
-    }
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {"inputs": _per_uav(INPUTS), "tensions": lambda one: (len(one.cables),)}
 
     uavs: Ids  # all of them, 1-based ids, ascending
     inputs: Array  # (N, 4), N and N m
@@ -386,13 +348,12 @@ class Rejected(Message, tag="rejected", frozen=True, kw_only=True):
 
 # Bundles: messages that travel together in lockstep; receivers check each of them as if it had come alone
 
-_ANSWERS = (Plan, StepReport)
-
 
 class Bundle(Message, frozen=True, kw_only=True):
     """Messages as bytes, each with its key; `carries` has the kinds that a kind of bundle may carry."""
 
     carries: ClassVar[tuple[type[Message], ...]] = ()
+    as_long: ClassVar[tuple[str, ...]] = "keys", "parts"
 
     keys: KeyEnds  # without the prefix of the run, such as "plan/2"
     parts: Parts  # encoded messages, in the same order
@@ -402,16 +363,12 @@ class Bundle(Message, frozen=True, kw_only=True):
         beginning = key.split("/", 1)[0]
         return any(beginning in (cls.kind, cls.route.unshared_key) for cls in self.carries)
 
-    def check(self) -> None:
-        """Check that each message has its key."""
-        lengths_fit(keys=self.keys, parts=self.parts)
-
 
 class Answer(Bundle, tag="answer", frozen=True, kw_only=True):
     """Agent to coordinator: the plan and the report of a tick."""
 
     route: ClassVar[Route] = Route(sender=AGENT, receivers=(COORDINATOR,), each="agent", grows="tick")
-    carries: ClassVar[tuple[type[Message], ...]] = _ANSWERS
+    carries: ClassVar[tuple[type[Message], ...]] = (Plan, StepReport)
 
     agent: Agent
 
@@ -420,7 +377,7 @@ class Relay(Bundle, tag="relay", frozen=True, kw_only=True):
     """Coordinator to plant and record: the answers of a tick, and the tick after it once that is open."""
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(PLANT, RECORDER, WATCHER))
-    carries: ClassVar[tuple[type[Message], ...]] = (*_ANSWERS, Tick)
+    carries: ClassVar[tuple[type[Message], ...]] = (Plan, StepReport, Tick)
 
 
 class Instant(Bundle, tag="instant", frozen=True, kw_only=True):

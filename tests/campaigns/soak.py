@@ -14,12 +14,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import psutil
+
 from benchmarks.runs import BenchmarkError
-from protocol.network.bus import usage
 from tests.support.commands import processes_of
 from transport.flight import live
 
@@ -148,13 +150,14 @@ def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict
     records: dict[str, Record] = {}
     while live.read(folder) is not None:
         for name, process in {"recorder": run.pid, **processes_of(folder.name)}.items():
-            used, memory_bytes = usage(process), _anonymous_bytes(process)
-            if memory_bytes is None or used["threads"] is None or used["open_files"] is None:
-                continue  # the process has just ended
-            record = records.setdefault(name, Record())
-            record.memory.append(memory_bytes)
-            record.threads.append(float(used["threads"]))
-            record.files.append(float(used["open_files"]))
+            memory_bytes = _anonymous_bytes(process)
+            with suppress(psutil.Error):  # the process has just ended
+                threads, files = psutil.Process(process).num_threads(), psutil.Process(process).num_fds()
+                if memory_bytes is not None:
+                    record = records.setdefault(name, Record())
+                    record.memory.append(memory_bytes)
+                    record.threads.append(float(threads))
+                    record.files.append(float(files))
         time.sleep(every_s)
     return records
 

@@ -28,7 +28,7 @@ from tests.system.test_viewer import Growing, page_of
 from transport.analysis.metrics import SETTLED_S
 from transport.analysis.replay import Comparison, Replay
 from transport.flight import live
-from transport.log.run_folder import open_run
+from transport.log.run_log import open_run
 
 Place = tuple[float, float, float]
 PHASES = np.linspace(0.0, 2.0 * np.pi, 9)[1:]

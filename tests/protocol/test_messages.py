@@ -84,11 +84,11 @@ def test_well_formed_garbage() -> None:
 @pytest.mark.parametrize(
     ("data", "sender", "reason", "text"),
     [
-        (b"", "", "malformed", "empty message"),
+        (b"", "", "malformed", "not MessagePack"),
         (bytes([VERSION]) + bytes(MAX_BYTES), "", "oversized", f"at most {MAX_BYTES}"),
         (bytes([VERSION + 1]) + encode(sample(Tick))[1:], "", "wrong_version", f"{VERSION + 1}, expected {VERSION}"),
         (encode(sample(Tick))[:-1], "", "malformed", "not MessagePack"),
-        (packed({"tick": 1}), "", "malformed", "a list that begins with a message kind"),
+        (packed({"tick": 1}), "", "malformed", "expected str, got object"),
         (packed("truce", "agent2"), "", "unknown_kind", "unknown message kind 'truce'"),
         (packed("tick", "agent2"), "", "wrong_shape", "expected array of at least length"),
         (packed(*content(sample(Tick)), 0), "coordinator", "wrong_shape", "at most length 10, got 11"),

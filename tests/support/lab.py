@@ -20,9 +20,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.hosts import DeployError, Host, Inventory, Placement, placements
+from deploy.hosts import DeployError, Host, Inventory, Placement, command, placements, render
 from deploy.keys import LOOPBACK, OTHERS, make_certificates
-from deploy.render import command, render
 from protocol.network.endpoints import process_names
 from protocol.network.parent import ENVIRONMENT, python
 from protocol.scenario.file import ScenarioError, find_scenario, read_scenario

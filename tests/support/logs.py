@@ -1,6 +1,7 @@
 """Logs composed of single messages and of simulated runs, for the tests of metrics, report and figures."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -123,7 +124,7 @@ def record_run(run: Setup, folder: Path) -> list[Message]:
     text = tomli_w.dumps(run.scenario.tree())
     (folder / "scenario.toml").write_text(text, encoding="utf-8")
     messages: list[Message] = []
-    with LogWriter(folder / "run.mcap", HEADER | {"scenario": text}, period_ns=run.period_ns) as writer:
+    with closing(LogWriter(folder / "run.mcap", HEADER | {"scenario": text}, period_ns=run.period_ns)) as writer:
 
         def record(message: Message) -> None:
             messages.append(message)

@@ -17,7 +17,7 @@ class _Checked:
     """A node that counts the messages its gate would refuse for their content or moment."""
 
     def __init__(self, setup: Setup, *args: Any, **options: Any) -> None:
-        self.rejected, self.shape = Rejections("test"), setup.shape
+        self.rejected, self.shape = Rejections(), setup.shape
         super().__init__(setup, *args, **options)  # type: ignore[call-arg]
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:

@@ -10,6 +10,8 @@ from msgspec.structs import replace
 
 from model import state
 from model.arrays import Array
+from protocol.network.bus import Place
+from protocol.network.endpoints import Endpoints
 from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import (
@@ -56,6 +58,11 @@ def ready(name: str, *settings: str) -> Setup:
     """Return the run of a ready scenario with some settings changed."""
     path = SCENARIOS / f"{name}.toml"
     return Setup.of(read_scenario(path, settings), path.name)
+
+
+def place(run: str) -> Place:
+    """Return the place of a recorder in a run without a network."""
+    return Place(run=run, endpoints=Endpoints(listen=[], connect=[]), join_timeout_s=1.0)
 
 
 def integrated(run: Setup, x: Array, u: Array) -> Array:

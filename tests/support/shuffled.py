@@ -41,7 +41,7 @@ class _Shuffled(memory.InMemoryRun):
     def _tell(self, event: Presence) -> None:
         self._put(event.name, self._coordinator.name, event)
         if not event.alive:  # each process sees the connection close, at its own time
-            for name in self._nodes.keys() - {self._coordinator.name, event.name}:
+            for name in self.nodes.keys() - {self._coordinator.name, event.name}:
                 self._put(event.name, name, event)
 
     def _fails(self, name: str, message: Message) -> bool:
@@ -53,7 +53,7 @@ class _Shuffled(memory.InMemoryRun):
         return failed
 
     def _put(self, sender: str, receiver: str, event: Message | Presence) -> None:
-        if receiver not in self._nodes:
+        if receiver not in self.nodes:
             return
         channel = sender, receiver, self._keys.of(event) if isinstance(event, Message) else _PRESENCE
         if channel not in self._channels:
@@ -74,7 +74,7 @@ class _Shuffled(memory.InMemoryRun):
         speeds = np.array([self._speeds[channel] for channel in busy])
         channel = busy[self._rng.choice(len(busy), p=speeds / speeds.sum())]
         event, name = self._channels[channel].popleft(), channel[1]
-        node = self._nodes.get(name)
+        node = self.nodes.get(name)
         if node is not None and not (isinstance(event, Message) and self._fails(name, event)):
             self._send(node.receive(event, self._now_ns))
 

@@ -14,7 +14,7 @@ from protocol.admission.gate import Gate
 from protocol.admission.gate import Sample as Unread
 from protocol.network import bus as bus_module
 from protocol.network import process
-from protocol.network.bus import Bus, Interrupted
+from protocol.network.bus import Bus, Interrupted, Place
 from protocol.network.endpoints import Endpoints
 from protocol.network.process import exchange_of
 from protocol.scenario.setup import Setup
@@ -116,14 +116,8 @@ class NodeReceiver:
     def __init__(self, node: Node, keys: Keys, setup: Setup) -> None:
         self.node = node
         self.gate: Gate = SilentGate(node.name, keys, setup.shape, node.check_moment)
-        self.bus = Bus(
-            name=node.name,
-            incarnation=node.incarnation,
-            run=keys.run,
-            digest=setup.scenario.digest(),
-            endpoints=Endpoints(listen=[], connect=[]),
-            gate=self.gate,
-        )
+        place = Place(run=keys.run, incarnation=node.incarnation, endpoints=Endpoints(listen=[], connect=[]))
+        self.bus = Bus(node.name, place, setup.scenario.digest(), self.gate)
         self.exchange = exchange_of(setup, node.name, node.incarnation, keys, self.bus.put)
         self.bus.before_wait = self.exchange.settle
 

@@ -10,7 +10,7 @@ import zenoh
 from msgspec.structs import replace
 
 from protocol.admission.gate import Gate
-from protocol.network.bus import Bus
+from protocol.network.bus import Bus, Place
 from protocol.network.endpoints import Endpoints
 from protocol.network.security import Security, access_control
 from protocol.wire.codec import VERSION, encode
@@ -47,15 +47,8 @@ class Guarded:
         self.at = f"tls/127.0.0.1:{port}"
         self.gate = Gate(name, KEYS, setup().shape)
         security = Security(keyring("one"), TEAM)
-        self.bus = Bus(
-            name=name,
-            incarnation=0,
-            run=KEYS.run,
-            digest=DIGEST,
-            endpoints=Endpoints(listen=[self.at], connect=[], security=security),
-            gate=self.gate,
-            serves=name == "coordinator",
-        )
+        place = Place(run=KEYS.run, endpoints=Endpoints(listen=[self.at], connect=[], security=security))
+        self.bus = Bus(name, place, DIGEST, self.gate, serves=name == "coordinator")
 
     def accepted(self, timeout_s: float) -> list[Message]:
         """Return accepted messages until a timeout after the last one."""

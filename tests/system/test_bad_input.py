@@ -71,7 +71,7 @@ def test_port_in_use_is_named(tmp_path: Path) -> None:
         whole = transport("run", "paper", *settings(f"network.base_port={base}"), "--out", "out", cwd=tmp_path)
         single = transport("coordinator", "--listen", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
     assert whole.returncode == LOST
-    assert f"network.base_port: expected free ports {base}.." in whole.stderr
+    assert "network.base_port: expected free ports, got" in whole.stderr
     assert not (tmp_path / "out").exists()
     assert single.returncode == LOST
     assert "address already in use" in single.stderr

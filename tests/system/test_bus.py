@@ -9,7 +9,7 @@ import pytest
 import zenoh
 
 from protocol.admission.gate import Gate
-from protocol.network.bus import Bus
+from protocol.network.bus import Bus, Place
 from protocol.network.endpoints import Endpoints
 from protocol.network.session import BusError
 from protocol.wire.codec import MAX_BYTES, VERSION, encode
@@ -31,14 +31,10 @@ class Plant:
     def __init__(self, port: int) -> None:
         self.gate = Gate("plant", KEYS, setup().shape)
         self.rejections = self.gate.rejections
-        self.bus = Bus(
-            name="plant",
-            incarnation=0,
-            run=KEYS.run,
-            digest=DIGEST,
-            endpoints=Endpoints(listen=[f"tcp/127.0.0.1:{port}"], connect=[]),
-            gate=self.gate,
+        place = Place(
+            run=KEYS.run, endpoints=Endpoints(listen=[f"tcp/127.0.0.1:{port}"], connect=[]), join_timeout_s=1.0
         )
+        self.bus = Bus("plant", place, DIGEST, self.gate)
 
     def counts(self) -> dict[tuple[str, str], int]:
         """Return the numbers of refused messages by sender and reason."""
@@ -131,7 +127,7 @@ def test_a_process_that_waits_gives_signs_of_life(
     monkeypatch.setattr("protocol.network.bus.WAITING_S", 0.1)
     said: list[str] = []
     with pytest.raises(BusError, match="no sign of agent1, agent2 within 1 s"):
-        network[0].bus.join(["agent1", "agent2"], 1.0, said.append)
+        network[0].bus.join(["agent1", "agent2"], said.append)
     assert 2 <= len(said) <= 10
     assert all(text.startswith("waiting for agent1, agent2; gives up in ") for text in said)
 
@@ -142,5 +138,5 @@ def test_another_version_is_refused_by_name(network: tuple[Plant, zenoh.Session]
     token = session.liveliness().declare_token(f"{KEYS.prefix}/alive/coordinator/0/{DIGEST}/{VERSION + 1}")
     expected = f"coordinator speaks version {VERSION + 1} of the protocol, plant version {VERSION}: install the same"
     with pytest.raises(BusError, match=expected):
-        plant.bus.join(["coordinator"], PATIENCE_S)
+        plant.bus.join(["coordinator"])
     token.undeclare()  # type: ignore[no-untyped-call]

@@ -135,7 +135,7 @@ def test_environment_and_folder_of_now(begin: Begin, tmp_path: Path, monkeypatch
         child = begin("log", "agent", "--id", "9", "--scenario", "scenario.toml")
         assert is_forked(child)
         assert child.wait(60.0) == 2
-        assert f"of scenario {name}, got 9" in child.last_line()
+        assert f"of scenario {name}, got 9" in child.log.read_text()
     monkeypatch.setenv("COLUMNS", "40")
     child = begin("log", "agent", "--help")
     assert is_forked(child)

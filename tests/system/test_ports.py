@@ -6,7 +6,7 @@ from contextlib import ExitStack, closing
 
 import pytest
 
-from transport.flight.harness import HarnessError, free_ports
+from transport.flight.harness import HarnessError, reserved_ports
 
 HOST = "127.0.0.1"
 
@@ -31,7 +31,7 @@ def any_port(shares: bool) -> int:
 def test_ports_are_kept() -> None:
     """Reserved ports are all different; neither a request for any port nor an outgoing connection gets one."""
     with ExitStack() as reserved, closing(socket.create_server((HOST, 0))) as server:
-        kept = [port for _ in range(RUNS) for port in reserved.enter_context(free_ports(HOST, PORTS))]
+        kept = [port for _ in range(RUNS) for port in reserved.enter_context(reserved_ports(HOST, [0] * PORTS))]
         assert len(set(kept)) == RUNS * PORTS
         assert not {any_port(number % 2 == 0) for number in range(OTHERS)} & set(kept)
         for _ in range(OTHERS // 10):
@@ -43,5 +43,5 @@ def test_ports_are_kept() -> None:
 def test_an_address_of_another_machine() -> None:
     """An address of another machine is refused with its key."""
     stranger = "203.0.113.1"
-    with pytest.raises(HarnessError, match=r"network\.host: cannot listen on 203"), free_ports(stranger, 1):
+    with pytest.raises(HarnessError, match=r"network\.host: cannot listen on 203"), reserved_ports(stranger, [0]):
         pass

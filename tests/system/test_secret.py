@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from protocol.network.security import SHARED, Security, SecurityError, new_secret
+from protocol.network.security import SHARED, Security, SecurityError
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.attacker import session
 from tests.support.commands import settings, start, wait_for
@@ -62,7 +62,7 @@ def test_only_the_secret_connects(active: Path) -> None:
 def test_a_file_system_without_permissions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run is refused where all could read its secret, with the remedy, and leaves no file."""
     touch = Path.touch
-    monkeypatch.setattr(Path, "touch", lambda self, mode, exist_ok: (touch(self), self.chmod(0o777)))
+    monkeypatch.setattr(Path, "touch", lambda self, mode: (touch(self), self.chmod(0o777)))
     with pytest.raises(RunError, match=r"network.secret: .* for all; .*--set network.secret=false"):
         own_keys(read_scenario(find_scenario("resilient")), tmp_path).__enter__()
     assert list(tmp_path.iterdir()) == []
@@ -70,7 +70,8 @@ def test_a_file_system_without_permissions(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_bad_secret_is_refused(tmp_path: Path) -> None:
     """A file that holds no secret is refused by its name."""
-    with new_secret(tmp_path / "keys") as folder:
+    with own_keys(read_scenario(find_scenario("resilient")), tmp_path) as folder:
+        assert folder is not None
         Security(folder, ()).check("agent1")
         (folder / SHARED).write_text("", encoding="utf-8")
         with pytest.raises(SecurityError, match=rf"{folder / SHARED}: expected a line USER:SECRET"):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ def test_a_troubled_run_equals_the_one_in_memory(troubled: Path, tmp_path: Path)
     shutil.copy(troubled / "scenario.toml", scenario)
     run = Setup.of(read_scenario(scenario), str(scenario))
     header = read_log(troubled / "run.mcap").header
-    with LogWriter(tmp_path / "run.mcap", header, period_ns=run.period_ns) as writer:
+    with closing(LogWriter(tmp_path / "run.mcap", header, period_ns=run.period_ns)) as writer:
         control = simulate(run, lambda message: writer.write(message, 0))
     assert control.outcome == "completed"
     write_report(tmp_path, figures=False)

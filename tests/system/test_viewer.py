@@ -35,8 +35,7 @@ from transport.flight import live
 from transport.flight.live import LiveRun
 from transport.flight.memory import simulate
 from transport.flight.run import simulate as run_processes
-from transport.log.run_folder import setup_of
-from transport.log.run_log import LogTail, read_log
+from transport.log.run_log import LogTail, read_log, setup_of
 from transport.scene.scene import RunHistory, SceneBuilder
 from transport.viewer.panel import Playback
 from transport.viewer.viewer import Viewer, open_viewer

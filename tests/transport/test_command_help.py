@@ -16,7 +16,7 @@ from tests.support.logs import record_run
 from transport.cli.lazy import LazyGroup
 from transport.cli.main import app
 from transport.cli.options import newest_runs
-from transport.log.run_folder import point_latest
+from transport.log.run_log import point_latest
 
 ONE_LINE = {
     "valdate paper": "no such command 'valdate'. Did you mean 'validate'? (transport --help)",

@@ -22,8 +22,7 @@ from tests.support import runs
 from tests.support.logs import record_run
 from tests.support.messages import messages as any_message
 from transport.cli.main import app
-from transport.log.run_folder import open_run
-from transport.log.run_log import read_log, topic_of
+from transport.log.run_log import open_run, read_log, topic_of
 from transport.report.foxglove import NUMBERS, json_schema, to_json
 from transport.report.mcap_copy import METADATA
 from transport.scene.drawing import Drawing

@@ -9,7 +9,6 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from protocol.network.endpoints import Endpoints
 from protocol.scenario.setup import Setup
 from protocol.wire import codec
 from protocol.wire.codec import decode, encode
@@ -51,7 +50,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def recording(run: Setup, path: Path) -> Iterator[Recorder]:
     """Open a recorder that receives its messages from the test."""
     writer = LogWriter(path, with_scenario(HEADER, run), period_ns=run.period_ns)
-    recorder = Recorder(run, run.scenario.name, writer, Endpoints(listen=[], connect=[]), 1.0)
+    recorder = Recorder(run, runs.place(run.scenario.name), writer, print)
     yield recorder
     recorder.close()
     assert recorder.error is None

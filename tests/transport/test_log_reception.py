@@ -1,7 +1,7 @@
 """A log holds what came; who reads it sees what a receiver of the run would have accepted."""
 
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +37,7 @@ def entry(message: Message) -> Entry:
 
 def write(path: Path, entries: Sequence[Entry]) -> Path:
     """Write the log of entries as they came, 1 ms apart."""
-    with LogWriter(path, with_scenario(HEADER, RUN), period_ns=RUN.period_ns) as writer:
+    with closing(LogWriter(path, with_scenario(HEADER, RUN), period_ns=RUN.period_ns)) as writer:
         header = header_of(entries[0][1])
         for number, (key, data) in enumerate(entries):
             with suppress(MessageError):  # a garbled entry has the header of the one before

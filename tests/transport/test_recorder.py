@@ -8,8 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from protocol.admission.gate import Gate
-from protocol.network.bus import BusEvent
-from protocol.network.endpoints import Endpoints
+from protocol.network.bus import BusEvent, Place
 from protocol.scenario.setup import Setup
 from protocol.wire.codec import encode
 from protocol.wire.keys import Keys
@@ -34,8 +33,9 @@ class ScriptedBus:
     script: tuple[tuple[str, bytes] | Presence | Callable[[], None] | None, ...] = ()
     arrived_ns = 0
 
-    def __init__(self, *, gate: Gate, **_: object) -> None:
+    def __init__(self, _name: str, _place: Place, _digest: str, gate: Gate, **_: object) -> None:
         self._gate, self._left = gate, deque(self.script)
+        self.alive = dict.fromkeys(PROCESSES, 0)
 
     def join(self, *_: object) -> None:
         """All processes have joined."""
@@ -52,6 +52,9 @@ class ScriptedBus:
                 item()
                 continue
             if isinstance(item, Presence):
+                self.alive |= {item.name: 0}
+                if not item.alive:
+                    del self.alive[item.name]
                 return item
             for message in self._gate.accept(*item):
                 return message
@@ -77,7 +80,7 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recording:
         monkeypatch.setattr(ScriptedBus, "script", (*script, *gone))
         path = tmp_path / "run.mcap"
         writer = LogWriter(path, with_scenario(HEADER, run), period_ns=run.period_ns)
-        recorder = Recorder(run, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
+        recorder = Recorder(run, runs.place(KEYS.run), writer, print)
         recorder.start(PROCESSES)
         recorder.join()
         recorder.close()
@@ -94,7 +97,7 @@ def recorder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recorder:
     """Return a recorder without a network, which has not begun."""
     monkeypatch.setattr(recorder_module, "Bus", ScriptedBus)
     writer = LogWriter(tmp_path / "run.mcap", with_scenario(HEADER, RUN), period_ns=RUN.period_ns)
-    return Recorder(RUN, KEYS.run, writer, Endpoints(listen=[], connect=[]), 1.0)
+    return Recorder(RUN, runs.place(KEYS.run), writer, print)
 
 
 def flight(ticks: int) -> list[Message]:

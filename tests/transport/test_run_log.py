@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ RECEIVED_NS = 1_700_000_000_000_000_000
 
 def write(path: Path, messages: Sequence[Message], period_ns: int = 50_000_000) -> Path:
     """Write a finished log of messages received 1 us apart."""
-    with LogWriter(path, HEADER, period_ns=period_ns) as writer:
+    with closing(LogWriter(path, HEADER, period_ns=period_ns)) as writer:
         for number, message in enumerate(messages):
             writer.write(message, RECEIVED_NS + 1000 * number)
     return path

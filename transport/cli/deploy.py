@@ -53,7 +53,7 @@ def render(
 
     Example: transport deploy render --hosts hosts.toml --keys keys --out deployment
     """
-    from deploy.render import render as render_folders
+    from deploy.hosts import render as render_folders
 
     setup = read_setup(scenario, settings, allow_large=large)
     inventory = read_inventory(hosts, process_names(setup.scenario))

@@ -29,7 +29,7 @@ from transport.experiments.simulation import Result, simulate
 from transport.experiments.statistics import WIDTH, WIDTH_OF_VARIANTS, PointStatistics, means_in_words, table_of
 from transport.experiments.sweep import Results, sweep
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
-from transport.flight.header import machine
+from transport.flight.run_files import machine
 
 __all__ = ["EXPERIMENTS", "design_experiments", "network_experiments"]  # declared when imported
 

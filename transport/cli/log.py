@@ -12,8 +12,7 @@ from protocol.scenario.setup import Setup
 from protocol.wire.messages import KINDS, Control
 from transport.cli.options import FormatOption, complete_run, run_folder
 from transport.cli.output import Format, blame, facts, fail, rows, show
-from transport.log.run_folder import missing
-from transport.log.run_log import RunLog, read_log, setup_in, topic_of
+from transport.log.run_log import RunLog, missing, read_log, setup_in, topic_of
 from transport.log.tables import INPUT_NAMES, RATE_NAMES, columns, tables
 
 LogArgument = Annotated[

@@ -12,7 +12,7 @@ from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_UN
 from transport.cli.lazy import load
 from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, show
-from transport.log.run_folder import open_run
+from transport.log.run_log import open_run
 from transport.report.report import report_run, summary_table, warnings, write_report
 
 

@@ -14,11 +14,10 @@ from typing import Annotated
 import typer
 from typer import Option
 
+from protocol.network.bus import Place
 from protocol.network.endpoints import Endpoints, endpoints_of, security_of
-from protocol.network.parent import stand_by
-from protocol.network.process import Journal, Place, run_node
+from protocol.network.process import Journal, run_node
 from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.keys import ROUTER, Keys
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name
 from transport.cli.lazy import with_options
@@ -88,8 +87,6 @@ def agent(
     place = options.place(agent_name(number))
     node = AgentNode(setup, number, place.incarnation, time.perf_counter_ns)
     node.warm_up()
-    if not stand_by():
-        raise typer.Exit(EXIT_UNREACHABLE)
     others = [name for name in map(agent_name, setup.agents) if name != node.name]
     raise typer.Exit(run_node(node, place, setup, [COORDINATOR, PLANT, *others]))
 

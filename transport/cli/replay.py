@@ -16,8 +16,8 @@ from protocol.wire.messages import Measurement
 from transport.analysis.replay import Comparison, Replay
 from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, rows, show
-from transport.flight.header import machine, versions
-from transport.log.run_folder import RecordedRun, open_run
+from transport.flight.run_files import machine, versions
+from transport.log.run_log import RecordedRun, open_run
 from transport.log.tables import INPUT_NAMES, RATE_NAMES
 from transport.report.figures import draw_replay
 

@@ -17,8 +17,7 @@ from protocol.network.rmw_zenoh import RosNode
 from transport.cli.operate import RunOption, find_active
 from transport.cli.output import blame
 from transport.flight.live import Commands
-from transport.log.run_folder import setup_of
-from transport.log.run_log import LogTail
+from transport.log.run_log import LogTail, setup_of
 from transport.scene.scene import KINDS, RunHistory, SceneBuilder
 
 if TYPE_CHECKING:
@@ -52,7 +51,7 @@ def ros2(
     os.nice(_NICE)
     folder, there = find_active(run, "name its folder with --run")
     setup = setup_of(folder)
-    history, tail = RunHistory(setup), LogTail(folder / _LOG, KINDS, setup)
+    history, tail = RunHistory(setup), LogTail(folder / _LOG, setup)
     messages = Ros2Messages(SceneBuilder(setup, history))
     kinds = {topic: (kind, types().hash_rihs01(kind)) for topic, kind in messages.topics.items()}
     heard = {TARGET[0]: (TARGET[1], types().hash_rihs01(TARGET[1]))}

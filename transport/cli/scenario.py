@@ -13,7 +13,7 @@ from protocol.scenario.team import FEWEST, MOST, given
 from protocol.wire.exit_codes import EXIT_CHECK_FAILED
 from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption, read_setup
 from transport.cli.output import Format, blame, fail, show
-from transport.flight.header import checked
+from transport.flight.run_files import checked
 from transport.interface.scenario import Scenario
 
 

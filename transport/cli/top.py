@@ -23,8 +23,7 @@ from transport.cli.operate import RunOption, find_active
 from transport.cli.options import run_folder
 from transport.cli.output import Format, fail, rows, show
 from transport.flight import live
-from transport.log.run_folder import setup_of
-from transport.log.run_log import LogTail
+from transport.log.run_log import LogTail, setup_of
 
 # Number of steps for the longest step time, and of kept notices.
 _RECENT, _NOTICES = 100, 5

@@ -18,7 +18,7 @@ from protocol.network.session import fetch_answer, open_session
 from protocol.scenario.setup import Setup
 from protocol.wire.keys import WATCHER, Keys
 from protocol.wire.names import RECORDER
-from transport.flight.harness import HarnessError, check_ports, free_ports
+from transport.flight.harness import HarnessError, reserved_ports
 
 _LATE_MS, _NAPS = 2.0, 40
 # Longest round trip of an undisturbed loopback interface, number of them, time for all of them.
@@ -57,8 +57,8 @@ def ports(setup: Setup) -> Finding:
         return Finding("ok", f"none needed: all processes are clients of {scenario.network.router}")
     listened = [int(place.listen[0].rsplit(":", 1)[1]) for place in default_mesh(scenario).values()]
     try:
-        with free_ports(host, 1):
-            check_ports(host, listened)
+        with reserved_ports(host, [0, *listened]):
+            pass
     except HarnessError as error:
         advice = "an address of this machine as network.host; end the process that uses the port, or network.base_port"
         is_needed = scenario.network.base_port is not None or "network.host" in str(error)
@@ -70,7 +70,7 @@ def network(setup: Setup) -> Finding:
     """Check that two Zenoh sessions on the network's host find each other, and measure the round trip."""
     host, keys, times_ms = setup.scenario.network.host, Keys("doctor"), list[float]()
     key, deadline = keys.request(RECORDER, "ping"), time.monotonic() + _NETWORK_S
-    with free_ports(host, 1) as (port,):
+    with reserved_ports(host, [0]) as (port,):
         here = Endpoints(listen=[f"tcp/{host}:{port}"], connect=[])
         there = Endpoints(listen=[], connect=here.listen)
         with (

@@ -18,7 +18,7 @@ from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
 from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_USAGE
-from transport.flight.header import checked
+from transport.flight.run_files import checked
 from transport.log.run_log import RunLog
 
 

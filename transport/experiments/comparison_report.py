@@ -24,7 +24,7 @@ from transport.experiments.simulation import run_in_memory
 from transport.experiments.simulation import simulate as simulate_here
 from transport.experiments.statistics import Column, console_table
 from transport.experiments.sweep import Results, Simulate, Swept, sweep
-from transport.flight.header import machine
+from transport.flight.run_files import machine
 from transport.report.column import column_panels, head
 from transport.report.compare import fill_overlaid
 from transport.report.report import write_csv, write_whole

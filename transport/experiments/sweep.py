@@ -18,8 +18,8 @@ from transport.experiments.figures import draw
 from transport.experiments.simulation import ERROR, NUMBERS, RESOURCES, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.experiments.workers import on_cores
-from transport.flight.header import machine
 from transport.flight.progress import ConsoleProgress
+from transport.flight.run_files import machine
 from transport.report.report import write_csv, write_whole
 
 _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"

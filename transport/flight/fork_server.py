@@ -1,14 +1,11 @@
 """Fork server: starts the processes of a run by fork, so that imports are done once and their memory is shared.
 
-The imports of an agent take more than 0.3 s of processor time. The server has one thread and no network, as fork
-requires. A forked process equals `python -m transport agent ...`: it has its own session, output, title and exit code,
-and is a child of the process that asked for it. On systems other than Linux (`prctl`), and without an answer of the
-server, processes are started by Popen.
+A forked process equals `python -m transport agent ...`: it has its own session, output, title and exit code, and is a
+child of the process that asked for it. On systems other than Linux processes are started by Popen.
 """
 
 import atexit
 import ctypes
-import functools
 import gc
 import json
 import os
@@ -29,28 +26,25 @@ import setproctitle
 from protocol.network.parent import ENVIRONMENT, PARENT_PIPE, python
 from protocol.wire.exit_codes import EXIT_INTERRUPTED
 
-# First argument of the command that is the server (`transport.__main__`).
-_FORK_SERVER = "fork-server"
+_FORK_SERVER = "fork-server"  # first argument of the command that is the server (`transport.__main__`)
 _REQUEST_BYTES = 128 * 1024
-# Time for an answer, s: the imports take 1 s.
-_ANSWER_S = 20.0
+_ANSWER_S = 20.0  # time for an answer: the imports take 1 s
 _PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
+_servers: list["ForkServer"] = []  # of this process: one at most
 
 
-@functools.cache
 def fork_server() -> "ForkServer":
     """Return the server of this process; the first call starts it."""
-    server = ForkServer()
-    atexit.register(server.close)
-    return server
+    if not _servers:
+        _servers.append(ForkServer())
+    return _servers[0]
 
 
+@atexit.register
 def close_fork_server() -> None:
     """End the server of this process, if there is one; a later call of `fork_server` starts another."""
-    if fork_server.cache_info().currsize:
-        atexit.unregister(fork_server().close)
-        fork_server().close()
-        fork_server.cache_clear()
+    while _servers:
+        _servers.pop().close()
 
 
 class ForkServer:
@@ -79,15 +73,15 @@ class ForkServer:
     ) -> psutil.Process:
         """Start `transport` as a child with two open files and additions to the environment of this process."""
         environment = {**ENVIRONMENT, **os.environ, **extra}
+        request = {"arguments": list(arguments), "environment": environment, "folder": str(Path.cwd())}
         with self._turn:
-            if self._socket is not None:
-                request = {"arguments": list(arguments), "environment": environment, "folder": str(Path.cwd())}
-                try:
+            try:
+                if self._socket is not None:
                     socket.send_fds(self._socket, [json.dumps(request).encode()], [stdin, output.fileno()])
                     return psutil.Process(int(self._socket.recv(64)))
-                except (OSError, ValueError, psutil.Error):
-                    # The server only saves time. A process that it has forked but not announced ends with its input.
-                    self.close()
+            except (OSError, ValueError, psutil.Error):
+                # The server only saves time. A process that it has forked but not announced ends with its input.
+                self.close()
         command = [*python("transport"), *arguments]
         return psutil.Popen(
             command, stdin=stdin, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True
@@ -104,15 +98,12 @@ class ForkServer:
 
 
 def _adopt_orphans(adopt: bool) -> bool:
-    """Make this process, or not, the new parent of orphaned descendants, such as forked processes; return success."""
+    """Make this process, or not, the new parent of its orphaned descendants; return success."""
     return bool(ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0) == 0)
 
 
 def serve(own: socket.socket, prepare: Callable[[list[str]], None], command: Callable[[], NoReturn]) -> None:
-    """Be the server: start a process with the command for each request from a socket until its other end is closed.
-
-    `prepare` gets the arguments of each request, and reads for all processes what they need.
-    """
+    """Be the server: `prepare` and fork a process with the command for each request, until the socket is closed."""
     setproctitle.setproctitle(f"transport {_FORK_SERVER}")  # before the environment moves: titles use its memory
     while True:
         content, descriptors, _, _ = socket.recv_fds(own, _REQUEST_BYTES, 2)

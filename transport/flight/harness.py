@@ -5,8 +5,7 @@ import os
 import signal
 import socket
 import sys
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,11 +17,10 @@ from protocol.network.endpoints import Endpoints
 from protocol.network.parent import PARENT_PIPE, STANDBY
 from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from protocol.wire.names import COORDINATOR
+from protocol.wire.names import COORDINATOR, RECORDER
 from transport.flight.fork_server import fork_server
 
-# Time for processes to end before they are killed, and for killed ones, s.
-_GRACE_S = 5.0
+_GRACE_S = 5.0  # time for processes to end before they are killed, and for killed ones
 
 
 class HarnessError(TransportError, RuntimeError):
@@ -56,11 +54,11 @@ class Child:
 
     def signal(self, number: int) -> bool:
         """Send a signal; return whether the process is running."""
-        if self.code is not None:
-            return False
+        is_running = self.code is None
         with suppress(psutil.NoSuchProcess):
-            self.process.send_signal(number)
-        return True
+            if is_running:
+                self.process.send_signal(number)
+        return is_running
 
     def go(self) -> bool:
         """Let a standby process begin; return whether it was running."""
@@ -75,18 +73,11 @@ class Child:
         with suppress(OSError):
             self.stdin.close()
 
-    def last_line(self) -> str:
-        """Return the last line of output that is not empty."""
-        return self.log.read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
-
 
 def start_child(
     name: str, arguments: Sequence[str], log: Path, incarnation: int = 0, *, standby: bool = False
 ) -> Child:
-    """Start `transport` with arguments and a file for its output; it ends when this process does.
-
-    Raises: OSError: the file cannot be written.
-    """
+    """Start `transport` with arguments and a file for its output; it ends when this process does."""
     with log.open("wb") as output:
         reads, writes = os.pipe()
         stdin = os.fdopen(writes, "wb", 0)
@@ -111,12 +102,6 @@ class Harness:
     keys: Path | None = None  # folder of keys in place of the scenario's
     children: list[Child] = field(default_factory=list)  # processes in the order of their starts
 
-    def start(self, observers: Sequence[str] = ()) -> None:
-        """Start all processes of the mesh, or raise HarnessError."""
-        self.logs.mkdir(parents=True, exist_ok=True)
-        for name in self.mesh:
-            self._start(name, observers)
-
     def ended(self) -> list[Child]:
         """Return the children that have ended."""
         return [child for child in self.children if child.code is not None]
@@ -125,50 +110,37 @@ class Harness:
         """Return the last started process of a name."""
         return next(child for child in reversed(self.children) if child.name == name)
 
-    def restart(self, name: str) -> None:
-        """Kill a process if it still runs, and start it again with the next incarnation."""
-        old = self.child(name)
-        old.signal(signal.SIGKILL)
-        old.wait(_GRACE_S)
-        self._start(name, incarnation=old.incarnation + 1)
-
     def wait(self, timeout_s: float) -> None:
         """Wait for all children to end."""
-        until_s = time.monotonic() + timeout_s
-        for child in self.children:
-            child.wait(max(0.0, until_s - time.monotonic()))
+        psutil.wait_procs([child.process for child in self.children], timeout_s)
 
-    def end(self) -> list[str]:
-        """End all running children: SIGTERM, and SIGKILL after a grace period; return a sentence about each killed."""
-        killed = []
+    def end(self, say: Callable[[str], None]) -> None:
+        """End all running children: SIGTERM, and SIGKILL after a grace period, with a sentence about each killed."""
         for child in self.children:
             child.signal(signal.SIGTERM)
             child.signal(signal.SIGCONT)  # a stopped process ignores SIGTERM
         self.wait(_GRACE_S)
         for child in self.children:
             if child.code is None:
-                killed.append(f"{child.name} did not end: {child.process.status()}; it was killed")
+                say(f"{child.name} did not end: {child.process.status()}; it was killed")
                 child.signal(signal.SIGKILL)
         self.wait(_GRACE_S)
         for child in self.children:
             child.close()
-        return killed
 
-    def _start(self, name: str, observers: Sequence[str] = (), incarnation: int = 0) -> None:
-        endpoints = self.mesh[name]
+    def start(self, name: str, incarnation: int = 0) -> None:
+        """Start a process of the mesh."""
         role = ["agent", "--id", name.removeprefix("agent")] if name.startswith("agent") else [name]
         options = [("--scenario", str(self.scenario)), ("--run", self.run), ("--incarnation", str(incarnation))]
         options += [] if self.keys is None else [("--set", keys_setting(self.keys))]
-        options += [("--listen", endpoint) for endpoint in endpoints.listen]
-        options += [("--connect", endpoint) for endpoint in endpoints.connect]
-        options += [("--observer", observer) for observer in observers if name == COORDINATOR]
+        options += [("--listen", endpoint) for endpoint in self.mesh[name].listen]
+        options += [("--connect", endpoint) for endpoint in self.mesh[name].connect]
+        options += [("--observer", RECORDER)] if name == COORDINATOR else []
         # The parent has checked the scenario's size.
         arguments = [*role, "--allow-large", *(text for option in options for text in option)]
         log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
-        try:
-            self.children.append(start_child(name, arguments, log, incarnation))
-        except OSError as error:
-            raise HarnessError(f"{log}: cannot write the output of {name} ({error.strerror})") from error
+        log.parent.mkdir(exist_ok=True)
+        self.children.append(start_child(name, arguments, log, incarnation))
 
 
 def keys_setting(folder: Path | str) -> str:
@@ -177,43 +149,22 @@ def keys_setting(folder: Path | str) -> str:
 
 
 @contextmanager
-def free_ports(host: str, count: int) -> Iterator[list[int]]:
-    """Reserve free ports while the context is open: no other process gets one as "any port".
+def reserved_ports(host: str, ports: Sequence[int]) -> Iterator[list[int]]:
+    """Reserve ports, 0 for any free one, while the context is open: no other process gets one as "any port".
 
-    A process that names the port and sets SO_REUSEADDR, as Zenoh does, can listen on it, also after a restart.
-
-    Raises: HarnessError: the host's address is not of this machine.
+    A process that names the port and sets SO_REUSEADDR, as Zenoh does, can listen on it. Raises: HarnessError.
     """
     with ExitStack() as stack:
-        try:
-            sockets = [stack.enter_context(_bound(host, 0)) for _ in range(count)]
-        except OSError as error:
-            raise HarnessError(f"network.host: cannot listen on {host} ({error.strerror})") from error
-        ports = [probe.getsockname()[1] for probe in sockets]
+        found = []
+        for port in ports:
+            probe = stack.enter_context(socket.socket())
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, port))
+            except OSError as error:
+                key = f"base_port: expected free ports, got {port}, which is taken" if port else "host"
+                raise HarnessError(f"network.{key}: cannot listen on {host} ({error.strerror})") from error
+            found.append(probe.getsockname()[1])
         if sys.platform != "linux":
             stack.close()  # elsewhere a bound socket blocks its port
-        yield ports
-
-
-def check_ports(host: str, ports: Sequence[int]) -> None:
-    """Check that no process listens on the ports.
-
-    Raises: HarnessError: naming the first taken port.
-    """
-    for port in ports:
-        try:
-            _bound(host, port).close()
-        except OSError as error:
-            raise HarnessError(
-                f"network.base_port: expected free ports {ports[0]}..{ports[-1]} on {host}, "
-                f"got {port}, which is taken ({error.strerror})"
-            ) from error
-
-
-def _bound(host: str, port: int) -> socket.socket:
-    with ExitStack() as stack:
-        probe = stack.enter_context(socket.socket())
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        probe.bind((host, port))
-        stack.pop_all()
-    return probe
+        yield found

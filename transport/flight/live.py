@@ -1,7 +1,4 @@
-"""Active runs on this machine: a file in the run folder that exists while the run is active, and its processes.
-
-Requests to processes come from the command line or the viewer.
-"""
+"""Active runs on this machine: a file in the run folder that exists while the run is active, and requests to them."""
 
 import queue
 import threading
@@ -16,10 +13,9 @@ import psutil
 
 from model.arrays import Array
 from protocol.network.security import Security
-from protocol.network.session import BusError, ask
+from protocol.network.session import ask
 from protocol.scenario.links import PERFECT
 from protocol.wire.errors import TransportError
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from protocol.wire.keys import ROUTER
 from protocol.wire.messages import agent_name
 from protocol.wire.names import COORDINATOR, PLANT, RECORDER
@@ -46,10 +42,8 @@ class LiveRun:
 
 def write(folder: Path, run: LiveRun) -> None:
     """Mark a run as active; a folder that cannot be written is left unmarked."""
-    new = folder / f".{_FILE}"
     with suppress(OSError):
-        new.write_bytes(msgspec.json.encode(run))
-        new.replace(folder / _FILE)
+        (folder / _FILE).write_bytes(msgspec.json.encode(run))
 
 
 def remove(folder: Path) -> None:
@@ -73,33 +67,17 @@ def newest_folder(parent: Path) -> Path | None:
     return max(found, key=lambda path: path.stat().st_mtime).parent if found else None
 
 
-class RefusedError(TransportError, ValueError):
-    """The run refuses the request; the text says what was expected."""
-
-
-class UnansweredError(TransportError, RuntimeError):
-    """The process does not exist or does not answer."""
-
-    exit_code = EXIT_UNREACHABLE
-
-
 def request(
     run: str, endpoints: Sequence[str], name: str, what: str, given: Mapping[str, Any], keys: Path | None = None
 ) -> dict[str, Any]:
-    """Send a request to a process of a run and return the answer.
+    """Send a request (docs/protocol.md) to a process of a run, with its folder of keys, and return the answer.
 
-    The receiver is "coordinator" for links, targets and status, "recorder" for faults, any for health
-    (docs/protocol.md); `keys` is the folder of keys, if the run has any.
-
-    Raises: RefusedError, UnansweredError.
+    Raises: BusError: it does not exist or does not answer. TransportError: it refuses the request.
     """
     security = None if keys is None else Security(keys.resolve(), (name, ROUTER))
-    try:
-        answer = dict(ask(run, endpoints, name, what, given, security=security))
-    except BusError as error:
-        raise UnansweredError(str(error)) from error
+    answer = dict(ask(run, endpoints, name, what, given, security=security))
     if "error" in answer:
-        raise RefusedError(str(answer["error"]))
+        raise TransportError(str(answer["error"]))
     return answer
 
 
@@ -113,7 +91,7 @@ class Commands:
 
     def link(self, ends: tuple[int, int] | None, settings: Mapping[str, Any]) -> None:
         """Change the link from one agent to another, or, for None, all links between agents."""
-        source, target = ("", "") if ends is None else (agent_name(ends[0]), agent_name(ends[1]))
+        source, target = map(agent_name, ends) if ends else ("", "")
         self._requests.put((COORDINATOR, "link", {"from": source, "to": target, "settings": settings}))
 
     def clear(self) -> None:
@@ -134,7 +112,7 @@ class Commands:
             name, kind, content = self._requests.get()
             try:
                 answer = self._run.ask(name, kind, content)
-            except (RefusedError, UnansweredError) as error:
+            except TransportError as error:
                 self._on_result(str(error), True)
                 continue
             what = "links change" if kind == "link" else f"{content.get('do')} {content.get('target')}"

@@ -1,13 +1,12 @@
 """In-memory runtime: all nodes of a run in one process, with one message queue and virtual time.
 
-Time stands still while messages are in the queue and then jumps to the next wake-up of a node, so timeouts take no
-wall time. Scripted faults apply as to processes.
+Time stands still while messages are in the queue and then jumps to the next wake-up of a node.
 """
 
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import threadpoolctl
 
@@ -30,13 +29,9 @@ def simulate(
     record: Callable[[Message], None] = lambda _: None,
     stopwatch: Callable[[], int] = time.perf_counter_ns,
 ) -> Control:
-    """Simulate a run in this process, unpaced, and return how it ended.
+    """Simulate a run in this process, unpaced, and return how it ended: equal to one with processes bit for bit.
 
-    Messages are delivered in the order they are sent, to the same receivers as on the network. Lockstep makes the
-    result independent of that order, and equal to the Zenoh runtime's bit for bit. `record` is called with every
-    message, as the recorder would receive it; `stopwatch` is the steady clock of the step reports, ns.
-
-    Raises: KeyboardInterrupt: see `check_interrupt`; RuntimeError: deadlock of the nodes, which is a bug.
+    `record` is called with every message; `stopwatch` is the steady clock of the step reports, ns.
     """
     with _TURN, threadpoolctl.threadpool_limits(1):
         return InMemoryRun(setup, record, stopwatch).run()
@@ -46,35 +41,26 @@ class InMemoryRun:
     """State of one run: running nodes, messages in the queue, virtual time."""
 
     def __init__(
-        self,
-        setup: Setup,
-        record: Callable[[Message], None],
-        stopwatch: Callable[[], int] = time.perf_counter_ns,
+        self, setup: Setup, record: Callable[[Message], None], stopwatch: Callable[[], int] = time.perf_counter_ns
     ) -> None:
         self._setup, self._record, self._stopwatch = setup, record, stopwatch
         self._keys = Keys(setup.scenario.name)
         self._coordinator = CoordinatorNode(setup)
         agents = [AgentNode(setup, agent, stopwatch=stopwatch) for agent in setup.agents]
         nodes: list[Node] = [self._coordinator, PlantNode(setup), *agents]
-        self._nodes = {node.name: node for node in nodes}
-        self._subscriptions = {name: self._keys.subscriptions(name) for name in self._nodes}
-        self._receivers_of_key: dict[str, list[str]] = {}
+        self.nodes = {node.name: node for node in nodes}  # the running ones by name
+        self._subscriptions = {name: self._keys.subscriptions(name) for name in self.nodes}
+        self._subscribed: dict[str, list[str]] = {}  # names by key
         self._queue: deque[Message] = deque()
         self._now_ns = 0
         self._incarnations = {node.name: 0 for node in agents}
-        brought_back = (fault for fault in setup.faults if fault.do in ("continue", "start"))
-        self._returns = [fault for fault in brought_back if fault.target in self._incarnations]
-
-    @property
-    def nodes(self) -> Mapping[str, Node]:
-        """The running nodes by name."""
-        return self._nodes
+        returns = [fault for fault in setup.faults if fault.do in ("continue", "start")]
+        self._returns = [fault for fault in returns if fault.target in self._incarnations]
 
     def run(self) -> Control:
         """Simulate to the end."""
-        for name in list(self._nodes):
-            if name != self._coordinator.name:
-                self._announce(Presence(name, 0, alive=True))
+        for name in [name for name in self.nodes if name != self._coordinator.name]:
+            self._announce(Presence(name, 0, alive=True))
         while True:
             while self._queue:
                 check_interrupt()
@@ -82,7 +68,7 @@ class InMemoryRun:
             # The other nodes receive the end of the run before it is returned; a killed coordinator sends none.
             if self._coordinator.finished is not None:
                 return self._coordinator.finished
-            if self._coordinator.name not in self._nodes:
+            if self._coordinator.name not in self.nodes:
                 return self._without_coordinator()
             if not self._bring_back() and not self._wait():
                 raise RuntimeError(f"deadlock at tick {self._coordinator.tick}: every node waits")
@@ -98,28 +84,24 @@ class InMemoryRun:
         self._send(self._coordinator.receive(event, self._now_ns))
 
     def _receivers(self, message: Message) -> list[str]:
-        """Return the names of the processes that receive a message."""
         key = self._keys.of(message)
-        if key not in self._receivers_of_key:
-            self._receivers_of_key[key] = [
-                name
-                for name, expressions in self._subscriptions.items()
-                if name != message.sender and any(matches(expression, key) for expression in expressions)
-            ]
-        return self._receivers_of_key[key]
+        if key not in self._subscribed:
+            several = self._subscriptions.items()
+            self._subscribed[key] = [name for name, many in several if any(matches(one, key) for one in many)]
+        return [name for name in self._subscribed[key] if name != message.sender]
 
     def _deliver(self, message: Message) -> None:
         for name in self._receivers(message):
-            node = self._nodes.get(name)
+            node = self.nodes.get(name)
             if node is not None and not self._fails(name, message):
                 self._send(node.receive(message, self._now_ns))
 
     def _fails(self, name: str, message: Message) -> bool:
-        """Apply a scripted fault at a message; return whether the process ended or froze and so ignores the message."""
+        """Apply a scripted fault at a message; return whether the process ended or froze."""
         fault = due(self._setup.faults, name, message)
-        if fault is None or name not in self._nodes:
+        if fault is None or name not in self.nodes:
             return False
-        node = self._nodes.pop(name)
+        node = self.nodes.pop(name)
         if fault == "kill" and name != self._coordinator.name:
             self._announce(Presence(name, node.incarnation, alive=False))
         return True
@@ -132,13 +114,13 @@ class InMemoryRun:
         # The state of a frozen agent is outdated, so it comes back as a new node, too.
         self._incarnations[name] += 1
         agent, incarnation = int(name.removeprefix("agent")), self._incarnations[name]
-        self._nodes[name] = AgentNode(self._setup, agent, incarnation, self._stopwatch)
+        self.nodes[name] = AgentNode(self._setup, agent, incarnation, self._stopwatch)
         self._announce(Presence(name, incarnation, alive=True))
         return True
 
     def _wait(self) -> bool:
         """Advance time to the next wake-up of a node; return whether there is one."""
-        waiting = [(node.wake_ns, node) for node in self._nodes.values() if node.wake_ns is not None]
+        waiting = [(node.wake_ns, node) for node in self.nodes.values() if node.wake_ns is not None]
         if not waiting:
             return False
         wake_ns, node = min(waiting, key=lambda entry: entry[0])
@@ -148,8 +130,8 @@ class InMemoryRun:
 
     def _without_coordinator(self) -> Control:
         """Return how the others end without the coordinator."""
-        for node in self._nodes.values():
+        for node in self.nodes.values():
             node.receive(Presence(self._coordinator.name, self._coordinator.incarnation, alive=False), self._now_ns)
-        ends = [node.finished for node in self._nodes.values() if node.finished is not None]
+        ends = [node.finished for node in self.nodes.values() if node.finished is not None]
         self._record(ends[0])
         return ends[0]

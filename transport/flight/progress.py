@@ -44,7 +44,6 @@ class ConsoleProgress:
         self._console.print(line, highlight=False, soft_wrap=True)
 
     def _is_line_due(self) -> bool:
-        """Return whether a line is due without a terminal, and schedule the next."""
         is_due = not self._console.is_terminal and time.monotonic() >= self._next_line_s
         self._next_line_s += _LINE_EVERY_S * is_due
         return is_due

@@ -1,57 +1,43 @@
 """One run on this machine, from scenario to run folder."""
 
+import math
 import os
 import shutil
 import signal
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from protocol.network.endpoints import Endpoints, mesh, process_names
-from protocol.network.process import Place
+from protocol.network.bus import Place
+from protocol.network.endpoints import mesh, process_names
 from protocol.network.security import Security
-from protocol.network.session import BusError, check_usable
+from protocol.network.session import check_usable
 from protocol.scenario.faults import OF_UAVS
-from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import (
-    EXIT_DIVERGED,
-    EXIT_INTERRUPTED,
-    EXIT_OVERRUN,
-    EXIT_SCENARIO,
-    EXIT_UNREACHABLE,
-    EXIT_UNRECORDED,
-    EXIT_USAGE,
-)
+from protocol.wire import exit_codes as codes
 from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import FaultOrigin, Request
 from protocol.wire.names import COORDINATOR
 from transport.flight import live
-from transport.flight.harness import Child, Harness, check_ports, free_ports, keys_setting
-from transport.flight.header import checked, run_header
+from transport.flight.harness import Child, Harness, keys_setting, reserved_ports
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
-from transport.flight.run_files import RunError, create, existing, own_keys
+from transport.flight.run_files import RunError, checked, create, existing, own_keys, run_header
 from transport.flight.signals import collected_signals
 from transport.log.writer import LogWriter
 
-# Exit codes of a process after the end of its run.
-_ORDERLY_ENDS = {0, EXIT_UNREACHABLE, EXIT_OVERRUN, EXIT_DIVERGED, EXIT_INTERRUPTED}
-# Signals of faults, and their notes in the log.
-_SIGNALS = {"kill": signal.SIGKILL, "stop": signal.SIGSTOP, "continue": signal.SIGCONT}
+_ORDERLY_ENDS = {0, codes.EXIT_UNREACHABLE, codes.EXIT_OVERRUN, codes.EXIT_DIVERGED, codes.EXIT_INTERRUPTED}
+_SIGNALS = {"kill": signal.SIGKILL, "stop": signal.SIGSTOP, "continue": signal.SIGCONT, "restart": signal.SIGKILL}
 _NOTES = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
 
 
 class FaultScript:
-    """Faults of the local processes of one run, scripted or requested by the operator, noted by its recorder.
-
-    Processes kill or stop themselves at a scripted tick (`protocol.scenario.faults`); their parent brings them back.
-    """
+    """Faults of the local processes of one run, which kill or stop themselves by script, or are by an operator."""
 
     def __init__(self, setup: Setup, harness: Harness, recorder: Recorder) -> None:
         self._setup, self._harness, self._recorder = setup, harness, recorder
@@ -66,10 +52,10 @@ class FaultScript:
             if code >= 0 or child.is_noted:
                 continue
             child.is_noted = True
-            kill = next((fault for fault in self._kills if fault.target == child.name), None)
-            if kill is not None and code == -signal.SIGKILL:
-                self._kills.remove(kill)
-                self._recorder.note(child.name, _NOTES["kill"], "script", kill.tick)
+            kills = [fault for fault in self._kills if fault.target == child.name and code == -signal.SIGKILL]
+            if kills:
+                self._kills.remove(kills[0])
+                self._recorder.note(child.name, _NOTES["kill"], "script", kills[0].tick)
             else:
                 self._recorder.note(child.name, f"ended by {signal.Signals(-code).name}", "unknown")
         while self._faults and self._is_due(self._faults[0].tick - (self._faults[0].do != "stop")):
@@ -90,11 +76,11 @@ class FaultScript:
 
     def _answer(self, request: Request) -> dict[str, Any]:
         action, target = (str(request.given.get(key, "")) for key in ("do", "target"))
-        names = list(self._harness.mesh)
-        if request.what != "fault" or action not in _NOTES:
-            return {"error": f"do: expected one of {', '.join(_NOTES)}, got {action!r}"}
-        if target not in names:
-            return {"error": f"target: expected one of {', '.join(names)}, got {target!r}"}
+        if request.what != "fault":
+            return {"error": f"what: expected fault or health, got {request.what[:40]!r}"}
+        for key, got, allowed in (("do", action, _NOTES), ("target", target, self._harness.mesh)):
+            if got not in allowed:
+                return {"error": f"{key}: expected one of {', '.join(allowed)}, got {got!r}"}
         if action == "restart" and not target.startswith("agent"):
             return {"error": f"target: expected an agent to restart, as a run ends with its {target}"}
         if not self._do(target, action, "person"):
@@ -104,20 +90,19 @@ class FaultScript:
     def _do(self, target: str, action: str, origin: FaultOrigin) -> bool:
         """Apply a fault and note it; return whether the process was there."""
         child = self._harness.child(target)
-        if action == "restart":
-            self._harness.restart(target)
-        elif not child.signal(_SIGNALS[action]):
+        if not child.signal(_SIGNALS[action]) and action != "restart":
             return False
         child.is_noted |= action in ("kill", "restart")
+        if action == "restart":
+            child.wait(_LEAVE_S)
+            self._harness.start(target, child.incarnation + 1)
         self._recorder.note(target, _NOTES[action], origin)
         return True
 
 
-# Time for the processes to end after the run before they are killed.
-_LEAVE_S = 3.0
 _POLL_S = 0.05
-# Time for the recorder to receive the messages of a run whose processes have ended.
-_CATCH_UP_S = 2.0
+# Times for the processes to end after the run, and for the recorder to receive the messages of ended processes.
+_LEAVE_S, _CATCH_UP_S = 3.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,23 +122,24 @@ def simulate(
     ready: Callable[[], object] = lambda: None,
     external: Collection[str] = (),
 ) -> Finished:
-    """Start the processes of a run, record it in a new folder, and wait for its end.
+    """Start the processes of a run, record it in a new folder, and wait for its end and theirs.
 
     `started` is called once the processes are started; before the first tick they wait for `ready` to return. Processes
-    that are `external` join from elsewhere. At the end every process has ended and the log is complete.
-
-    Raises: RunError: the folder exists, or a process ended before the run began. HarnessError: no free port.
-        ScenarioError: engine or controller cannot be used. TransportError: of network, keys or log. KeyboardInterrupt.
+    that are `external` join from elsewhere. Raises: TransportError. KeyboardInterrupt.
     """
-    scenario = setup.scenario
-    names = process_names(scenario)
+    scenario, names = setup.scenario, process_names(setup.scenario)
     if folder.exists():  # told before a first compilation
         raise existing(folder)
     with ExitStack() as stack:
         check_usable()
         classes = checked(setup, external)
         compile_model(setup.system.N, console)
-        places = stack.enter_context(_reserved(scenario, names))
+        base = scenario.network.base_port
+        wanted = [0] * len(names) if base is None else range(base, base + len(names))
+        # The recorder listens for requests to this process.
+        ports = stack.enter_context(reserved_ports(scenario.network.host, [*wanted, 0]))
+        places = mesh(scenario, [*names, RECORDER], ports)
+        places = {name: place.checked(name, scenario) for name, place in places.items()}
         run = folder.name if Keys.allows(folder.name) else scenario.name
         header = run_header(setup, run, len(names), create(folder, setup), classes)
         called = {name: [*place.listen, *place.connect][0] for name, place in places.items()}
@@ -162,20 +148,20 @@ def simulate(
         progress = stack.enter_context(RunProgress(setup, console))
         own = stack.enter_context(own_keys(scenario, folder))
         harness = Harness(run, folder / "scenario.toml", started_here, folder / "logs", own)
-        stack.callback(harness.end)
+        stack.callback(harness.end, progress.say)
         if own is not None:
             recording = replace(recording, security=Security(own, ()))
         keys = "" if recording.security is None else str(recording.security.folder)
-        harness.start(observers=[RECORDER])
-        place = Place(run=run, incarnation=0, endpoints=recording, join_timeout_s=scenario.clock.join_timeout_s)
-        recorder = _recorder(setup, place, folder, header, progress)
+        for name in started_here:
+            harness.start(name)
+        place = Place(run=run, endpoints=recording, join_timeout_s=scenario.clock.join_timeout_s)
+        recorder = stack.enter_context(_recorded(place, folder, header, progress, harness))
         try:
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
             ready()  # the coordinator waits for the recorder
             recorder.start(names)
             for name in external:
-                listen, connect = (", ".join(at) for at in (places[name].listen, places[name].connect))
-                ends = f"listens on {listen or 'nothing'}, connects to {connect}"
+                ends = f"listens on {', '.join(places[name].listen)}, connects to {', '.join(places[name].connect)}"
                 needs = f"; it needs --set '{keys_setting(keys)}'" if keys else ""
                 progress.say(f"waiting for {name} of run {run}, digest {scenario.digest()}; it {ends}{needs}")
             started()
@@ -183,75 +169,48 @@ def simulate(
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
         finally:
-            recorder.close()
             live.remove(folder)
-            if recorder.error is None and not harness.ended():
-                _discard_if_empty(folder, recorder)
-            for notice in harness.end():
-                progress.say(notice)
-        return _finished(folder, recorder)
+    return _finished(folder, recorder)
 
 
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
-    """Record a run whose processes are started elsewhere, in a new folder.
-
-    Raises: RunError: the folder exists, or the processes did not join. TransportError: of network, keys or log.
-    """
+    """Record a run whose processes are started elsewhere, in a new folder. Raises: TransportError."""
     names = process_names(setup.scenario)
     classes = {"engine": setup.scenario.plant.engine, "controller": setup.scenario.agents.controller}
     header = run_header(setup, place.run, len(names), create(folder, setup), classes)
-    with RunProgress(setup, console) as progress:
-        recorder = _recorder(setup, place, folder, header, progress)
-        try:
-            recorder.start(names)
-            _watch(recorder, progress)
-        finally:
-            recorder.close()
-            _discard_if_empty(folder, recorder)
+    with RunProgress(setup, console) as progress, _recorded(place, folder, header, progress) as recorder:
+        recorder.start(names)
+        _watch(recorder, progress)
     return _finished(folder, recorder)
 
 
 @contextmanager
-def _reserved(scenario: Scenario, names: Sequence[str]) -> Iterator[dict[str, Endpoints]]:
-    """Keep the ports of a run's processes, and of its recorder for requests to their parent; yield all endpoints."""
-    host, base_port = scenario.network.host, scenario.network.base_port
-    with free_ports(host, 1 if base_port is not None else 1 + len(names)) as (own, *ports):
-        if base_port is not None:
-            ports = list(range(base_port, base_port + len(names)))
-            check_ports(host, ports)
-        places = mesh(scenario, [*names, RECORDER], [*ports, own])
-        yield {name: place.checked(name, scenario) for name, place in places.items()}
-
-
-def _recorder(setup: Setup, place: Place, folder: Path, header: Mapping[str, str], progress: RunProgress) -> Recorder:
-    """Return the recorder of a run with an open log; without a network the folder is removed."""
-    writer = LogWriter(folder / "run.mcap", header, period_ns=setup.period_ns, say=progress.say)
+def _recorded(
+    place: Place, folder: Path, header: Mapping[str, str], progress: RunProgress, harness: Harness | None = None
+) -> Iterator[Recorder]:
+    """Open log and recorder of a run; remove a folder without any message in the end, unless its processes tell why."""
+    recorder = None
     try:
-        return Recorder(setup, place.run, writer, place.endpoints, place.join_timeout_s, place.incarnation)
-    except BusError:
-        writer.close()
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-
-
-def _discard_if_empty(folder: Path, recorder: Recorder) -> None:
-    """Remove the folder of a run without any message, so that the same command can be repeated."""
-    if recorder.received == 0:
-        shutil.rmtree(folder, ignore_errors=True)
+        writer = LogWriter(folder / "run.mcap", header, period_ns=progress.setup.period_ns, say=progress.say)
+        with closing(writer):
+            recorder = Recorder(progress.setup, place, writer, progress.say)
+            with closing(recorder):
+                yield recorder
+    finally:
+        is_told = harness is not None and recorder is not None and (recorder.error or harness.ended())
+        if recorder is None or not (recorder.received or is_told):
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _finished(folder: Path, recorder: Recorder) -> Finished:
     """Return how a run ended; raise RunError if it did not begin or was not recorded."""
     control = recorder.control
+    if recorder.error is not None or (control is None and recorder.started_s is None):
+        raise RunError(recorder.error or "the run ended before its first tick", codes.EXIT_UNREACHABLE)
     if control is None:
-        if recorder.error is None and recorder.started_s is not None:
-            return Finished(folder, EXIT_INTERRUPTED, "recording interrupted; the run may continue without it")
-        raise RunError(recorder.error or "the run ended before its first tick", EXIT_UNREACHABLE)
-    if recorder.error is not None:
-        raise RunError(recorder.error, EXIT_UNREACHABLE)
-    if recorder.writer.lost:
-        text = f"{recorder.writer.lost}; the run {control.outcome} {control.reason}".rstrip()
-        raise RunError(text, control.exit_code or EXIT_UNRECORDED)
+        return Finished(folder, codes.EXIT_INTERRUPTED, "recording interrupted; the run may continue without it")
+    if lost := recorder.writer.lost:
+        raise RunError(f"{lost}; the run {control.outcome}", control.exit_code or codes.EXIT_UNRECORDED)
     return Finished(folder, control.exit_code, control.reason)
 
 
@@ -259,17 +218,13 @@ def _watch(
     recorder: Recorder, progress: RunProgress, harness: Harness | None = None, faults: FaultScript | None = None
 ) -> None:
     """Show progress until the run has ended; forward Ctrl-C; refuse processes started here that end too early."""
-    interrupted = 0
-    ended_s: float | None = None
+    interrupted, ended_s = 0, math.inf
     with collected_signals() as signals:
-        while recorder.running:
-            recorder.join(_POLL_S)
+        while recorder.join(_POLL_S):
             progress.setup = recorder.setup
             progress.show(recorder.plant_state, recorder.started_s)
             if faults is not None:
                 faults.work()
-            for notice in recorder.new_notices():
-                progress.say(notice)
             if len(signals) > interrupted:
                 interrupted = len(signals)
                 if interrupted > 1 or recorder.started_s is None:
@@ -283,16 +238,15 @@ def _watch(
                 continue
             for child in harness.ended():
                 # A run may end within its first ticks: its messages can reach the recorder after a process has ended.
-                ended_s = ended_s or time.monotonic()
+                ended_s = min(ended_s, time.monotonic())
                 if child.code not in _ORDERLY_ENDS or time.monotonic() - ended_s > _CATCH_UP_S:
                     raise _ended_early(child)
-    for notice in recorder.new_notices():
-        progress.say(notice)
 
 
 def _ended_early(child: Child) -> RunError:
     code = child.code or 0
     how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+    last_line = child.log.read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
     # A child refuses the same options and scenario as this command would; any other end is that of a peer.
-    passed_on = code if code in (EXIT_USAGE, EXIT_SCENARIO) else EXIT_UNREACHABLE
-    return RunError(f"{child.name} {how} before the run began: {child.last_line()}", passed_on)
+    passed_on = code if code in (codes.EXIT_USAGE, codes.EXIT_SCENARIO) else codes.EXIT_UNREACHABLE
+    return RunError(f"{child.name} {how} before the run began: {last_line}", passed_on)

@@ -1,18 +1,28 @@
-"""Folders of runs: their names, what is in them before the run begins, and the error of a run that cannot begin."""
+"""Folders of runs: their names, what is in them before the run begins, and the metadata of a run's log."""
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+import os
+import platform
+import re
+import secrets
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 
+import psutil
 import tomli_w
 
-from protocol.network.security import SecurityError, new_secret
+from agent.own import checked_controller
+from model import native
+from plant.engines import checked_engine
+from protocol.network.security import SHARED
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
 from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from transport.log.run_folder import point_latest
+from protocol.wire.names import PLANT, agent_name
+from transport.log.run_log import point_latest
 
 
 class RunError(TransportError, RuntimeError):
@@ -56,18 +66,64 @@ def create(folder: Path, setup: Setup) -> str:
 
 @contextmanager
 def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
-    """Make the secret of a run in its folder; None where other keys protect the run, or it is to be open.
-
-    Raises: RunError: it cannot be written where only this user can read it.
-    """
-    network = scenario.network
+    """Make the secret of a run in its folder; None where other keys protect the run, or it is to be open."""
+    network, keys = scenario.network, folder.resolve() / "keys"
     if network.keys is not None or network.router is not None or not network.secret:
         yield None
         return
-    with ExitStack() as stack:
-        try:
-            keys = stack.enter_context(new_secret(folder.resolve() / "keys"))
-        except SecurityError as error:
+    keys.mkdir(mode=0o700)
+    file = keys / SHARED
+    try:
+        file.touch(mode=0o600)
+        if file.stat().st_mode & 0o077:  # the file system keeps no permissions (FAT, some shares)
+            problem = f"network.secret: expected a file that only its owner can read, got {file} for all"
             remedy = "use another folder, or --set network.secret=false: open to every local process"
-            raise RunError(f"network.secret: {error}; {remedy}", EXIT_SCENARIO) from error
+            raise RunError(f"{problem}; {remedy}", EXIT_SCENARIO)
+        file.write_text(f"run:{secrets.token_hex(24)}\n", encoding="utf-8")
         yield keys
+    finally:
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
+            keys.rmdir()
+
+
+def run_header(
+    setup: Setup, run: str, processes: int, scenario_toml: str, classes: Mapping[str, str]
+) -> Mapping[str, str]:
+    """Return the metadata of a run's log; `classes` are engine and controller with their versions, as far as known."""
+    return {
+        "run_id": run,
+        "scenario": scenario_toml,
+        "seed": str(setup.scenario.seed),
+        "processes": str(processes),
+        "versions": versions(),
+        **classes,
+        "machine": machine(),
+        "command_started_ns": str(round(psutil.Process().create_time() * 1e9)),
+    }
+
+
+def checked(setup: Setup, external: Collection[str] = ()) -> dict[str, str]:
+    """Return names and versions of engine and controller of a run after making each once; raise ScenarioError."""
+    agents_are_external = all(agent_name(agent) in external for agent in setup.agents)
+    return {
+        "engine": "external" if PLANT in external else checked_engine(setup),
+        "controller": "external" if agents_are_external else checked_controller(setup),
+    }
+
+
+def versions() -> str:
+    """Return the versions of Python, packages and kernels that results depend on, in one line."""
+    packages = ("payload-transport", "numpy", "casadi", "daqp", "clarabel", "eclipse-zenoh")
+    found = [f"python {platform.python_version()}", *(f"{package} {version(package)}" for package in packages)]
+    return ", ".join([*found, f"kernels {'compiled' if native.AVAILABLE else 'plain'}"])
+
+
+def machine() -> str:
+    """Return the machine in one line: processor, cores this process may use, system."""
+    processor = platform.processor() or platform.machine()
+    with suppress(OSError):
+        names = re.findall(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
+        processor = names[0] if names else processor
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{processor}, {cores} cores, {platform.system()} {platform.release()}"

@@ -21,10 +21,7 @@ def raise_interrupts() -> None:
 
 
 def check_interrupt() -> None:
-    """Raise KeyboardInterrupt if a signal has already been raised: compiled code that calls Python may suppress it.
-
-    For computations that take long; only after `raise_interrupts`.
-    """
+    """Raise KeyboardInterrupt if a signal has already been raised: compiled code that calls Python may suppress it."""
     if _raised:
         raise KeyboardInterrupt(_raised[0])
 

@@ -17,13 +17,12 @@ from protocol.wire.exit_codes import EXIT_INTERRUPTED
 from protocol.wire.messages import Message, PlantState, Target
 from protocol.wire.names import COORDINATOR
 from transport.flight import live, memory
-from transport.flight.header import checked, run_header
 from transport.flight.progress import RunProgress, compile_model
+from transport.flight.run_files import checked, run_header
 from transport.interface.run import Run
 from transport.interface.scenario import Scenario, path_phase
 from transport.interface.settings import ArgumentError, Settings, ShortSettings, plain
-from transport.log.run_folder import open_run
-from transport.log.run_log import Recorded, RunLog
+from transport.log.run_log import Recorded, RunLog, open_run
 from transport.report.report import write_report
 
 _EVERY_S = 0.1  # shortest time between two updates, wall time

@@ -1,6 +1,7 @@
 """A simulated or recorded run: summary, series, tables, figures, viewer, run folder."""
 
 import shutil
+from contextlib import closing
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -111,7 +112,7 @@ class Run:
         if self.folder is not None:
             return Path(shutil.copytree(self.folder, target))
         create(target, self._setup)
-        with LogWriter(target / "run.mcap", self.log.header, period_ns=self._setup.period_ns) as writer:
+        with closing(LogWriter(target / "run.mcap", self.log.header, period_ns=self._setup.period_ns)) as writer:
             for entry in self.log.messages:
                 writer.write(entry.message, entry.received_ns)
         write_report(target, figures=figures)

@@ -1,11 +1,7 @@
-"""Parser of MCAP files in any state: whole, cut, damaged, or still being written.
-
-The reader of the mcap package stops at the first problem and takes a cut record for a shorter one. Here a record counts
-only if all its bytes are there, and a chunk only if its checksum is right.
-"""
+"""Parser of MCAP files that may be cut, damaged or still being written, where the mcap package would stop or err."""
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from io import SEEK_END, BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -33,10 +29,7 @@ class Parser:
         self.damaged = 0  # records that cannot be decoded, and messages of a channel that is not known
 
     def entries(self) -> Iterator[tuple[Channel, Message]]:
-        """Yield the messages of the chunks that are whole and were not read yet, in the order of the file.
-
-        Raises: OSError: the file cannot be read. McapError: it is no MCAP file.
-        """
+        """Yield the messages of the whole chunks not read yet, in order. Raises: OSError. McapError: no MCAP file."""
         with self._path.open("rb") as file:
             start = file.read(len(MCAP0_MAGIC))
             if not MCAP0_MAGIC.startswith(start):
@@ -46,37 +39,29 @@ class Parser:
                     return
                 self._offset, self.ended = offset + len(body), opcode == Opcode.DATA_END
                 try:
-                    found = self._read(opcode, body)
+                    found = self._read(opcode, ReadDataStream(BytesIO(body)))
                 except Exception:  # noqa: BLE001  # whatever damaged bytes lead to
                     self.damaged += 1
                     continue
-                yield from self._messages(found)
+                self._channels |= {record.id: record for record in found if isinstance(record, Channel)}
+                for record in (record for record in found if isinstance(record, Message)):
+                    if record.channel_id not in self._channels:  # its record is in a damaged chunk, and in the summary
+                        self._channels |= getattr(self._summary(), "channels", {})
+                    if record.channel_id in self._channels:
+                        yield self._channels[record.channel_id], record
+                    else:
+                        self.damaged += 1
 
     def is_whole(self) -> bool:
         """Return whether the file has its proper end, behind index and summary."""
         return self.ended and self._summary() is not None
 
-    def _read(self, opcode: int, body: bytes) -> Iterable[Any]:
+    def _read(self, opcode: int, stream: ReadDataStream) -> list[Any]:
         """Return the records in a chunk; take note of metadata."""
-        stream = ReadDataStream(BytesIO(body))
-        if opcode == Opcode.CHUNK:
-            return breakup_chunk(Chunk.read(stream), validate_crc=True)
         if opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.metadata.setdefault(metadata.name, metadata.metadata)
-        return ()
-
-    def _messages(self, found: Iterable[Any]) -> Iterator[tuple[Channel, Message]]:
-        for record in found:
-            if isinstance(record, Channel):
-                self._channels.setdefault(record.id, record)
-            elif isinstance(record, Message):
-                if record.channel_id not in self._channels:  # its record is in a damaged chunk, and in the summary
-                    self._channels |= getattr(self._summary(), "channels", {})
-                if record.channel_id in self._channels:
-                    yield self._channels[record.channel_id], record
-                else:
-                    self.damaged += 1
+        return breakup_chunk(Chunk.read(stream), validate_crc=True) if opcode == Opcode.CHUNK else []
 
     def _summary(self) -> Any:
         """Return the summary of a file with a proper end; otherwise None."""
@@ -88,16 +73,13 @@ class Parser:
 
 
 def records(file: BinaryIO, offset: int) -> Iterator[tuple[int, int, bytes]]:
-    """Yield opcode, offset of the body and body of the whole records from an offset on, one in memory at a time.
-
-    Opcode 0 ends the file: file systems leave zeros behind an unfinished one.
-    """
+    """Yield opcode, offset of the body and body of the whole records from an offset on."""
     size = file.seek(0, SEEK_END)
     while offset + _RECORD.size <= size:
         file.seek(offset)
         opcode, length = _RECORD.unpack(file.read(_RECORD.size))
         offset += _RECORD.size
-        if opcode == 0 or length > size - offset:
+        if opcode == 0 or length > size - offset:  # file systems leave zeros behind an unfinished file
             return
         yield opcode, offset, file.read(length)
         offset += length

@@ -1,9 +1,11 @@
 """The log of a run in memory, read from its file or its run folder (`transport.log.writer` describes the file)."""
 
 import tomllib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar, cast
 
@@ -11,20 +13,19 @@ import msgspec
 from mcap.exceptions import McapError
 
 from protocol.admission.gate import Gate
-from protocol.scenario.file import ScenarioError, validate
+from protocol.scenario.file import ScenarioError, read_scenario, validate
 from protocol.scenario.setup import Setup
+from protocol.wire import messages as wire
 from protocol.wire.codec import VERSION, decode
 from protocol.wire.errors import MessageError, TransportError
 from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.messages import KINDS, LinkChange, Message, Plan, Target
+from protocol.wire.messages import LinkChange, Message, Plan, Target
+from protocol.wire.names import COORDINATOR
 from transport.log.parser import Parser
 
-# Name of the metadata record that describes the run.
-METADATA = "run"
-# Encoding of the bytes of messages (docs/protocol.md); a log of another version of the protocol has another.
-ENCODING = f"payload-transport/{VERSION}"
-# Beginning of the channels of messages that the recorder made; no message from the network can be there.
-_OWN = f"/{RECORDER}/"
+METADATA = "run"  # name of the metadata record that describes the run
+ENCODING = f"payload-transport/{VERSION}"  # of the bytes of messages; each version of the protocol has another
+_OWN = f"/{RECORDER}/"  # beginning of the channels of messages that the recorder made; none comes from the network
 
 _KEYS = Keys("log")
 
@@ -87,19 +88,15 @@ class RunLog:
 
 
 class LogTail:
-    """Reader of one log, which may still be written, as a receiver of the run would have read it when it came.
+    """Reader of one log, which may still be written or not exist yet.
 
-    The log holds what came, also what was forged, repeated or garbled. Every message passes the gate of the run,
-    without checks of the moment. Refused ones are counted and reported in the name of the recorder. Without the setup
-    of the run, which is taken from the header unless given, sizes, agents and plausibility are not checked. The file
-    need not exist yet; `read` returns the given kinds of messages.
+    Every message passes the gate of the run, whose setup is taken from the header unless given; refused ones are
+    reported in the name of the recorder.
     """
 
-    def __init__(
-        self, path: Path, kinds: Collection[str] | Mapping[str, object] = KINDS, setup: Setup | None = None
-    ) -> None:
+    def __init__(self, path: Path, setup: Setup | None = None) -> None:
         self.parser, self.unknown = Parser(path), list[str]()  # descriptions of the entries of other versions
-        self._path, self._wanted, self._setup = path, frozenset(kinds), setup
+        self._path, self._setup = path, setup
         self._gate: Gate | None = None
 
     @property
@@ -108,22 +105,14 @@ class LogTail:
         return self.parser.ended
 
     def read(self) -> list[Message]:
-        """Return the new messages, in order; a record written only in part waits for the next call.
-
-        Raises: LogError: the file cannot be read.
-        """
+        """Return the new messages, in order; a record written only in part waits for the next call."""
         if self.ended or not self._path.exists():
             return []
         found = [entry.message for entry in self.entries()]
-        if self.ended:
-            found += self.last_notices()
-        return [message for message in found if message.kind in self._wanted]
+        return found + self.last_notices() if self.ended else found
 
     def entries(self) -> Iterator[Recorded]:
-        """Yield the messages of the entries that are whole and were not read yet.
-
-        Raises: LogError: as of `read`, or there is no such file.
-        """
+        """Yield the messages of the entries that are whole and were not read yet. Raises: LogError: no such file."""
         try:
             for channel, entry in self.parser.entries():
                 if channel.message_encoding != ENCODING:
@@ -144,10 +133,7 @@ class LogTail:
         return [] if self._gate is None else list(self._gate.notices(0))
 
     def _accepted(self, topic: str, data: bytes, at_ns: int) -> Iterator[Message]:
-        """Yield the messages of an entry that arrived at a time, ns.
-
-        Raises: MessageError: the recorder did not write this.
-        """
+        """Yield the messages of an entry that arrived at a time, ns."""
         if topic.startswith(_OWN):
             yield decode(data)
             return
@@ -162,10 +148,7 @@ class LogTail:
 
 
 def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:
-    """Return the run of a log from its header, None if the scenario is missing or of another version.
-
-    Files named in the scenario lie beside the log, in its run folder.
-    """
+    """Return the run of a log from its header, None if the scenario is missing or of another version."""
     source = str(folder / "scenario.toml")
     try:
         return Setup.of(validate(tomllib.loads(header.get("scenario", "")), source), source)
@@ -174,12 +157,9 @@ def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:
 
 
 def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -> RunLog:
-    """Read all that can be read of a log, each message checked as by a receiver of the run (`LogTail`).
+    """Read all that can be read of a log, also of one cut or damaged (`cut`), each message checked (`LogTail`).
 
-    A file cut or damaged anywhere behind its first bytes gives the messages of every intact chunk and a sentence in
-    `cut`. Messages equal the sent ones bit for bit. Without `horizons` plans have their first step only and no
-    corrections, which saves most of the memory.
-
+    Without `horizons` plans have their first step only and no corrections, which saves most of the memory.
     Raises: LogError: no such file, not an MCAP file, or not the log of a run.
     """
     tail = LogTail(path, setup=setup)
@@ -196,16 +176,78 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
     header = parser.metadata.get(METADATA)
     if header is None and is_whole and not parser.damaged:
         raise LogError(f'{path}: an MCAP file, but not the log of a run (no metadata record "{METADATA}")')
-    problems = []
-    if not is_whole:
-        problems.append("only its index is missing" if parser.ended else "it stops before its end")
-    if parser.damaged:
-        problems.append(f"{parser.damaged} damaged part{'s' if parser.damaged > 1 else ''} left out")
-    if unknown:
-        problems.append(f"{len(unknown)} entries are not of this version, the first {unknown[0]}")
-    cut = ""
-    if problems:
-        last = max((entry.message.tick for entry in messages), default=None)
-        readable = f"{len(messages)} messages are readable, up to tick {last}" if messages else "no message is readable"
-        cut = f"the log is incomplete ({'; '.join(problems)}): {readable}"
+    problems = [] if is_whole else ["only its index is missing" if parser.ended else "it stops before its end"]
+    problems += [f"damaged parts left out: {parser.damaged}"] if parser.damaged else []
+    problems += [f"{len(unknown)} entries are not of this version, the first {unknown[0]}"] if unknown else []
+    last = f", up to tick {max(entry.message.tick for entry in messages)}" if messages else ""
+    readable = f"{len(messages) or 'no'} messages are readable{last}"
+    cut = f"the log is incomplete ({'; '.join(problems)}): {readable}" if problems else ""
     return RunLog(header=header or {}, messages=tuple(messages), cut=cut)
+
+
+_RUNS, LATEST = "runs", "latest"  # folder whose runs have a link to the most recent one, and the name of the link
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedRun:
+    """A recorded run."""
+
+    folder: Path
+    setup: Setup
+    log: RunLog  # `cut` names what the file lacks and what did not reach the recorder
+
+    @property
+    def scenario_file(self) -> Path:
+        """Path of the scenario of the run, with every default."""
+        return self.folder / "scenario.toml"
+
+
+def open_run(folder: Path, *, horizons: bool = True, setup: Setup | None = None) -> RecordedRun:
+    """Read run.mcap of a run folder, as `read_log`, and the run from scenario.toml, or raise ScenarioError."""
+    path = folder / "run.mcap"
+    if setup is None and path.exists():  # otherwise the folder is none of a run, which says more
+        setup = setup_of(folder)
+    log = read_log(path, horizons=horizons, setup=setup)
+    cut = "; ".join(filter(None, (log.cut, missing(log))))
+    return RecordedRun(folder=folder, setup=setup or setup_of(folder), log=replace(log, cut=cut))
+
+
+def setup_of(folder: Path) -> Setup:
+    """Return the run of a folder without reading its log, or raise ScenarioError."""
+    path = folder / "scenario.toml"
+    return Setup.of(read_scenario(path, allow_large=True), str(path))  # its run has been allowed
+
+
+def missing(log: RunLog) -> str:
+    """Return a sentence with the ticks between which messages are missing; empty if none is.
+
+    Every process numbers its messages; ticks after the last plant state are known from other messages.
+    """
+    # The recorder's own notes cannot get lost; rejections have numbers of their own.
+    messages = [entry.message for entry in log.messages if not isinstance(entry.message, wire.Rejected)]
+    ticks: dict[tuple[str, int], dict[int, int]] = {}  # by sender and incarnation, then by number
+    for message in (message for message in messages if message.sender != RECORDER):
+        ticks.setdefault((message.sender, message.incarnation), {-1: 0})[message.sequence] = message.tick
+    gaps = [
+        tick_of[number]
+        for tick_of in ticks.values()
+        for pair in pairwise(sorted(tick_of))
+        for number in pair
+        if pair[1] > pair[0] + 1
+    ]
+    recorded = max((plant_state.tick for plant_state in log.of(wire.PlantState)), default=-1)
+    # The plant measures at a tick after simulating the one before.
+    later = [message.tick - 1 for message in messages if isinstance(message, wire.Measurement | Plan | wire.StepReport)]
+    later += [end.tick for end in log.of(wire.Control) if end.outcome == "completed" and end.sender == COORDINATOR]
+    gaps += [recorded + 1, max(later)] if max(later, default=-1) > recorded else []
+    return f"some messages of ticks {min(gaps)} to {max(gaps)} did not reach the recorder" if gaps else ""
+
+
+def point_latest(folder: Path) -> None:
+    """Point `latest` beside a run folder at it, if both are in a folder named `runs` and nothing else has that name."""
+    link = folder.parent / LATEST
+    if folder.resolve().parent.name == _RUNS and folder.name != LATEST:
+        with suppress(OSError):
+            if link.is_symlink():
+                link.unlink()
+            link.symlink_to(folder.name, target_is_directory=True)

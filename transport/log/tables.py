@@ -11,39 +11,31 @@ from transport.log.run_log import RunLog
 Row = dict[str, Any]
 
 # Names of the entries of states and inputs, each ending in its unit, in the order of `model.state`.
-# Payload: position in the inertial frame (z down), velocity in the payload frame, attitude, angular velocity.
 PAYLOAD_NAMES = (
     *("r0_x_m", "r0_y_m", "r0_z_m"),
     *("v0_x_m_s", "v0_y_m_s", "v0_z_m_s"),
     *("roll_rad", "pitch_rad", "yaw_rad"),
     *("omega0_x_rad_s", "omega0_y_rad_s", "omega0_z_rad_s"),
 )
-# Each UAV: direction of its rod and the rod's rate in the payload frame, attitude, angular velocity.
 UAV_STATE_NAMES = (
     *("e_x", "e_y", "e_z"),
     *("Omega_x_rad_s", "Omega_y_rad_s", "Omega_z_rad_s"),
     *("roll_rad", "pitch_rad", "yaw_rad"),
     *("omega_x_rad_s", "omega_y_rad_s", "omega_z_rad_s"),
 )
-# The sensors of a UAV: position and velocity in the inertial frame, attitude, body rates, specific force.
 SENSED_NAMES = (
     *("r_x_m", "r_y_m", "r_z_m"),
     *("v_x_m_s", "v_y_m_s", "v_z_m_s"),
     *UAV_STATE_NAMES[6:],
     *("force_x_m_s2", "force_y_m_s2", "force_z_m_s2"),
 )
-# Inputs, and commands where an inner loop follows body rates.
 INPUT_NAMES = ("thrust_N", "moment_x_Nm", "moment_y_Nm", "moment_z_Nm")
 RATE_NAMES = ("thrust_N", "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 
-# Array fields, spread over several columns or rows.
+# Fields that are spread over several columns or rows.
 _SPREAD = {
-    Measurement.kind: ("payload", "uavs", "uav_states", "inputs"),
-    Plan.kind: ("uavs", "uav_states", "inputs", "corrections"),
-    StepReport.kind: ("peers", "plan_ages", "state_ages", "force", "times_ms"),
-    Note.kind: ("names", "values"),
-    PlantState.kind: ("x", "u", "plan_ticks"),
-    ActualInputs.kind: ("uavs", "inputs", "cables", "tensions"),
+    *("payload", "uavs", "uav_states", "inputs", "corrections", "x", "u", "plan_ticks", "cables", "tensions"),
+    *("peers", "plan_ages", "state_ages", "force", "times_ms", "names", "values"),
 }
 
 
@@ -64,8 +56,7 @@ def tables(log: RunLog, period_s: float | None, commands: tuple[str, ...] = INPU
             "incarnation": message.incarnation,
             "sequence": message.sequence,
         }
-        spread_fields = _SPREAD.get(message.kind, ())
-        for name in (field for field in message.__struct_fields__ if field not in (*row, *spread_fields)):
+        for name in (field for field in message.__struct_fields__ if field not in row.keys() | _SPREAD):
             value = getattr(message, name)
             row[name] = " ".join(map(str, value)) if isinstance(value, tuple) else value
         found[message.kind] += [row | spread for spread in _spread(message, commands)]
@@ -87,23 +78,16 @@ def _spread(message: Message, commands: tuple[str, ...]) -> Iterator[Row]:
         case Plan():
             for i, (uav, states) in enumerate(zip(message.uavs, message.uav_states, strict=True)):
                 own = slice(INPUTS * i, INPUTS * (i + 1))
-                yield {
-                    "uav": uav,
-                    **_of_uav(states),
-                    **_over_horizon("", commands, message.inputs[:, own]),
-                    **_over_horizon("correction_", commands, message.corrections[:, own]),
-                }
+                inputs = _over_horizon("", commands, message.inputs[:, own])
+                corrections = _over_horizon("correction_", commands, message.corrections[:, own])
+                yield {"uav": uav, **_of_uav(states), **inputs, **corrections}
         case StepReport():
             ages = zip(message.peers, message.plan_ages, message.state_ages, strict=True)
-            yield {
-                **_named("force_", ("x_N", "y_N", "z_N"), message.force),
-                **_named("", tuple(f"{stage}_ms" for stage in STAGES), message.times_ms),
-                **{
-                    f"{what}_age_agent{peer}_ticks": age
-                    for peer, *both in ages
-                    for what, age in zip(("plan", "state"), both, strict=True)
-                },
-            }
+            row = _named("force_", ("x_N", "y_N", "z_N"), message.force)
+            row |= _named("", tuple(f"{stage}_ms" for stage in STAGES), message.times_ms)
+            for peer, plan_age, state_age in ages:
+                row |= {f"plan_age_agent{peer}_ticks": plan_age, f"state_age_agent{peer}_ticks": state_age}
+            yield row
         case Note():
             yield _named("", message.names, message.values)
         case PlantState():

@@ -1,8 +1,7 @@
 """Writer of the log of a run: one MCAP file in chunks, each of which can be read as soon as it is written.
 
 One record for each message or bundle that the recorder received, with its bytes, in a channel for each key. `log_time`
-is scenario time, `publish_time` is when the recorder received the message. The metadata record "run", ahead of all
-messages, describes the run. `transport log export` makes files for other programs.
+is scenario time, `publish_time` is when the recorder received the message.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -17,24 +16,16 @@ from transport.log.run_log import ENCODING, METADATA, LogError, channel_of
 
 # A chunk ends at this size, before compression (about ten ticks of four agents), or at this age. A kill loses at most
 # one chunk; live readers wait for it.
-CHUNK_BYTES = 64 * 1024
-CHUNK_S = 0.05
-_CHUNK_NS = round(CHUNK_S * 1e9)
-
-# Kinds of messages that are in the file as soon as they are written.
-_URGENT = (Control.kind, FaultNote.kind)
-
-# Largest time of an MCAP record, ns, and number of its sequence numbers.
-LAST_TIME_NS = 2**63 - 1
-SEQUENCES = 2**32  # MCAP numbers have 32 bits; the message has the full number
+CHUNK_BYTES, _CHUNK_NS = 64 * 1024, 50_000_000
+_URGENT = (Control.kind, FaultNote.kind)  # kinds of messages that are in the file as soon as they are written
+# Largest time of an MCAP record, ns, and number of its sequence numbers; the message has the full number.
+LAST_TIME_NS, SEQUENCES = 2**63 - 1, 2**32
 
 
 class LogWriter:
     """Writes the log of one run. The file can be read at any moment; a kill loses at most the unfinished chunk.
 
-    After a failed write the file is closed as it is, as no reader would find a record behind one that was written in
-    part. With `say` the failure is told, and further messages are dropped; without it, it raises LogError, as does a
-    file that cannot be created.
+    A failed write closes the file. With `say` it is told, and further messages are dropped; without it raises LogError.
     """
 
     def __init__(
@@ -61,19 +52,12 @@ class LogWriter:
         except OSError as error:
             raise self._error(error) from error
 
-    def __enter__(self) -> "LogWriter":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def write(self, message: Message, received_ns: int) -> None:
-        """Append a message of this process, or one that was checked, received at a wall-clock time, ns since 1970."""
+        """Append a message received at a wall-clock time, ns since 1970."""
         self.add(channel_of(message), encode(message), message, received_ns)
 
     def add(self, topic: str, data: bytes, header: Header | Message, received_ns: int) -> None:
         """Append a message as it came, with its header, to the channel of its key."""
-        received_ns = min(max(received_ns, 0), LAST_TIME_NS)
         if received_ns - self._begun_ns > _CHUNK_NS:
             self.flush()
         if self._file.closed:
@@ -83,8 +67,7 @@ class LogWriter:
                 self._begun_ns = received_ns
             if topic not in self._channels:
                 self._channels[topic] = self._writer.register_channel(topic, ENCODING, 0)
-            log_ns = min(max(header.tick * self._period_ns, 0), LAST_TIME_NS)
-            sequence = header.sequence % SEQUENCES
+            log_ns, sequence = min(max(header.tick * self._period_ns, 0), LAST_TIME_NS), header.sequence % SEQUENCES
             self._writer.add_message(self._channels[topic], log_ns, data, received_ns, sequence)
             self._bytes += len(data)
             self.is_up_to_date = False

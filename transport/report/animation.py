@@ -14,7 +14,7 @@ from rich.progress import track
 
 from protocol.wire.errors import TransportError
 from transport.analysis.series import Series, series_of
-from transport.log.run_folder import open_run
+from transport.log.run_log import open_run
 from transport.report.figures_3d import UP, draw_parts, frame, line
 from transport.report.style import COMPONENTS, RC, REFERENCE, scale_cost, shade_phases
 from transport.scene.drawing import Drawing

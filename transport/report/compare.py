@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from protocol.scenario.setup import Setup
 from transport.analysis.metrics import summarise
 from transport.analysis.series import SWING_S, Series, counted, series_of
-from transport.log.run_folder import RecordedRun
+from transport.log.run_log import RecordedRun
 from transport.report.column import column_panels, head
 from transport.report.report import HELD
 from transport.report.style import CURVES, RC, line_width, save, scale_cost, shade_phases

@@ -15,7 +15,7 @@ from rich.text import Text
 from protocol.scenario.setup import Setup
 from transport.analysis.metrics import summarise
 from transport.analysis.series import SWING_S, counted, steps_columns, steps_rows
-from transport.log.run_folder import RecordedRun, open_run
+from transport.log.run_log import RecordedRun, open_run
 
 # Violations below this share of a constraint's range are within the solver's tolerance.
 HELD = 1e-6

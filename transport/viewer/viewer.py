@@ -16,8 +16,7 @@ from typing import Any, Self
 
 from transport.flight.live import Commands, LiveRun
 from transport.flight.live import read as read_live_run
-from transport.log.run_folder import open_run, setup_of
-from transport.log.run_log import LogTail
+from transport.log.run_log import LogTail, open_run, setup_of
 from transport.scene.drawing import Drawing
 from transport.scene.scene import KINDS, RunHistory, Scene, SceneBuilder
 from transport.viewer.panel import Panel, Playback
@@ -139,7 +138,7 @@ def open_viewer(folder: Path, host: str, port: int) -> Viewer:
             with suppress(OSError):
                 Path("/proc/self/autogroup").write_text(str(_NICE), encoding="ascii")
         setup = setup_of(folder)
-        tail = LogTail(folder / LOG, KINDS, setup)
+        tail = LogTail(folder / LOG, setup)
         return Viewer(SceneBuilder(setup, RunHistory(setup)), host=host, port=port, tail=tail, live=running)
     run = open_run(folder)
     builder = SceneBuilder.of(run.setup, run.log)
