@@ -85,7 +85,6 @@ def integration(engine_name: str, uavs: int) -> list[float]:
     """Return times of one sampling period of the plant in hover, ms."""
     run = setup("resilient", CLIMB, f"plant.engine={engine_name}", uavs=uavs)
     engine = PlantNode(run).engine
-    engine.reset(run.initial_state())
     return times_ms([partial(engine.advance, run.hover.u, None, run.settings.sampling_period_s)], 400)
 
 
