@@ -1,12 +1,10 @@
 """Model functions of a number of UAVs: built, or compiled and kept on disk, and called through CasADi's buffers."""
 
-import ctypes
 import hashlib
 import itertools
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -85,7 +83,7 @@ def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
     sense (x, u, p, F) -> measurements y of the UAVs' own sensors, and their derivatives in parts: those by (x, F) with
         the payload's acceleration held, sparse, by that acceleration, and its own by (x, F)
     """
-    return _loaded(N, rates, _library(N, rates))
+    return _loaded(N, rates, library(N, rates))
 
 
 @lru_cache(maxsize=4)
@@ -99,7 +97,7 @@ def _loaded(N: int, rates: bool, path: Path | None) -> dict[str, ca.Function]:
 
 def needs_compilation(N: int, rates: bool = False) -> bool:
     """Return whether `compile_functions` would compile: a compiler is there, and the functions are not compiled yet."""
-    return compiler.enabled() and compiler.find_compiler() is not None and _library(N, rates) is None
+    return compiler.enabled() and compiler.find_compiler() is not None and library(N, rates) is None
 
 
 def compile_functions(N: int, rates: bool = False) -> bool:
@@ -111,17 +109,11 @@ def compile_functions(N: int, rates: bool = False) -> bool:
             if function.n_instructions() <= _MAX_LENGTH
         ]
         compiler.compile_library(_file(N, rates), "\n".join(sources).encode(), _FLAGS)
-    return _library(N, rates) is not None
+    return library(N, rates) is not None
 
 
-def library(N: int, rates: bool = False) -> Any:
-    """Return the library of the compiled functions of a system of N UAVs for kernels that call them, or None."""
-    path = _library(N, rates)
-    found = None if path is None else ctypes.CDLL(str(path))
-    return found if hasattr(found, "step") else None
-
-
-def _library(N: int, rates: bool) -> Path | None:
+def library(N: int, rates: bool) -> Path | None:
+    """Return the file of the compiled functions of a system of N UAVs; None if there is none."""
     path = _file(N, rates)
     return path if compiler.enabled() and compiler.intact(path) else None
 

@@ -237,8 +237,9 @@ class Model:
     @cached_property
     def _kernel(self) -> tuple[int | None, Array, list[npt.NDArray[np.intp]]] | None:
         """The compiled step as the kernels call it: its address, the duration, s, and rooms for its arguments."""
-        found = library(self.system.N, self.system.commands_rates) if native.AVAILABLE else None
-        if found is None:
+        path = library(self.system.N, self.system.commands_rates) if native.AVAILABLE else None
+        found = None if path is None else ctypes.CDLL(str(path))
+        if found is None or not hasattr(found, "step"):
             return None
         sizes, duration_s = (ctypes.c_longlong * 4)(), np.zeros(1)
         found.step_work(*(ctypes.byref(sizes, 8 * i) for i in range(4)))

@@ -1,8 +1,7 @@
 """First-order lag of the motors: the actual inputs a follow the commanded inputs u by a' = (u - a) / lag.
 
-The motion is integrated with two held inputs per step that have the mean and first moment of a: a Magnus
-method of order 4 (Blanes, Moan 2006). A state with motors is z = [x, a], (n + m,). With commanded body rates a is
-the rate command that would give the present angular acceleration at once, omega + omega' / K.
+Two held inputs per step have the mean and first moment of a: a Magnus method of order 4 (Blanes, Moan 2006). With
+commanded body rates a is the command that would give the present angular acceleration at once, omega + omega' / K.
 """
 
 import math

@@ -7,29 +7,26 @@ import numpy as np
 
 from model.arrays import Array
 
-_SYMBOLIC = (ca.SX, ca.MX, ca.DM)
-
 
 def rotation(Theta: Any) -> Any:
     """Return R = Rz(yaw) Ry(pitch) Rx(roll), body to outer coordinates, (3, 3), of roll, pitch, yaw, (3,), rad: (2)."""
-    cos, sin = _trigonometry(Theta)
+    cos, sin, matrix = _functions(Theta)
     cr, cp, cy = cos(Theta[0]), cos(Theta[1]), cos(Theta[2])
     sr, sp, sy = sin(Theta[0]), sin(Theta[1]), sin(Theta[2])
-    rows = [
+    return matrix([
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
         [-sp, cp * sr, cp * cr],
-    ]
-    return _matrix(Theta, rows)
+    ])  # fmt: skip
 
 
 def euler_rates(Theta: Any) -> Any:
     """Return E, (3, 3), with Theta' = E omega for body rates omega; singular at pitch = +-90 deg: equations.md (3)."""
-    cos, sin = _trigonometry(Theta)
+    cos, sin, matrix = _functions(Theta)
     cr, cp = cos(Theta[0]), cos(Theta[1])
     sr, sp = sin(Theta[0]), sin(Theta[1])
     tp = sp / cp
-    return _matrix(Theta, [[1.0, sr * tp, cr * tp], [0.0, cr, -sr], [0.0, sr / cp, cr / cp]])
+    return matrix([[1.0, sr * tp, cr * tp], [0.0, cr, -sr], [0.0, sr / cp, cr / cp]])
 
 
 def euler_angles(R: Array) -> Array:
@@ -44,11 +41,5 @@ def euler_angles(R: Array) -> Array:
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
-def _trigonometry(like: Any) -> tuple[Any, Any]:
-    return (ca.cos, ca.sin) if isinstance(like, _SYMBOLIC) else (np.cos, np.sin)
-
-
-def _matrix(like: Any, rows: list[list[Any]]) -> Any:
-    if isinstance(like, _SYMBOLIC):
-        return ca.vertcat(*[ca.horzcat(*row) for row in rows])
-    return np.array(rows, dtype=np.float64)
+def _functions(like: Any) -> tuple[Any, Any, Any]:
+    return (ca.cos, ca.sin, ca.blockcat) if isinstance(like, ca.SX | ca.MX | ca.DM) else (np.cos, np.sin, np.array)

@@ -77,7 +77,7 @@ class Controller:
             law: Shared control law over the horizon, with closed-loop prediction.
             end: The cost after the horizon, with terminal "riccati".
             forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
-            ticks_since_start: Ticks since this controller began; see `conclude`.
+            ticks_since_start: Since this controller began; soon after it w is larger in `conclude`.
         """
         linear = self.linearise(x0, u0, forces)
         prediction = self.predict(linear, self.discretise(linear), U, law)
@@ -117,20 +117,16 @@ class Controller:
         if law is not None and law.along is not None:
             return self._along.course(self.model, linear, law, law.along)
         found, self._curvature = None, None
-        if law is not None and self.settings.linearisation == "along":
-            found = self._trajectory(linear, law)
+        if law is not None and self.settings.linearisation == "along":  # (35a)
+            Z, inputs = rollout(self.model, self.settings, linear.z0, law, linear.forces)
+            X = Z[:, : self.model.system.n]
+            view = state.StateView(X)
+            angles = np.concatenate([view.Theta0[:, None, :2], view.Theta[..., :2]], axis=1)
+            if np.abs(angles).max() < _STEEPEST and np.isfinite(Z).all():
+                found = Z, inputs
+                at = linear.model
+                self._curvature = self.model.outputs_along(X) - at.y - (Z - linear.z0) @ at.C.T
         return self._program.predict(linear, discrete, U, law, found)
-
-    def _trajectory(self, linear: Linear, law: FeedbackLaw) -> tuple[Array, Array] | None:
-        """Return states and inputs by the law and its corrections, None if too steep; keep their curvature: (35a)."""
-        model, n, z0 = self.model, self.model.system.n, linear.z0
-        Z, U = rollout(model, self.settings, z0, law, linear.forces)
-        view = state.StateView(Z[:, :n])
-        angles = np.concatenate([view.Theta0[:, None, :2], view.Theta[..., :2]], axis=1)
-        if not np.abs(angles).max() < _STEEPEST or not np.isfinite(Z).all():
-            return None
-        self._curvature = model.outputs_along(Z[:, :n]) - linear.model.y - (Z - z0) @ linear.model.C.T
-        return Z, U
 
     def condense(
         self, linear: Linear, prediction: Prediction | Course, y_ref: Array, law: FeedbackLaw | None = None,

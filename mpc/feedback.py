@@ -1,8 +1,7 @@
 """The shared linear-quadratic regulator: the infinite-horizon optimum of the team's cost about hover.
 
-Every agent decides its own corrections c to the shared control law u = u_rest + K (x - x_ref) + feedforward + c. The
-preview is the optimum under a known reference (Anderson and Moore 1990, chapter 4; Tomizuka 1975), the target the
-steady state under constant forces (offset-free MPC: Pannocchia, Rawlings 2003; Maeder, Borrelli, Morari 2009).
+Every agent decides its own corrections c to the shared control law u = u_rest + K (x - x_ref) + feedforward + c.
+Preview: Anderson and Moore 1990, chapter 4; Tomizuka 1975. Target, offset-free MPC: Pannocchia, Rawlings 2003.
 """
 
 import math

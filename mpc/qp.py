@@ -17,8 +17,7 @@ from mpc.settings import SolverName
 
 Status = Literal["solved", "infeasible", "limit", "numerical"]
 
-# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to 1e-6 relative, where
-# 1e-3 is required.
+# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to 1e-6.
 RESIDUAL_TOLERANCE = 1e-6
 # A usual QP needs one guess of its active bounds, others two or three; the limit ends a cycle.
 MOST_GUESSES = 8
@@ -87,14 +86,10 @@ class Solution:
 
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
     """Return the Karush-Kuhn-Tucker residuals; arguments as in `Solution`. Source: docs/equations.md (28)."""
-    if not native.AVAILABLE:
-        return _residuals(qp, z, bound_multipliers, row_multipliers)
-    (rows, n), found, answer = qp.A.shape, np.empty(3), map(native.at, (z, bound_multipliers, row_multipliers))
-    native.KERNELS.residuals(n, rows, *qp.addresses, *answer, native.at(found), native.work("residuals", n))
-    return Residuals(*found.tolist())
-
-
-def _residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
+    if native.AVAILABLE:
+        (rows, n), found, answer = qp.A.shape, np.empty(3), map(native.at, (z, bound_multipliers, row_multipliers))
+        native.KERNELS.residuals(n, rows, *qp.addresses, *answer, native.at(found), native.work("residuals", n))
+        return Residuals(*found.tolist())
     values = np.concatenate([z, qp.A @ z])
     multipliers = np.concatenate([bound_multipliers, row_multipliers])
     lower = np.concatenate([qp.lower, qp.row_lower])

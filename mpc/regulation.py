@@ -27,7 +27,6 @@ T = TypeVar("T")
 
 # Instants before a change of the reference for which its law is kept: more than estimators look back.
 KEPT = 128
-_NO_CORRECTIONS = np.zeros((1, 0))
 # Results by model, team and identities of what else they follow from, which are kept beside them: the newest ones.
 _MOST_FOUND = 64
 _FOUND: WeakKeyDictionary[Model, dict[tuple[Any, ...], tuple[Any, tuple[object, ...]]]] = WeakKeyDictionary()
@@ -163,8 +162,7 @@ class Regulation:
     def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
         """Return the shared control law over the horizon; None with open-loop prediction: equations.md (35), (40).
 
-        Given are the state at its first step, (n,) or (n + m,), at instant `start`, references, (N_p, n), announced
-        corrections, (N_p, m), and estimated forces (`Model`).
+        x0 is the state at instant `start`, (n,) or (n + m,); references, (N_p, n), corrections, (N_p, m), forces.
         """
         if self.regulator is None or self._settings.prediction != "closed_loop":
             return None
@@ -193,7 +191,7 @@ class Regulation:
 
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
         """Return the inputs by `law` at one instant without corrections, (m,), or None with open-loop prediction."""
-        law = self.law(x, x_ref[None], _NO_CORRECTIONS, forces, instant)
+        law = self.law(x, x_ref[None], np.zeros((1, 0)), forces, instant)
         return None if law is None else law.uncorrected[0]
 
     def gain(self, instant: int) -> Array:

@@ -57,7 +57,10 @@ class Rows:
         self._decision, system, settings, (steps, _) = decision, decision.system, decision.settings, decision.shape
         size, separation, tilt, tension = decision.size, settings.separation, settings.tilt, settings.tension
         self.minimum_m = separation.minimum_m if separation else 0.0  # smallest distance of these pairs
-        self.pairs = pairs_of(system.N, decision.uavs)[: None if separation else 0]
+        every = combinations(range(system.N), 2) if separation else ()
+        # Pairs of UAVs, 0-based, with an owned one, (pairs, 2); the others' agents keep the rest.
+        pairs = [pair for pair in every if not set(pair).isdisjoint(decision.uavs)]
+        self.pairs = np.array(pairs, dtype=np.intp).reshape(-1, 2)
         self.limit = math.radians(tilt.limit_deg) if tilt else 0.0  # largest angle, rad
         starts = [state.uav_slice(uav).start + state.THETA.start for uav in decision.uavs if tilt]
         # Positions in x of the limited roll and pitch angles.
@@ -115,12 +118,14 @@ class Rows:
             effect = (slope @ prediction.effect[:n].reshape(n, -1)).reshape(-1, *self._decision.shape)
             A[self._states, :size] = stacked(effect * scale)
             values = value + prediction.dX_free[1:, :n] @ slope.T
-            lower[self._states], upper[self._states] = _bounds(self._on_state.equality, values)
+            lower[self._states] = np.where(self._on_state.equality, -values, -np.inf).reshape(-1)
+            upper[self._states] = -values.reshape(-1)
         if self._kept.any():
             value, slope = (part[self._kept] for part in self._on_input.at(u0))
             A[self._inputs, :size] = np.kron(np.eye(self._decision.settings.horizon), slope[:, own] * scale)
             values = value + (prediction.U_all - u0) @ slope.T
-            lower[self._inputs], upper[self._inputs] = _bounds(self._on_input.equality[self._kept], values)
+            lower[self._inputs] = np.where(self._on_input.equality[self._kept], -values, -np.inf).reshape(-1)
+            upper[self._inputs] = -values.reshape(-1)
         if len(self.on_tensions):
             n = len(linear.x0)
             value, slope = self.on_tensions.at(np.concatenate([linear.x0, u0]))
@@ -165,12 +170,6 @@ class Clearance:
         return np.asarray(np.einsum("opi,pis->ops", normals, on_points))
 
 
-def pairs_of(N: int, owned: tuple[int, ...]) -> npt.NDArray[np.intp]:
-    """Return the pairs of UAVs, 0-based, with at least one owned UAV, (pairs, 2); the others' agents keep the rest."""
-    pairs = [pair for pair in combinations(range(N), 2) if pair[0] in owned or pair[1] in owned]
-    return np.array(pairs, dtype=np.intp).reshape(-1, 2)
-
-
 def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Array, Array]:
     """Return pairwise distances, m, and rows with distance = row . positions, (pairs, 3 N), along the present: (29)."""
     r = positions.reshape(-1, 3)
@@ -183,8 +182,3 @@ def separation_rows(positions: Array, pairs: npt.NDArray[np.intp]) -> tuple[Arra
     rows, each = np.zeros((len(pairs), len(r), 3)), np.arange(len(pairs))
     rows[each, pairs[:, 0]], rows[each, pairs[:, 1]] = d, -d
     return distances, rows.reshape(len(pairs), len(positions))
-
-
-def _bounds(equality: npt.NDArray[np.bool_], values: Array) -> tuple[Array, Array]:
-    """Return the bounds on the decision's part of expressions with given values, (N_p, c), (N_p c,) each."""
-    return np.where(equality, -values, -np.inf).reshape(-1), -values.reshape(-1)

@@ -14,7 +14,6 @@ from model.parameters import System
 SolverName = Literal["daqp", "clarabel"]
 PredictionName = Literal["open_loop", "closed_loop"]
 PenalisedInput = Literal["deviation", "absolute"]
-InputsName = Literal["moments", "rates"]
 
 
 class SettingsError(ValueError):
@@ -123,9 +122,7 @@ class Weights(Section):
 
     def terms(self, N: int) -> tuple["CostTerm", ...]:
         """Return the weights of N UAVs that are not on outputs of the model, as terms of the cost."""
-        if not self.tilt_rate:
-            return ()
-        rates = [f"omega{uav}[{axis}]" for uav in range(1, N + 1) for axis in (0, 1)]
+        rates = [f"omega{uav}[{axis}]" for uav in range(1, N + 1) for axis in (0, 1) if self.tilt_rate]
         return tuple(CostTerm(expression=rate, weight=self.tilt_rate) for rate in rates)
 
 
@@ -228,7 +225,7 @@ class ControllerSettings(Section):
     solver: Annotated[SolverName, Key(short="solver")] = "daqp"
     """first QP solver. daqp: the program with bounds alone is tried first, and Clarabel solves any program whose
     solution fails the residual check"""
-    inputs: InputsName = "moments"
+    inputs: Literal["moments", "rates"] = "moments"
     """what agents command beside the thrust: moments, or body rates that an inner loop on each UAV follows,
     [equations.md](equations.md#body-rates) (57)"""
     rate_time_constant_s: Annotated[

@@ -1,8 +1,7 @@
 """The shared control law along a flat reference: a time-varying linear-quadratic regulator, and the program about it.
 
 The team's cost is constant + sum_k c(k)' M(k) c(k), M(k) = R + B(k)' P(k+1) B(k), by the corrections c. So an agent's
-optimum without constraints follows from the others' corrections alone, and is zero where theirs are. Only where the
-trajectory under it violates a constraint is a QP solved, about that trajectory.
+optimum follows from the others' corrections; only where its trajectory violates a constraint is a QP solved about it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -46,9 +45,8 @@ class Tracker:
 class Recursion:
     """Linear-quadratic regulator along a reference in the making, some instants at a time, backwards from its end.
 
-    The user's terms count as deviations from their values on the reference. Until the instant `since` the regulator of
-    another team, `before`, holds, or this one from the start. UAVs without an agent, by 0-based numbers, follow the
-    fail-safe and its feedback from the state, (4, n). Source: docs/equations.md (70)-(72).
+    The user's terms count as deviations from the reference. Until the instant `since` the regulator `before` of another
+    team holds, if any. UAVs without an agent, 0-based, have the fail-safe and its feedback, (4, n): (70)-(72).
     """
 
     def __init__(
