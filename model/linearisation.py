@@ -227,16 +227,15 @@ class Model:
         """Return states and inputs under u = at_x + K (x(k) - x) within bounds, in one call; None if not compiled."""
         if self._kernel is None or len(self._off):
             return None
-        Z, U, at, (step, held, rooms) = np.empty((len(at_x) + 1, len(x))), np.empty(at_x.shape), native.at, self._kernel
-        acting = self._acting(forces)
-        Z[0], held[0], rooms[0][2:4] = x, duration_s, [at(array) for array in acting]
-        arrays = (*rooms, K, at_x, *bounds, Z, U)
-        native.KERNELS.rollout(len(U), len(x), len(K), step, *map(at, arrays))
+        Z, U, acting = np.empty((len(at_x) + 1, len(x))), np.empty(at_x.shape), self._acting(forces)
+        held_s, rooms, addresses = self._kernel
+        Z[0], held_s[0], rooms[0][2:4] = x, duration_s, list(map(native.at, acting))
+        native.KERNELS.rollout(len(U), len(x), len(K), *addresses, *map(native.at, (K, at_x, *bounds, Z, U)))
         return Z, U
 
     @cached_property
-    def _kernel(self) -> tuple[int | None, Array, list[npt.NDArray[np.intp]]] | None:
-        """The compiled step as the kernels call it: its address, the duration, s, and rooms for its arguments."""
+    def _kernel(self) -> tuple[Array, list[npt.NDArray[np.intp]], list[int | None]] | None:
+        """The compiled step for the kernels: its duration, s, rooms for its arguments, and the addresses of all."""
         path = library(self.system.N, self.system.commands_rates) if native.AVAILABLE else None
         found = None if path is None else ctypes.CDLL(str(path))
         if found is None or not hasattr(found, "step"):
@@ -245,7 +244,7 @@ class Model:
         found.step_work(*(ctypes.byref(sizes, 8 * i) for i in range(4)))
         rooms = [np.zeros(size + 8, dtype=np.intp) for size in sizes]
         rooms[0][4] = native.at(duration_s)
-        return ctypes.cast(found.step, ctypes.c_void_p).value, duration_s, rooms
+        return duration_s, rooms, [ctypes.cast(found.step, ctypes.c_void_p).value, *map(native.at, rooms)]
 
 
 def _zeroed(vector: Array, entries: npt.NDArray[np.intp]) -> Array:

@@ -67,12 +67,13 @@ def work(which: str, size: int) -> int:
     """Return the address of a work space of that size, shared by all its calls: kernels hold the interpreter lock."""
     found = _WORK.get((which, size))
     if found is None:
-        found = _WORK[which, size] = np.zeros(size + 8)
-    return at(found) + -at(found) % 64  # aligned to the widest vectors
+        space = np.zeros(size + 8)
+        found = _WORK[which, size] = space, at(space) + -at(space) % 64  # aligned to the widest vectors
+    return found[1]
 
 
 # By kernel and size; never freed, as addresses do not keep the arrays alive.
-_WORK: dict[tuple[str, int], Array] = {}
+_WORK: dict[tuple[str, int], tuple[Array, int]] = {}
 
 
 def _load() -> Any:

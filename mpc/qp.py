@@ -5,6 +5,7 @@ minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A 
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import clarabel
@@ -29,7 +30,7 @@ _CLARABEL: dict[str, Status] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class QP:
     """The data of one program; equalities are rows with equal bounds, missing bounds are infinite."""
 
@@ -41,9 +42,9 @@ class QP:
     row_lower: Array  # bounds on A z, (r,)
     row_upper: Array
 
-    @property
+    @cached_property
     def addresses(self) -> list[int]:
-        """Addresses of the data, row by row, for the compiled kernels."""
+        """Addresses of the data, row by row, for the compiled kernels; copies need new ones (`replace`)."""
         data = self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper
         return [native.at(array) for array in data]
 

@@ -245,14 +245,15 @@ class ControllerSettings(Section):
 
     def lower(self, uavs: int) -> Array:
         """Return the smallest inputs of that many UAVs, (4 uavs,)."""
-        return np.tile([self.limits.thrust_N[0], *-self.upper(1)[1:]], uavs)
+        turning = self.limits.rates_rads if self.inputs == "rates" else self.limits.moments_Nm
+        return np.array([self.limits.thrust_N[0], *(-largest for largest in turning)] * uavs)
 
     def upper(self, uavs: int) -> Array:
         """Return the largest inputs of that many UAVs, (4 uavs,)."""
         turning = self.limits.rates_rads if self.inputs == "rates" else self.limits.moments_Nm
-        return np.tile([self.limits.thrust_N[1], *turning], uavs)
+        return np.array([self.limits.thrust_N[1], *turning] * uavs)
 
     def step(self, uavs: int) -> Array:
         """Return the largest change of the inputs over one sampling period, (4 uavs,)."""
         turning = self.limits.rate_slopes_rads2 if self.inputs == "rates" else self.limits.moment_rates_Nm_s
-        return np.tile([self.limits.thrust_rate_N_s, *turning], uavs) * self.sampling_period_s
+        return np.array([self.limits.thrust_rate_N_s, *turning] * uavs) * self.sampling_period_s

@@ -1,6 +1,6 @@
 """Quadratic programs for the tests of the solvers: random, infeasible, and from simulated runs."""
 
-from copy import deepcopy
+from dataclasses import fields
 from functools import lru_cache
 
 import numpy as np
@@ -75,5 +75,6 @@ def collected(minimum_m: float) -> list[QP]:
         for one in [*centralized, *team(setup, settings, [(0,), (1, 2)])]:
             linear = one.linearise(at.x, at.u)
             prediction = one.predict(linear, one.discretise(linear), at.U, None)
-            programs.append(deepcopy(one.condense(linear, prediction, at.y_ref)))
+            qp = one.condense(linear, prediction, at.y_ref)
+            programs.append(QP(**{field.name: getattr(qp, field.name).copy() for field in fields(qp)}))
     return programs
