@@ -43,13 +43,12 @@ def test_motors_are_within_the_margin(vehicle: str) -> None:
 
 
 def test_the_command_writes_a_scenario(tmp_path: Path) -> None:
-    """The file that the command writes is the scenario of the Python interface; it names the vehicle."""
+    """The file that the command writes is the scenario of the Python interface."""
     out = tmp_path / "four.toml"
     arguments = ["scenario", "new", "--uavs", "4", "--vehicle", "x500", "--load", "3.0", "--out", str(out)]
     assert CliRunner().invoke(app, arguments).exit_code == 0
     made = transport.Scenario("resilient").resized(4, vehicle="x500", load_kg=3.0)
     assert transport.Scenario(out).digest() == made.digest()
-    assert "--vehicle x500 --load 3" in out.read_text(encoding="utf-8")
     assert made.validated.name == "resilient-x500-4"
 
 
