@@ -5,12 +5,11 @@ writes their parts of docs/results.md, docs/images/ and the tables of the README
 """
 
 import csv
-import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from operator import itemgetter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from tables import ROOT, commit, place, put, table
 
@@ -18,88 +17,10 @@ RUNS, IMAGES = ROOT / "runs" / "figures", ROOT / "docs" / "images"
 PAGE, README = ROOT / "docs" / "results.md", ROOT / "README.md"
 
 # Network of the README's animation.
-NETWORK = ("links.delay_s=0.2", "links.loss=0.3")
+NETWORK = ("--set", "links.delay_s=0.2", "--set", "links.loss=0.3")
 
 Row = Mapping[str, str]
-# Columns of a table: heading, and function of a row.
-Columns = Mapping[str, Callable[[Row], str]]
 
-
-def number(name: str, factor: float = 1.0, digits: int = 2, *, interval: bool = True) -> Callable[[Row], str]:
-    """Return a cell with a number of a row, ± half its confidence interval if it has one."""
-
-    def cell(row: Row) -> str:
-        found = [row[name], row.get(f"{name}_ci95", "") if interval else ""]
-        return " ± ".join(f"{factor * float(value):.{digits}f}" for value in found if value)
-
-    return cell
-
-
-def done(row: Row) -> str:
-    """Return the number of completed runs and the first time of divergence."""
-    lost = f", diverged at {float(row['first_lost_s']):.1f} s" if row["first_lost_s"] else ""
-    return f"{row['completed']} of {row['flights']}{lost}"
-
-
-def periods(row: Row) -> str:
-    """Return the sampling periods of equal computation, ms; an end beyond the grid is left open."""
-    low, high = (f"{1e3 * float(row[name]):.3g}" if row[name] else "" for name in ("period_low_s", "period_high_s"))
-    if low == high:
-        return low or "none of the grid"
-    return f"{low} to {high}" if low and high else f"from {low}" if low else f"up to {high}"
-
-
-def cost_range(row: Row) -> str:
-    """Return the range of cost ratios at these periods."""
-    ratios = (row["cost_ratio_low"], row["cost_ratio_high"])
-    return " to ".join(dict.fromkeys(f"{float(ratio):.2f}".replace("inf", "diverged") for ratio in ratios if ratio))
-
-
-def compared_at(row: Row) -> str:
-    """Return what both controllers of a comparison have in common."""
-    if row["budget"] == "same rate":
-        return "the same rate"
-    whose = "the whole team" if row["budget"] == "whole team" else row["budget"]
-    return f"the same computation of {whose}, as many {row['kept']} of horizon"
-
-
-VERDICT: Columns = {
-    "compared at": compared_at,
-    "T_s, ms": periods,
-    "cost over centralized": cost_range,
-    "verdict": itemgetter("verdict"),
-}
-# What follows the labels of a point, by experiment; "" for those that are not named.
-POINTS: Mapping[str, Columns] = {
-    "": {
-        "completed": done,
-        "cost over unimpaired": number("cost_ratio"),
-        "cost, 1e-3": number("cost_mean", 1e3),
-        "attitude, deg": number("attitude_max_deg"),
-        "swing, m": number("swing_m"),
-    },
-    "sharing": {
-        "plans sent, %": number("plans_shared_share", 100.0, 1),
-        "completed": done,
-        "cost over all sent": number("cost_ratio", digits=3),
-        "attitude, deg": number("attitude_max_deg"),
-        "swing, m": number("swing_m"),
-    },
-    "agile": {
-        "completed": done,
-        "error rms, cm": number("payload_rms_m", 100.0),
-        "largest, cm": number("payload_max_m", 100.0, 1, interval=False),
-        "attitude, deg": number("attitude_max_deg", digits=1, interval=False),
-        "cost over perfect network": number("cost_ratio"),
-    },
-    "scaling": {
-        "CPU of a step, ms": number("cpu_step_p50_ms"),
-        "99th percentile": number("cpu_step_p99_ms", interval=False),
-        "team per tick, ms": number("cpu_team_tick_ms", digits=1),
-        "plans, kB/s": number("plan_bytes_per_s", 1e-3, 0, interval=False),
-        "cost over centralized": number("cost_ratio"),
-    },
-}
 # Further arguments of the commands.
 EXPERIMENTS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("paper", "latency", "loss", "jitter", "matrix", "kill", "deaths", "sharing"), ()),
@@ -109,53 +30,32 @@ EXPERIMENTS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def table_of(name: str) -> str:
-    """Return the table of an experiment: the labels of each point, with the names of points.csv, and its numbers."""
-    rows = read(name, "verdict.csv" if name == "paper" else "points.csv")
-    labels = ["weather", "controller"] if name == "paper" else list(rows[0])[: list(rows[0]).index("flights")]
-    columns = VERDICT if name == "paper" else POINTS.get(name, POINTS[""])
-    columns = {heading: cell for heading, cell in columns.items() if any(map(cell, rows))}
-    lines = [[*(short(row[label]) for label in labels), *(cell(row) for cell in columns.values())] for row in rows]
-    return table([*labels, *columns], lines)
-
-
-def short(text: str) -> str:
-    """Return a value of a table, numbers with as few digits as they need."""
-    try:
-        return f"{float(text):g}"
-    except ValueError:
-        return text
-
-
-def transport(*arguments: str) -> str:
-    """Run a command of the project and return its standard output."""
+def transport(*arguments: str) -> None:
+    """Run a command of the project."""
     command = [sys.executable, "-P", "-m", "transport", *arguments]
-    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT).stdout
+    subprocess.run(command, stdout=subprocess.DEVNULL, check=True, cwd=ROOT)
+
+
+def folder_of(name: str) -> Path:
+    """Return the folder of an experiment of this commit."""
+    return RUNS / commit() / name
 
 
 def read(name: str, file: str = "points.csv") -> list[dict[str, str]]:
     """Return the rows of a table of an experiment."""
-    with (RUNS / name / file).open(encoding="utf-8", newline="") as opened:
+    with (folder_of(name) / file).open(encoding="utf-8", newline="") as opened:
         return list(csv.DictReader(opened))
 
 
 def part_of(name: str) -> str:
-    """Run an experiment as far as this commit has not run it; return sentences, tables and origin, copy the figures."""
+    """Run an experiment as far as this commit has not run it; return its report and origin, copy the figures."""
     sys.stderr.write(f"experiment {name}\n")
-    folder, now = RUNS / name, commit()
-    begun_with = RUNS / f"{name}.commit"
-    if not folder.exists() or not begun_with.exists() or begun_with.read_text(encoding="utf-8") != now:
-        shutil.rmtree(folder, ignore_errors=True)
-        begun_with.write_text(now, encoding="utf-8")
-    output = transport("experiment", name, *EXPERIMENTS[name], "--out", str(folder))
+    folder = folder_of(name)
+    transport("experiment", name, *EXPERIMENTS[name], "--out", str(folder))
     shutil.copy(folder / "figure.png", IMAGES / f"{name}.png")
     if name == "paper":
         shutil.copy(folder / "maneuver.png", IMAGES)
-    # The last paragraph in front of the machine and the files.
-    sentences = output.rpartition("\nmachine: ")[0].rstrip().rpartition("\n\n")[2].splitlines()
-    text = "\n".join(f"- {sentence}" for sentence in sentences)
-    machine = json.loads((folder / "experiment.json").read_text(encoding="utf-8"))["machine"]
-    return f"{text}\n\n{table_of(name)}\n\n*Commit {now}. {machine}*"
+    return f"{(folder / 'report.md').read_text(encoding='utf-8')}\n*Commit {commit()}.*"
 
 
 def between(values: Sequence[float]) -> str:
@@ -183,15 +83,15 @@ def at_a_glance() -> str:
         if not rows:
             return ""
         flights, completed = (sum(int(row[what]) for row in rows) for what in ("flights", "completed"))
+        if not completed:
+            first = min(float(row["first_lost_s"]) for row in rows)
+            return f"{completed} of {flights} complete, the first diverges at {first:.1f} s"
         ratios, attitudes, swings = (
             [float(row[number]) for row in rows if row[number]]
             for number in ("cost_ratio", "attitude_max_deg", "swing_m")
         )
-        if not completed:
-            first = min(float(row["first_lost_s"]) for row in rows)
-            return f"diverges at {first:.1f} s" if flights == 1 else f"all {flights} diverge, from {first:.1f} s on"
-        count = "completes" if flights == 1 else f"{completed} of {flights} complete"
-        return f"{count}: cost x{between(ratios)}, attitude {max(attitudes):.1f} deg, swing {between(swings)} m"
+        result = f"cost x{between(ratios)}, attitude {max(attitudes):.1f} deg, swing {between(swings)} m"
+        return f"{completed} of {flights} complete: {result}"
 
     rows = [
         [what, *(cell(name, {"scenario": scenario, **labels}) for scenario in ("paper", "resilient"))]
@@ -204,16 +104,9 @@ def claim() -> str:
     """Return the README's table of the paper's algorithm against the centralized controller, one row a comparison."""
     rows = [row for row in read("paper", "verdict.csv") if row["controller"] == "paper's algorithm"]
     weathers = list(dict.fromkeys(row["weather"] for row in rows))
-    lines = []
-    for key in dict.fromkeys((row["budget"], row["kept"]) for row in rows):
-        found = {row["weather"]: row for row in rows if (row["budget"], row["kept"]) == key}
-        cells = [
-            f"{ratios}: {row['verdict']}" if (ratios := cost_range(row)) not in ("", "diverged") else row["verdict"]
-            for row in (found[weather] for weather in weathers)
-        ]
-        period = periods(found[weathers[0]])
-        where = f" (T_s {period} ms)" if period != "none of the grid" else ""
-        lines.append([f"at {compared_at(found[weathers[0]])}{where}", *cells])
+    cells = {(row["at"], row["weather"]): ": ".join(filter(None, (row["cost"], row["verdict"]))) for row in rows}
+    periods = {row["at"]: f" (T_s {row['T_s']})" * bool(row["T_s"]) for row in rows}
+    lines = [[f"at {at}{where}", *(cells[at, weather] for weather in weathers)] for at, where in periods.items()]
     return table(["the paper's algorithm with our weights", *weathers], lines)
 
 
@@ -225,30 +118,23 @@ def figures_of_runs() -> None:
     transport("run", "paper", "--out", str(run))
     for figure in (run / "figures").glob("*.png"):
         shutil.copy(figure, IMAGES / figure.name)
-    options = [part for setting in NETWORK for part in ("--set", setting)]
-    transport("run", "eight", *options, "--no-figures", "--out", str(animated))
+    transport("run", "eight", *NETWORK, "--no-figures", "--out", str(animated))
     transport("plot", str(animated), "--animate", str(IMAGES / "flight.gif"))
 
 
 def main() -> None:
     """Run the named experiments, all without a name, and write their parts of the page and the README's tables."""
     names = sys.argv[1:] or list(EXPERIMENTS)
-    strange = set(names) - EXPERIMENTS.keys()
-    if strange:
-        raise SystemExit(f"expected names of experiments, got {', '.join(sorted(strange))}")
-    for folder in (IMAGES, RUNS):
-        folder.mkdir(parents=True, exist_ok=True)
+    IMAGES.mkdir(exist_ok=True)
     for name in names:
         place(PAGE, name)  # refused before minutes are spent
     figures_of_runs()
     for name in names:
         put(PAGE, name, part_of(name))
-    for mark, content, needed in (
-        ("network", at_a_glance, {"latency", "loss", "kill", "deaths"}),
-        ("claim", claim, {"paper"}),
-    ):
-        if needed <= set(names):
-            put(README, mark, content())
+    if {"latency", "loss", "kill", "deaths"} <= set(names):
+        put(README, "network", at_a_glance())
+    if "paper" in names:
+        put(README, "claim", claim())
     sys.stderr.write(f"written: {PAGE.name}, images/, {README.name}\n")
 
 

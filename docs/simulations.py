@@ -6,16 +6,16 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from rich.console import Console
 from tables import ROOT, commit, place, put, table
 
-from protocol.scenario.file import find_scenario, read_scenario, with_settings
-from protocol.scenario.schema import Scenario
+from protocol.scenario.file import find_scenario
 from protocol.scenario.setup import Setup
-from protocol.scenario.team import given, resized
 from transport.analysis.series import series_of
-from transport.experiments.cases import Case, cases_of_point
-from transport.experiments.simulation import Result
-from transport.experiments.sweep import simulated
+from transport.experiments.cases import Point, Result, cases_of_point
+from transport.experiments.declaration import Experiment
+from transport.experiments.sweep import Results, sweep
+from transport.experiments.workers import on_cores
 from transport.flight.run_files import machine, versions
 from transport.log.run_log import RunLog
 
@@ -30,8 +30,13 @@ class Run(NamedTuple):
     uavs: int | None = None
     seeds: int = 1
 
+    def point(self) -> Point:
+        """Return the run as a point of a sweep."""
+        team = (self.uavs, 1) if self.uavs else None
+        return Point({}, self.scenario, self.settings, team=team, scenario=self.scenario)
 
-# Results of a run, by seed. Their numbers: `transport.experiments.simulation.NUMBERS` and `more`.
+
+# Results of a run, by seed. Their numbers: `transport.experiments.cases.NUMBERS` and `more`.
 Flown = Sequence[Result]
 Cell = Callable[[Flown], str]
 
@@ -122,29 +127,21 @@ def renew(pages: Mapping[str, Sequence[Table]], version: str = "") -> None:
         for name in ("origin", one.name):
             place(document, name)  # refused before minutes are spent
     runs = dict.fromkeys(run for _, one in chosen for row in one.rows.values() for run in row if run)
-    now = commit()
-    kept = None if "changes" in now or now == "unknown" else RESULTS / now
-    found = dict(zip(runs, simulated("pages", [_cases(run) for run in runs], kept), strict=True))
+    points, now = tuple(run.point() for run in runs), commit()
+    cases = [
+        case
+        for i, (run, point) in enumerate(zip(runs, points, strict=True))
+        for case in cases_of_point(i, point.read(), find_scenario(run.scenario), run.seeds, more=more)
+    ]
+    experiment = Experiment(name="pages", points=points)
+    with Results("pages", None if "changes" in now or now == "unknown" else RESULTS / now) as results:
+        swept = sweep(experiment, cases, on_cores, results, Console(stderr=True))
+    swept.check()
+    found = dict(zip(runs, swept.by_point, strict=True))
     for document, one in chosen:
         put(document, one.name, _text(one, found))
         if not sys.argv[1:]:
             put(document, "origin", f"*Commit {now}; {versions()}{version}; {machine()}.*")
-
-
-def scenario_of(run: Run) -> Scenario:
-    """Return the scenario of a run, with its settings made after its team.
-
-    Raises: ScenarioError: a setting is refused.
-    """
-    path = find_scenario(run.scenario)
-    if run.uavs is None:
-        return read_scenario(path, run.settings, allow_large=True)
-    team = resized(read_scenario(path), run.uavs, group=1, name=None, source=str(path))
-    return with_settings(given(team), run.settings, str(path), allow_large=True)
-
-
-def _cases(run: Run) -> list[Case]:
-    return cases_of_point(0, scenario_of(run), find_scenario(run.scenario), run.seeds, more=more)
 
 
 def _text(shown: Table, found: Mapping[Run, Flown]) -> str:

@@ -36,10 +36,9 @@ TABLES = """
 import json
 from results_page import EXPERIMENTS
 from measured_pages import PAGES
-from simulations import scenario_of
 rows = [runs for tables in PAGES.values() for table in tables for runs in table.rows.values()]
 for run in {run for runs in rows for run in runs if run}:
-    scenario_of(run)
+    run.point().read()
 names = {name: ["origin", *(table.name for table in tables)] for name, tables in PAGES.items()}
 names["results.md"] += EXPERIMENTS
 print(json.dumps(names))

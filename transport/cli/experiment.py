@@ -22,12 +22,10 @@ from transport.cli.lazy import with_options
 from transport.cli.options import RUNS, FormatOption, LargeOption
 from transport.cli.output import Format, show
 from transport.experiments import comparison, comparison_report, design_experiments, network_experiments
-from transport.experiments.cases import Case, cases_of, refused
-from transport.experiments.conclusions import conclusions
-from transport.experiments.declaration import EXPERIMENTS, Declaration, Values
-from transport.experiments.simulation import Result, simulate
-from transport.experiments.statistics import WIDTH, WIDTH_OF_VARIANTS, PointStatistics, means_in_words, table_of
-from transport.experiments.sweep import Results, sweep
+from transport.experiments.cases import Case, Result, cases_of, refused
+from transport.experiments.declaration import EXPERIMENTS, Experiment, Values
+from transport.experiments.statistics import TITLE, WIDTH, PointStatistics, conclusions, table_of
+from transport.experiments.sweep import Results, sweep, write_markdown
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.run_files import machine
 
@@ -45,7 +43,7 @@ _QUICK_SEEDS = 2
 class ExperimentOptions:
     """Options of all experiments, after the declaration of one, which has its defaults."""
 
-    declared: Declaration
+    declared: Experiment
 
     settings: Annotated[
         list[str] | None, Option("--set", metavar="KEY=VALUE", help="Change a value of every scenario. Repeatable.")
@@ -62,9 +60,6 @@ class ExperimentOptions:
     output: FormatOption = Format.text
     scenarios: Annotated[list[str] | None, Option("--scenario", metavar="SCENARIO", help=_SCENARIO)] = None
     dask: Annotated[str | None, Option(metavar="ADDRESS", help="Dask cluster, e.g. tcp://host:8786.")] = None
-    processes: Annotated[
-        bool, Option("--processes", help="Run each case with processes and a run folder, one at a time.")
-    ] = False
 
     @property
     def repetitions(self) -> int:
@@ -82,11 +77,9 @@ class ExperimentOptions:
 
         Raises: ExperimentError: options exclude each other. ScenarioError: a scenario is refused.
         """
-        given = {"--processes": self.processes, "--dask": self.dask is not None, "--jobs": self.jobs is not None}
-        chosen = [name for name, is_given in given.items() if is_given]
-        if len(chosen) > 1:
-            raise refused(chosen[0], "only one of --processes, --dask, --jobs", f"also {chosen[1]}")
         if self.dask is not None:
+            if self.jobs is not None:
+                raise refused("--dask", "only one of --dask and --jobs", "both")
             check_cluster(self.dask)
         names = self.scenarios or list(self.declared.scenarios)
         if len(set(names)) < len(names):
@@ -101,8 +94,8 @@ class ExperimentOptions:
             typer.echo("--quick: a trial, no measurement", err=True)
         return self.out or RUNS / f"experiment-{name}-{datetime.now(UTC).strftime('%Y%m%d-%H%M%S')}"
 
-    def simulate(self, cases: Sequence[Case], folder: Path) -> Iterable[Result]:
-        """Simulate cases: on a cluster, in processes, or on the cores of this machine.
+    def simulate(self, cases: Sequence[Case]) -> Iterable[Result]:
+        """Simulate cases: on a cluster, or on the cores of this machine.
 
         By default at most as many at a time as fit into the memory of a run.
 
@@ -110,8 +103,6 @@ class ExperimentOptions:
         """
         if self.dask is not None:
             return on_cluster(cases, address=self.dask)
-        if self.processes:
-            return (simulate(case, folder / "runs") for case in cases)
         jobs = min(len(cases), self.jobs or self.declared.jobs or joblib.cpu_count())
         most = jobs if self.allow_large else most_workers(case.scenario for case in cases)
         if jobs > most and self.jobs is not None:
@@ -120,9 +111,9 @@ class ExperimentOptions:
         return on_cores(cases, min(jobs, most))
 
 
-def _options_of(declared: Declaration) -> Callable[..., ExperimentOptions]:
+def _options_of(declared: Experiment) -> Callable[..., ExperimentOptions]:
     """Return the options of an experiment; one with teams of its own takes no scenario and runs on this machine."""
-    fixed: dict[str, Any] = {} if declared.scenarios else {"scenarios": None, "dask": None, "processes": False}
+    fixed: dict[str, Any] = {} if declared.scenarios else {"scenarios": None, "dask": None}
     return partial(ExperimentOptions, declared=declared, **fixed)
 
 
@@ -151,7 +142,8 @@ def _parameter(name: str, values: Values) -> inspect.Parameter:
         shown = (value if isinstance(value, str) else f"{value:g}" for value in np.atleast_1d(values.default).tolist())
         help_text = f"{help_text.rstrip('.')}; by default {', '.join(shown)}.{' Repeatable.' * several}"
     option = Option(f"--{name}", metavar=values.metavar, help=help_text, min=values.least, max=values.most)
-    kind: Any = list[values.kind] if several else values.kind  # type: ignore[name-defined]
+    one = type(values.default[0] if several else values.default)
+    kind: Any = list[one] if several else one  # type: ignore[valid-type]
     return inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,
@@ -160,13 +152,13 @@ def _parameter(name: str, values: Values) -> inspect.Parameter:
     )
 
 
-def _conduct(name: str, declared: Declaration, options: ExperimentOptions, given: Mapping[str, Any]) -> None:
+def _conduct(name: str, declared: Experiment, options: ExperimentOptions, given: Mapping[str, Any]) -> None:
     """Simulate the cases of an experiment that have no result yet, and report all of them.
 
     Raises: ExperimentError: a case raised an error, a worker was lost, or the options are refused.
     """
     experiment = declared.experiment(options.read(), given, quick=options.quick)
-    timed = experiment.timed
+    timed = experiment.drawn_as == "scaling"
     cases = cases_of(
         experiment.points, options.changes(), options.repetitions, timed=timed, allow_large=options.allow_large
     )
@@ -175,25 +167,23 @@ def _conduct(name: str, declared: Declaration, options: ExperimentOptions, given
         done = sum(results.done(case.key) for case in cases)
         if done:
             typer.echo(f"{done} of {len(cases)} runs are done already", err=True)
-        simulated = partial(options.simulate, folder=folder)
-        swept = sweep(experiment, cases, simulated, results, Console(stderr=True))
-        files = [str(file) for file in swept.write(folder)]
+        swept = sweep(experiment, cases, options.simulate, results, Console(stderr=True))
     measured = swept.measured
-    title = f"{name}: {means_in_words(measured)}" + (" (trial, no measurement)" if options.quick else "")
+    title = f"{name}: {TITLE}" + (" (trial, no measurement)" if options.quick else "")
     if timed:
         phases = cases[0].scenario.maneuver.phase  # the same in all cases
         title += f"\n{sum(phase.duration_s for phase in phases):g} s of {', '.join(phase.name for phase in phases)}"
-    sentences = conclusions(measured, growth=timed)
+    sentences, table = conclusions(measured), table_of(title, measured)
+    files = swept.write(folder)
+    lines = write_markdown(folder, sentences, table, files)
     content = {
         "experiment": name,
         "points": [_content(m) for m in measured],
         "findings": sentences,
         "machine": machine(),
-        "files": files,
+        "files": [str(file) for file in files],
     }
-    width = WIDTH_OF_VARIANTS if experiment.drawn_as == "variants" else WIDTH
-    lines = ["", *sentences, "", f"machine: {machine()}", *(f" {path}" for path in files)]
-    show(options.output, content, table_of(title, measured, timed=timed), *lines, width=width)
+    show(options.output, content, table, *lines, width=WIDTH)
     swept.check()
 
 
@@ -219,12 +209,12 @@ def paper(
         options.repetitions,
         gust,
         folder,
-        partial(options.simulate, folder=folder),
+        options.simulate,
         Console(stderr=True),
         quick=options.quick,
     )
     content = {"experiment": "paper", "report": [line.strip() for line in lines if line.strip()]}
-    show(options.output, content, table, *lines, width=comparison_report.WIDTH)
+    show(options.output, content, table, *lines, width=WIDTH)
 
 
 def _content(m: PointStatistics) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from transport.cli.operate import RunOption, find_active
 from transport.cli.output import blame
 from transport.flight.live import Commands
 from transport.log.run_log import LogTail, setup_of
-from transport.scene.scene import KINDS, RunHistory, SceneBuilder
+from transport.scene.scene import RunHistory, SceneBuilder
 
 if TYPE_CHECKING:
     from transport.report.ros2 import Ros2Messages

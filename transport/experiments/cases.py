@@ -1,25 +1,62 @@
-"""Cases of an experiment: the points of its sweep, each simulated once per seed."""
+"""Cases of an experiment: the points of its sweep, each simulated in memory once per seed, and the numbers of a run."""
 
 import hashlib
 import json
 import re
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from importlib.metadata import version
+from operator import getitem
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
+
+import numpy as np
+import threadpoolctl
 
 from agent.own import controller_version
 from plant.engines import engine_version
 from protocol.scenario.budget import check_budget
-from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from protocol.scenario.file import ScenarioError, find_scenario, read_scenario, with_settings
 from protocol.scenario.schema import Scenario
 from protocol.scenario.setup import Setup
-from protocol.scenario.team import resized
+from protocol.scenario.team import given, resized
+from protocol.wire.codec import encode
 from protocol.wire.errors import TransportError
 from protocol.wire.exit_codes import EXIT_USAGE
+from protocol.wire.messages import Control, Plan, StepReport, Tick
+from transport.analysis.metrics import summarise
+from transport.flight import memory
 from transport.flight.run_files import checked
-from transport.log.run_log import RunLog
+from transport.log.run_log import Recorded, RunLog
+
+# Outcome of a case that could not be simulated.
+ERROR = "error"
+
+# Numbers of a run, each with its place in the summary.
+_FROM_SUMMARY = {
+    "cost_mean": ("cost", "mean"),
+    "cost_max": ("cost", "max"),
+    "attitude_max_deg": ("attitude_max_deg",),
+    "uav_rms_m": ("uav_tracking", "rms_m"),
+    "uav_max_m": ("uav_tracking", "max_m"),
+    "payload_rms_m": ("payload_tracking", "rms_m"),
+    "payload_max_m": ("payload_tracking", "max_m"),
+    "swing_m": ("payload_tracking", "swing_m"),  # largest payload error at the end, swing.SWING_S
+    "separation_min_m": ("separation_min_m",),
+    "plan_age_mean_ticks": ("plan_age_ticks", "mean"),
+    "plan_age_max_ticks": ("plan_age_ticks", "max"),
+}
+# Shares of messages: count and total, each an entry of the summary's messages.
+_SHARES = {"plans_lost_share": ("lost", "sent"), "plans_shared_share": ("shared", "planned")}
+
+# Numbers of every run; None where a run has none. The first is the scenario time of the end, unless completed. None of
+# them is a wall-clock time.
+NUMBERS = ("lost_s", *_FROM_SUMMARY, *_SHARES)
+
+# Keys, sections and values of a scenario that make a run random, unless they are the defaults.
+_RANDOM = {"jitter_s", "loss", "duplicate", "reorder", "gust_mps", "noise", "empirical", "gilbert_elliott"}
 
 
 class ExperimentError(TransportError, RuntimeError):
@@ -35,25 +72,11 @@ def refused(option: str, expected: str, got: object, exit_code: int = EXIT_USAGE
     return ExperimentError(f"{option}: expected {expected}, got {got}", exit_code)
 
 
-# Keys, sections and values of a scenario that make a run random, unless they are the defaults.
-_RANDOM = {"jitter_s", "loss", "duplicate", "reorder", "gust_mps", "noise", "empirical", "gilbert_elliott"}
-
-# Sections that a team of another size replaces: settings of these would be ignored.
-_TEAM_SECTIONS = ("system", "agents")
-
-
-class Team(NamedTuple):
-    """A team that replaces the scenario's own, made as by `transport scenario new`."""
-
-    uavs: int  # number of UAVs
-    group: int  # UAVs per agent
-
-
 @dataclass(frozen=True, slots=True)
 class Point:
     """A point of a sweep: a scenario and its changes.
 
-    A baseline is what the scenario's other points with the same group and number of UAVs are compared to.
+    A baseline is what the scenario's other points with the same group are compared to.
     """
 
     labels: Mapping[str, str | float]  # values by column that tell the point from the scenario's others
@@ -61,8 +84,20 @@ class Point:
     settings: tuple[str, ...] = ()  # changes of the scenario, as for `--set`
     baseline: bool = False
     group: str = ""  # name of points that share a baseline of their own
-    team: Team | None = None  # replaces the scenario's own team
+    team: tuple[int, int] | None = None  # number of UAVs and UAVs per agent, as of `transport scenario new`
     scenario: str = ""  # file or name
+
+    def read(self, settings: Sequence[str] = ()) -> Scenario:
+        """Return the scenario with settings, then those of the point, of any size.
+
+        Raises: ScenarioError: naming file or setting, field, expected, got.
+        """
+        path, changes = find_scenario(self.scenario), [*settings, *self.settings]
+        if self.team is None:
+            return read_scenario(path, changes, allow_large=True)
+        uavs, group = self.team
+        team = resized(read_scenario(path), uavs, group=group, name=None, source=str(path))
+        return with_settings(given(team), changes, str(path), allow_large=True)
 
 
 # Further numbers of a run, from its setup, summary and log.
@@ -77,49 +112,29 @@ class Case:
     scenario: Scenario  # with the changes and the seed
     source: str  # file the scenario comes from
     key: str  # fingerprint of everything that determines the result
-    timed: bool = False  # whether processor time and messages are measured as well
     more: More | None = None
 
 
 def cases_of(
-    points: Sequence[Point],
-    settings: Sequence[str],
-    seeds: int,
-    *,
-    timed: bool = False,
-    more: More | None = None,
-    allow_large: bool = False,
+    points: Sequence[Point], settings: Sequence[str], seeds: int, *, timed: bool = False, allow_large: bool = False
 ) -> list[Case]:
     """Return every run of a sweep: each point with the seeds 0, 1, ...; one seed for a deterministic point.
 
-    The settings are applied before those of the points. Every point is repeated if processor time is measured. With
-    `allow_large` runs may exceed the limits of `protocol.scenario.budget`.
+    The settings are applied before those of the points. Timed points have the numbers of `resource_use` and are all
+    repeated. With `allow_large` runs may exceed the limits of `protocol.scenario.budget`.
 
     Raises: ScenarioError: a point that cannot be simulated, naming file, field, expected, got.
     """
     cases = []
     for index, point in enumerate(points):
-        path = find_scenario(point.scenario)
-        changes = [*settings, *point.settings]
-        scenario = read_scenario(path, changes, allow_large=True)
-        if point.team is not None:
-            for setting in changes:
-                key = setting.partition("=")[0].strip()
-                if key.partition(".")[0] in _TEAM_SECTIONS and key != "system.gravity_mps2":
-                    expected = "expected a key that every team has, got one of a single team"
-                    raise ScenarioError(f"--set {setting}", "", expected)
-            uavs, group = point.team
-            source = f"{path}, {point.text}"
-            scenario = resized(scenario, uavs, group=group, name=None, source=source)
+        path, scenario = find_scenario(point.scenario), point.read(settings)
         if not allow_large:
             check_budget(scenario, str(path))
-        cases += cases_of_point(index, scenario, path, seeds, timed=timed, more=more)
+        cases += cases_of_point(index, scenario, path, seeds, more=resource_use if timed else None)
     return cases
 
 
-def cases_of_point(
-    index: int, scenario: Scenario, path: Path, seeds: int, *, timed: bool = False, more: More | None = None
-) -> list[Case]:
+def cases_of_point(index: int, scenario: Scenario, path: Path, seeds: int, *, more: More | None = None) -> list[Case]:
     """Return the runs of the point with an index, whose scenario comes from a file; as `cases_of`.
 
     Raises: ScenarioError: the scenario cannot be simulated.
@@ -129,10 +144,10 @@ def cases_of_point(
         raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
     checked(Setup.of(scenario, str(path)))  # refuses an impossible setup before the first run
     cases = []
-    for seed in range(seeds if timed or is_random(scenario) else 1):
+    for seed in range(seeds if more is resource_use or is_random(scenario) else 1):
         seeded = scenario.model_copy(update={"seed": seed})
         key = key_of(seeded)
-        cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, timed=timed, more=more))
+        cases.append(Case(point=index, scenario=seeded, source=str(path), key=key, more=more))
     return cases
 
 
@@ -150,3 +165,70 @@ def key_of(scenario: Scenario) -> str:
 def is_random(scenario: Scenario) -> bool:
     """Return whether runs of the scenario differ with the seed."""
     return not _RANDOM.isdisjoint(re.findall(r'"(\w+)"', scenario.model_dump_json(exclude_defaults=True)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """Result of a case."""
+
+    key: str  # of the case
+    outcome: str  # as in a summary, or `ERROR` for a case that could not be simulated
+    reason: str  # one line; empty when completed
+    numbers: dict[str, float | None]  # by name; empty for an error
+
+
+def run_in_memory(setup: Setup) -> RunLog:
+    """Simulate a run in this process and return its log, stamped with the processor time of this thread."""
+    messages: list[Recorded] = []
+    clock = time.thread_time_ns  # excludes the rest of the machine
+    memory.simulate(setup, lambda message: messages.append(Recorded(message=message, received_ns=clock())), clock)
+    return RunLog(header={}, messages=tuple(messages), cut="")
+
+
+def simulate(case: Case) -> Result:
+    """Simulate a case in this process; an error is a result as well."""
+    try:
+        # One thread: sums have the same order on every machine.
+        with threadpoolctl.threadpool_limits(1):
+            setup = Setup.of(case.scenario, case.source)
+            if key_of(setup.scenario) != case.key:
+                raise RuntimeError("expected the version of this package that started the experiment, got another")
+            log = run_in_memory(setup)
+            summary, control = summarise(setup, log), next(log.of(Control))
+            end_s = None if control.outcome == "completed" else control.tick * setup.settings.sampling_period_s
+            numbers = {"lost_s": end_s, **_numbers(summary), **(case.more(setup, summary, log) if case.more else {})}
+    except Exception as error:  # noqa: BLE001  # an error of one case must not end the others
+        text = " ".join(str(error).split())
+        return Result(key=case.key, outcome=ERROR, reason=f"{type(error).__name__}: {text}", numbers={})
+    return Result(key=case.key, outcome=control.outcome, reason=control.reason, numbers=numbers)
+
+
+def _numbers(summary: Any) -> dict[str, float | None]:
+    messages = summary["messages"]
+    return {
+        **{name: reduce(getitem, place, summary) for name, place in _FROM_SUMMARY.items()},
+        **{name: messages[part] / messages[of] if messages[of] else None for name, (part, of) in _SHARES.items()},
+    }
+
+
+def resource_use(setup: Setup, _: Any, log: RunLog) -> Mapping[str, float | None]:
+    """Return messages and processor time of a run, as in docs/experiments.md; none if it ended before its first step.
+
+    A shared plan counts once for each other agent, as on a network without multicast. Messages to plant and
+    coordinator are not counted: in the field they stay on board or do not exist.
+    """
+    steps_ms = [float(report.times_ms[-1]) for report in log.of(StepReport)]
+    if not steps_ms:
+        return {}
+    ticks, receivers = len({report.tick for report in log.of(StepReport)}), len(setup.agents) - 1
+    duration_s = ticks * setup.settings.sampling_period_s
+    bytes_of_plans = [len(encode(plan)) for plan in log.of(Plan) if plan.shared]
+    began_ns, ended_ns = min(log.received_ns(Tick).values()), max(log.received_ns(Control).values())
+    return {
+        "plans_per_tick": receivers * len(bytes_of_plans) / ticks,
+        "plan_bytes_per_s": receivers * sum(bytes_of_plans) / duration_s,
+        "cpu_step_p50_ms": float(np.median(steps_ms)),  # of an agent's step: all stages of computation
+        "cpu_step_p99_ms": float(np.percentile(steps_ms, 99.0)),
+        "cpu_team_tick_ms": sum(steps_ms) / ticks,
+        "cpu_flight_s_per_s": (ended_ns - began_ns) / 1e9 / duration_s,  # with plant, coordinator and messages
+    }

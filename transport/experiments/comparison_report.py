@@ -17,30 +17,26 @@ from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from protocol.scenario.setup import Setup
 from transport.analysis.series import series_of
 from transport.experiments import comparison
-from transport.experiments.cases import cases_of
-from transport.experiments.comparison import CENTRALIZED, CLOSED_LOOP, PAPER, SECONDS, STEPS, Cell, Curve
+from transport.experiments.cases import cases_of, run_in_memory
+from transport.experiments.cases import simulate as simulate_here
+from transport.experiments.comparison import AGENT, CENTRALIZED, CLOSED_LOOP, PAPER, SECONDS, STEPS, STILL, Cell, Curve
 from transport.experiments.declaration import Experiment
-from transport.experiments.simulation import run_in_memory
-from transport.experiments.simulation import simulate as simulate_here
-from transport.experiments.statistics import Column, console_table
-from transport.experiments.sweep import Results, Simulate, Swept, sweep
-from transport.flight.run_files import machine
+from transport.experiments.statistics import COST_RATIO, Column, console_table
+from transport.experiments.sweep import Results, Simulate, Swept, sweep, write_markdown
 from transport.report.column import column_panels, head
 from transport.report.compare import fill_overlaid
-from transport.report.report import write_csv, write_whole
+from transport.report.report import write_csv
 from transport.report.style import CURVES, DIVERGED, MARKER, RC, REFERENCE, SMALL, label_decades, save
 
-WIDTH = 130
 TITLE = "paper: means of completed runs; ± 95 % confidence of the ratio to centralized, taken seed by seed"
 
 _LABELS = {"weather": "weather", "controller": "controller", "kept": "horizon\nkept"}
-# Only the ratios have confidence intervals: the spread of the others is that of the wind.
+# Only the ratio has a confidence interval: the spread of the others is that of the wind.
 _COLUMNS = (
     Column("T_s\n(ms)", "period_s", 1e3, 1),
     Column("N_p", "horizon", digits=0),
     Column("cost\n(1e-3)", "cost_mean", 1e3, 3),
-    Column("cost over\ncentralized", "cost_mean_ratio", digits=3, interval=True),
-    Column("peak over\ncentralized", "cost_max_ratio", digits=3, interval=True),
+    Column("cost over\ncentralized", COST_RATIO, digits=3, interval=True),
     Column("attitude\n(deg)", "attitude_max_deg"),
     Column("swing\n(m)", "swing_m", digits=3),
     Column("CPU step\n(ms)", "cpu_step_ms"),
@@ -71,10 +67,9 @@ def compare(
     reference = Cell(CENTRALIZED, scenario.controller.sampling_period_s, scenario.controller.horizon)
     cells = comparison.cells_of(reference, quick=quick)
     every = list(dict.fromkeys(cell for own in cells.values() for cell in own))  # curves meet at the reference
-    experiment = comparison.experiment(every, reference, gust_mps)
+    experiment = comparison.experiment(every, gust_mps)
     # One run at a time, all controllers in turns: a slow period of the machine affects all alike.
-    points = experiment.points[: len(every)]
-    measurement = Experiment(name="processor time", points=points, x=experiment.x, timed=True)
+    measurement = Experiment(name="processor time", points=experiment.points[: len(every)])
     maneuver = comparison.QUICK_MEASUREMENT if quick else comparison.MANEUVER
     repeats = comparison.QUICK_REPEATS if quick else comparison.REPEATS
     cases = cases_of(experiment.points, settings, seeds)
@@ -83,25 +78,21 @@ def compare(
         timed = sweep(measurement, timed_cases, partial(map, simulate_here), results, console)
         timed.check()
         swept = sweep(experiment, cases, simulate, results, console)
-    loads = comparison.loads_of(timed)
-    curves = comparison.cost_curves(cells, swept, loads, reference)
-    rows = [row for curve in curves for row in curve.rows]
-    judged = list(comparison.verdicts(curves, loads, reference))
+    curves = comparison.curves_of(cells, timed, swept, reference)
+    rows = [row for curve in curves for row in curve.rows()]
+    judged = list(comparison.verdicts(curves, reference))
     files = [timed.write_cases(folder / "computation.csv"), swept.write_cases(folder / "cases.csv")]
     for name, content in (("curves.csv", rows), ("verdict.csv", judged)):
         files.append(folder / name)
         write_csv(files[-1], content, list(content[0]))
-    text = [*comparison.sentences(judged), "", f"machine: {machine()}"]
-    files.append(folder / "verdict.txt")
-    write_whole(files[-1], "\n".join([*text, ""]).encode())
     files += [*draw_costs(curves, reference, folder), *draw_maneuver(curves, reference, swept, folder)]
-    return ["", *text, *(f" {path}" for path in files)], console_table(TITLE, _LABELS, _COLUMNS, rows)
+    table = console_table(TITLE, _LABELS, _COLUMNS, rows)
+    return write_markdown(folder, list(map(comparison.sentence, judged)), table, files), table
 
 
 # Colour of each controller; marker and line of a horizon with as many steps and of one with as many seconds.
 _COLOURS = {CENTRALIZED: "#000000", PAPER: CURVES[0][0], CLOSED_LOOP: CURVES[1][0]}
 _SHAPES = {STEPS: ("o", "-"), SECONDS: ("D", "--")}
-_TIMES = {"the team": "cpu_team_s_per_s", "an agent": "cpu_agent_s_per_s"}
 _PANEL_IN, _ABOVE_IN = 0.95, 0.17
 
 # Larger cost ratios are drawn at the upper edge of the panel, diverged runs above it.
@@ -118,26 +109,26 @@ def draw_costs(curves: Sequence[Curve], reference: Cell, folder: Path) -> list[P
     """
     kept_at = {STEPS: f"{reference.horizon} steps", SECONDS: f"{reference.horizon * reference.period_s:g} s"}
     legend = [
-        Line2D([], [], label=f"{controller}, {kept_at[kept]}", markersize=MARKER, **_style(controller, kept))
+        Line2D([], [], label=f"{controller}, {kept_at[kept]}", **_style(controller, kept))
         for controller, kept in comparison.CURVES
     ]
-    shown = [(whose, weather) for whose in _TIMES for weather in dict.fromkeys(curve.weather for curve in curves)]
+    weathers = dict.fromkeys(curve.weather for curve in curves)
+    shown = [(budget, weather) for budget in curves[0].loads for weather in weathers]
     with mpl.rc_context({**RC, "svg.hashsalt": "costs"}):
         figure = Figure()
         x_label = "processor time per second of the run (s/s)"
         panels = column_panels(figure, [_PANEL_IN] * len(shown), legend=legend, x_label=x_label, top_in=_ABOVE_IN)
-        for panel, (whose, weather) in zip(panels, shown, strict=True):
-            own = [curve for curve in curves if curve.weather == weather]
-            for curve in own:
-                _draw(panel, curve, _TIMES[whose])
-            x = own[0].rows[own[0].cells.index(reference)][_TIMES[whose]]
+        for panel, (budget, weather) in zip(panels, shown, strict=True):
+            for curve in (curve for curve in curves if curve.weather == weather):
+                _draw(panel, curve, budget)
+            x = np.median(curves[0].loads[budget][curves[0].cells.index(reference)])
             panel.axvline(x, color=REFERENCE, linewidth=0.8, zorder=0)
             name = f"centralized\nat {1e3 * reference.period_s:g} ms"
             how: Any = {"ha": "right", "va": "center", "fontsize": SMALL, "color": "#555555", "linespacing": 1.0}
             panel.annotate(name, (x, _NAME), (-3.0, 0.0), textcoords="offset points", **how)
             panel.set_xscale("log")
             label_decades(panel.xaxis)
-            head(panel, f"mean cost over centralized; {weather}, time of {whose}", legend=False)
+            head(panel, f"mean cost over centralized; {weather}, time of {budget}", legend=False)
             ticks = (1.0, 1.5, 2.0, 2.5, _HIGHEST)
             panel.set_yticks([*ticks, _STRIP], [*(f"{tick:g}" for tick in ticks), "diverged"])
             panel.set_ylim(_LOWEST, _STRIP + 0.2)
@@ -149,24 +140,18 @@ def draw_costs(curves: Sequence[Curve], reference: Cell, folder: Path) -> list[P
 
 def _style(controller: str, kept: str) -> dict[str, Any]:
     marker, line = _SHAPES[kept]
-    return {"color": _COLOURS[controller], "marker": marker, "linestyle": line}
+    return {"color": _COLOURS[controller], "marker": marker, "linestyle": line, "markersize": MARKER}
 
 
-def _draw(axes: Axes, curve: Curve, time: str) -> None:
-    """Draw a curve, with the spread of the processor time and the confidence interval of the cost."""
-    style = _style(curve.controller, curve.kept) | {"markersize": MARKER}
-    x = np.array([[row[f"{time}{end}"] for row in curve.rows] for end in ("", "_min", "_max")])
-    cost, half = (
-        np.array([row[f"cost_mean_ratio{end}"] or 0.0 for row in curve.rows], dtype=float) for end in ("", "_ci95")
-    )
-    diverged = np.isinf(curve.costs).any(axis=1)
-    high = ~diverged & (cost > _HIGHEST)
-    cost[diverged | high] = np.nan
-    axes.plot(x[0], cost, linewidth=1.0, **style)
-    axes.errorbar(x[0], cost, half, abs(x[1:] - x[0]), color=style["color"], linestyle="none", elinewidth=0.8)
-    axes.plot(x[0, diverged], np.full(diverged.sum(), _STRIP), **style | DIVERGED)
-    upwards = {"marker": "$\\uparrow$", "linestyle": "none"}
-    axes.plot(x[0, high], np.full(high.sum(), _HIGHEST), **style | upwards)
+def _draw(axes: Axes, curve: Curve, budget: str) -> None:
+    """Draw a curve, with the confidence interval of the cost."""
+    style, rows = _style(curve.controller, curve.kept), list(curve.rows())
+    x = np.median(curve.loads[budget], axis=1)
+    cost, half = (np.array([row[f"{COST_RATIO}{end}"] or 0.0 for row in rows]) for end in ("", "_ci95"))
+    diverged = np.isinf(curve.ratios).any(axis=1)
+    cost[diverged] = np.nan
+    axes.errorbar(x, np.minimum(cost, _HIGHEST), half, linewidth=1.0, elinewidth=0.8, **style)
+    axes.plot(x[diverged], np.full(diverged.sum(), _STRIP), **style | DIVERGED)
 
 
 def draw_maneuver(curves: Sequence[Curve], reference: Cell, swept: Swept, folder: Path) -> list[Path]:
@@ -177,18 +162,18 @@ def draw_maneuver(curves: Sequence[Curve], reference: Cell, swept: Swept, folder
 
     Returns: maneuver.png and maneuver.svg.
     """
-    of = {(curve.controller, curve.kept): curve for curve in curves if curve.weather == comparison.STILL}
+    of = {(curve.controller, curve.kept): curve for curve in curves if curve.weather == STILL}
     whole, own = of[CENTRALIZED, STEPS], of[PAPER, STEPS]
-    reference_s = whole.rows[whole.cells.index(reference)]["cpu_agent_s_per_s"]
-    times_s = [row["cpu_agent_s_per_s"] for row in own.rows]
+    times_s = np.median(own.loads[AGENT], axis=1)
+    away = np.abs(np.log(times_s / np.median(whole.loads[AGENT][whole.cells.index(reference)])))
     shown = {
         reference: CENTRALIZED,
         reference._replace(controller=PAPER): f"{PAPER}, same rate",
-        own.cells[int(np.argmin(np.abs(np.log(np.array(times_s) / reference_s))))]: f"{PAPER}, same computation",
+        own.cells[int(np.argmin(away))]: f"{PAPER}, same computation",
     }
     overlaid = []
     for cell, name in shown.items():
-        labels = {"weather": comparison.STILL, **cell._asdict()}
+        labels = {"weather": STILL, **cell._asdict()}
         case = next(case for case in swept.cases if swept.experiment.points[case.point].labels == labels)
         setup = Setup.of(case.scenario, case.source)
         overlaid.append((f"{name}, {1e3 * cell.period_s:g} ms", setup, series_of(setup, run_in_memory(setup))))

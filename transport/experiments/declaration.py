@@ -6,7 +6,7 @@ line and its help are made.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from protocol.scenario.keys import UNITS, ending_of, fields, key_of, short_names, unit_of
 from protocol.scenario.schema import Scenario
@@ -56,16 +56,12 @@ def axis(column: str) -> Axis:
         return Axis(column, *_COLUMNS[column])
     key = short_names().get(column, column)
     found = fields().get(key)
-    label = key_of(found).label if found is not None else ""
-    if found is None or not label:
+    # Labels of links name plans.
+    if found is None or not key_of(found).label or key.startswith(("links.measurement.", "links.actuation.")):
         ending = ending_of(key)
         return Axis(column, key.removesuffix(ending).replace(".", " ").replace("_", " "), UNITS[ending][0])
-    if key.startswith("links.measurement."):  # labels of links name plans
-        label = label.replace("plans", "measurements")
-    if key.startswith("links.actuation."):
-        label = f"{label.removesuffix(' of plans')} to the actuators"
     unit = key_of(found).shown or unit_of(key, found)
-    return Axis(column, label, unit, _FACTORS.get(unit.partition(" ")[0], 1.0))
+    return Axis(column, key_of(found).label, unit, _FACTORS.get(unit.partition(" ")[0], 1.0))
 
 
 # Label of points to which a column does not apply.
@@ -76,25 +72,6 @@ QUICK_MANEUVER = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]}]"
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Experiment:
-    """A sweep and how it is drawn: as curves over x, a map over x and y, or a row for each variant.
-
-    Curves have the panels of costs, of processor time, of shared plans or of errors.
-    """
-
-    name: str  # of the command
-    points: tuple[Point, ...]
-    x: Axis
-    y: Axis | None = None
-    drawn_as: Literal["curves", "scaling", "variants", "sharing", "tracking"] = "curves"
-    # Column that tells the curves of a scenario apart, and names of its values in the figure. Points labelled `NONE`
-    # belong to all curves.
-    curves: str | None = None
-    legend: Mapping[str | float, str] = field(default_factory=dict)
-    timed: bool = False  # whether processor time and messages are measured as well
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,73 +88,72 @@ class Values:
     least: float | None = None  # smallest and largest value
     most: float | None = None
 
-    @property
-    def kind(self) -> type:
-        """Type of a value."""
-        return type(self.default[0] if isinstance(self.default, list) else self.default)
+
+# Yields the points of a scenario, or of an experiment's own teams, for options by name.
+Build = Callable[..., Iterable[Point]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Declaration:
-    """An experiment: its function of a scenario and of its options, which yields the points, and its defaults.
+class Experiment:
+    """A sweep, with its options and defaults, and how it is drawn.
 
-    Without scenarios it has teams or controllers of its own, and its function takes only its options.
+    That is as curves over x, a map over x and y, or a row for each variant. Curves have the panels of costs, of
+    processor time, of shared plans or of errors.
     """
 
-    build: Callable[..., Iterable[Point]]
-    options: Mapping[str, Values]
-    drawn: Mapping[str, Any]  # fields of `Experiment`
-    scenarios: Sequence[str] = ("paper", "resilient")
+    name: str  # of the command
+    x: str = ""  # columns along the axes
+    y: str = ""
+    drawn_as: Literal["curves", "scaling", "variants", "sharing", "tracking"] = "curves"
+    # Column that tells the curves of a scenario apart, and names of its values in the figure. Points labelled `NONE`
+    # belong to all curves.
+    curves: str | None = None
+    legend: Mapping[str | float, str] = field(default_factory=dict)
+    points: tuple[Point, ...] = ()
+    build: Build = tuple
+    options: Mapping[str, Values] = field(default_factory=dict)
+    scenarios: Sequence[str] = ("paper", "resilient")  # none: teams of its own
     seeds: int = 1
     jobs: int | None = None  # runs at a time; None: one for each core
     maneuver: str = ""  # setting; empty: the scenario's own
     quick_maneuver: str = QUICK_MANEUVER
 
-    def experiment(
-        self, scenarios: Mapping[str, Scenario], given: Mapping[str, Any], *, quick: bool = False
-    ) -> Experiment:
-        """Return the sweep over scenarios with the options given, the others at their defaults.
+    def experiment(self, scenarios: Mapping[str, Scenario], given: Mapping[str, Any], *, quick: bool = False) -> Self:
+        """Return the experiment with the points of scenarios and the options given, the others at their defaults.
 
         Raises: ExperimentError: an option is refused.
         """
         options = {}
         for name, values in self.options.items():
-            default = values.default if not quick or values.quick is None else values.quick
             found = given.get(name)
-            found = default if found is None or found == [] else found
+            if found in (None, []):
+                found = values.quick if quick and values.quick is not None else values.default
             options[name] = sorted(set(found)) if isinstance(found, list) else found
-        if self.scenarios:
-            points = [
-                replace(point, scenario=name)
-                for name, scenario in scenarios.items()
-                for point in self.build(scenario, **options)
-            ]
-        else:
-            points = list(self.build(**options))
-        return Experiment(name=self.build.__name__, points=tuple(points), **self.drawn)
+        points = [
+            replace(point, scenario=name)
+            for name, scenario in scenarios.items()
+            for point in self.build(scenario, **options)
+        ] or self.build(**options)
+        return replace(self, points=tuple(points))
 
 
 # Experiments by the name of the command.
-EXPERIMENTS: dict[str, Declaration] = {}
-
-Build = Callable[..., Iterable[Point]]
+EXPERIMENTS: dict[str, Experiment] = {}
 
 
-def declared(
-    x: str, *, drawn: Mapping[str, Any] | None = None, defaults: Mapping[str, Any] | None = None, **options: Values
-) -> Callable[[Build], Build]:
+def declared(x: str, **given: Any) -> Callable[[Build], Build]:
     """Declare an experiment by its function, whose docstring is the help of the command.
 
     Args:
         x: Column along the horizontal axis.
-        drawn: Further fields of `Experiment`.
-        defaults: Further fields of `Declaration`.
-        options: Options of the function by name.
+        given: Further fields of `Experiment`, and options of the function as `Values`.
     """
+    options = {name: value for name, value in given.items() if isinstance(value, Values)}
+    fields = {name: value for name, value in given.items() if name not in options}
 
     def declare(build: Build) -> Build:
-        fields = {"drawn": {"x": axis(x), **(drawn or {})}, **(defaults or {})}
-        EXPERIMENTS[build.__name__] = Declaration(build=build, options=options, **fields)
+        name = build.__name__
+        EXPERIMENTS[name] = Experiment(name=name, x=x, build=build, options=options, **fields)
         return build
 
     return declare

@@ -2,21 +2,20 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from functools import reduce
-from operator import getitem
-from typing import Any
+from itertools import product
 
 import numpy as np
 
+from protocol.scenario.file import ScenarioError, with_settings
 from protocol.scenario.schema import Scenario
-from transport.experiments.cases import Point, Team, refused
+from protocol.scenario.team import given
+from transport.experiments.cases import Point, refused
 from transport.experiments.declaration import NONE, Values, declared
 from transport.experiments.network_experiments import NETWORKS
 
 AS_IT_IS, NEVER, CENTRALIZED = "as it is", "never", "centralized"
 
-# Settings of each part by its name. Those that a scenario has anyway, or that conflict with its other settings, are
-# left out.
+# Settings of each part by its name. Those that a scenario has anyway, or that its other settings exclude, are left out.
 PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "prediction": ("controller.prediction", ("open_loop", "closed_loop")),
     "terminal": ("controller.terminal", ("multiple", "riccati")),
@@ -25,7 +24,7 @@ PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "negotiation iterations": ("controller.negotiation_iterations", ("1", "2", "4")),
     "received plans": ("controller.received_plans", ("by_age", "by_one", "held")),
     "received states": ("controller.received_states", ("predicted", "as_received")),
-    "actuation": ("clock.actuation", ("immediate", "next_tick")),
+    "actuation": ("clock.actuation", ("next_tick",)),
     "discretisation": ("controller.discretisation", ("exact", "euler")),
 }
 
@@ -38,7 +37,7 @@ OWNERSHIPS: Mapping[str, int | None] = {"distributed": 1, "pairs": 2, CENTRALIZE
 _CONTINUE = "clock.on_agent_loss=continue"
 
 
-@declared("value", drawn={"drawn_as": "variants"}, defaults={"seeds": 3})
+@declared("value", drawn_as="variants", seeds=3)
 def ablation(scenario: Scenario) -> Iterator[Point]:
     """Contribution of each part of the algorithm.
 
@@ -51,38 +50,23 @@ def ablation(scenario: Scenario) -> Iterator[Point]:
         yield Point(labels, f"{AS_IT_IS}, {network}", links, baseline=network == "perfect")
         for part, (key, values) in PARTS.items():
             for value in values:
-                if not _has(scenario, key, value) and _is_possible(scenario, key, value):
+                if _takes(scenario, f"{key}={value}"):
                     labels = {"network": network, "part": part, "value": value}
                     yield Point(labels, f"{part} {value}, {network}", (*links, f"{key}={value}"))
 
 
-def _has(scenario: Scenario, key: str, value: str) -> bool:
-    """Return whether a scenario has a value already."""
-    if key == "clock.actuation":
-        return value == ("next_tick" if scenario.clock.next_tick else "immediate")
-    own: Any = reduce(getitem, key.split("."), scenario.tree())
-    if own == "auto":
-        own = 1.0 / len(scenario.owned)
-    return value == (str(own).lower() if isinstance(own, bool) else str(own))
-
-
-def _is_possible(scenario: Scenario, key: str, value: str) -> bool:
-    """Return whether a value can be combined with the scenario's other settings (docs/keys.md, `[controller]`)."""
-    controller = scenario.controller
-    chosen = {
-        "controller.prediction": controller.prediction,
-        "controller.terminal": controller.terminal,
-        "controller.preview": str(controller.preview).lower(),
-        key: value,
-    }
-    if chosen["controller.terminal"] == "riccati":
-        return bool(controller.weights.penalised_input == "deviation")
-    return chosen["controller.preview"] == "false" or chosen["controller.prediction"] == "closed_loop"
+def _takes(scenario: Scenario, setting: str) -> bool:
+    """Return whether a scenario does not have a setting, and its other settings do not exclude it."""
+    try:
+        changed = with_settings(given(scenario), [setting], scenario.name)
+    except ScenarioError:
+        return False
+    return changed.tree() != scenario.tree()
 
 
 @declared(
     "horizon",
-    drawn={"drawn_as": "variants"},
+    drawn_as="variants",
     horizon=Values([5, 10, 20, 30], "STEPS", "Steps N_p.", [10]),
     terminal=Values([1.0, 5.0, 20.0], "WEIGHT", "Terminal weight, for open-loop prediction.", [5.0]),
     delay=Values(0.2, "SECONDS", "Delay of every plan on the second network, s."),
@@ -95,31 +79,30 @@ def horizon(scenario: Scenario, horizon: Sequence[int], terminal: Sequence[float
     Example: transport experiment horizon --horizon 10 --horizon 20 --scenario paper
     """
     # The scenario's own horizon and weight are always included: on a perfect network they are the baseline.
-    own_horizon, own_end = scenario.controller.horizon, float(scenario.controller.weights.terminal)
+    controller = scenario.controller
+    own_end = float(controller.weights.terminal)
     ends: Sequence[float | str] = sorted({own_end, *terminal})
-    if scenario.controller.terminal == "riccati":
+    if controller.terminal == "riccati":
         ends = [_COST_TO_GO]
     for network, delay_s in (("perfect", 0.0), (f"{1e3 * delay:g} ms delay", delay)):
-        for steps in sorted({own_horizon, *horizon}):
-            for end in ends:
-                has_weight = not isinstance(end, str)
-                text = f"terminal weight {end:g}" if has_weight else end
-                weight = (f"controller.weights.terminal={end!r}",) if has_weight else ()
-                yield Point(
-                    {"network": network, "horizon": steps, "terminal": end},
-                    f"N_p {steps}, {text}, {network}",
-                    (f"links.delay_s={delay_s!r}", f"controller.horizon={steps}", *weight),
-                    baseline=steps == own_horizon and end in (own_end, _COST_TO_GO) and delay_s == 0.0,
-                )
+        for steps, end in product(sorted({controller.horizon, *horizon}), ends):
+            settings, text = [f"links.delay_s={delay_s!r}", f"controller.horizon={steps}"], str(end)
+            if end != _COST_TO_GO:
+                settings.append(f"controller.weights.terminal={end!r}")
+                text = f"terminal weight {end:g}"
+            yield Point(
+                {"network": network, "horizon": steps, "terminal": end},
+                f"N_p {steps}, {text}, {network}",
+                tuple(settings),
+                baseline=steps == controller.horizon and end in (own_end, _COST_TO_GO) and delay_s == 0.0,
+            )
 
 
 @declared(
     "hover_s",
-    defaults={
-        "scenarios": ("paper", "centralized", "resilient", "centralized_lq", "precise"),
-        "quick_maneuver": "maneuver.phase=[{name='climb',duration_s=0.5,displacement_m=[0,0,-0.25]},"
-        "{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]",
-    },
+    scenarios=("paper", "centralized", "resilient", "centralized_lq", "precise"),
+    quick_maneuver="maneuver.phase=[{name='climb',duration_s=0.5,displacement_m=[0,0,-0.25]},"
+    "{name='hover',duration_s=0.5,displacement_m=[0,0,0]}]",
     duration=Values([5.0, 20.0, 65.0], "SECONDS", "Duration of the last phase, s.", [0.5, 1.0]),
 )
 def hover(scenario: Scenario, duration: Sequence[float]) -> Iterator[Point]:
@@ -137,7 +120,8 @@ def hover(scenario: Scenario, duration: Sequence[float]) -> Iterator[Point]:
 
 @declared(
     "agent",
-    drawn={"curves": "restart_s", "legend": {NEVER: "not restarted"}},
+    curves="restart_s",
+    legend={NEVER: "not restarted"},
     at=Values(8.0, "SECONDS", "Time of the kill, s.", 0.5),
     restart=Values(10.0, "SECONDS", "Time of the restart, s.", 1.0),
 )
@@ -164,7 +148,7 @@ def kill(scenario: Scenario, at: float, restart: float) -> Iterator[Point]:
 
 @declared(
     "killed_s",
-    defaults={"scenarios": ("resilient",)},
+    scenarios=("resilient",),
     count=Values(20, "COUNT", "Deaths per scenario.", 2, least=1),
     draw=Values(0, "SEED", "Random seed of the times and of the agents killed.", least=0),
 )
@@ -173,7 +157,7 @@ def deaths(scenario: Scenario, count: int, draw: int) -> Iterator[Point]:
 
     Each run kills one agent at a random time and never restarts it; the others continue.
 
-    Example: transport experiment deaths --processes
+    Example: transport experiment deaths --count 50
     """
     period_s = scenario.controller.sampling_period_s
     duration_s = sum(phase.duration_s for phase in scenario.maneuver.phase)
@@ -197,15 +181,14 @@ def _event(at_s: float, action: str, agent: int) -> str:
 
 @declared(
     "uavs",
-    drawn={"drawn_as": "scaling", "curves": "ownership", "timed": True},
-    defaults={
-        "scenarios": (),
-        "jobs": 1,
-        # The paper's speed, 0.5 m/s, in a maneuver of 10 s instead of 25.
-        "maneuver": "maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0,0,0]},"
-        "{name='climb',duration_s=4.0,displacement_m=[0,0,-2]},"
-        "{name='translate',duration_s=4.0,displacement_m=[2,0,0]}]",
-    },
+    drawn_as="scaling",
+    curves="ownership",
+    scenarios=(),
+    jobs=1,
+    # The paper's speed, 0.5 m/s, in a maneuver of 10 s instead of 25.
+    maneuver="maneuver.phase=[{name='hover',duration_s=2.0,displacement_m=[0,0,0]},"
+    "{name='climb',duration_s=4.0,displacement_m=[0,0,-2]},"
+    "{name='translate',duration_s=4.0,displacement_m=[2,0,0]}]",
     max=Values(12, "COUNT", "UAVs of the largest team.", 6, least=2, most=16),
     sizes=Values([2, 3, 4, 6, 8, 10, 12, 16], quick=[2, 4, 6]),  # those below the largest
 )
@@ -228,7 +211,8 @@ def scaling(max: int, sizes: Sequence[int]) -> Iterator[Point]:  # noqa: A002  #
                 {"ownership": ownership, "uavs": uavs, "agents": uavs // own},
                 f"{uavs} UAVs {ownership}",
                 baseline=ownership == CENTRALIZED,
-                team=Team(uavs, own),
+                group=f"{uavs} UAVs",
+                team=(uavs, own),
                 scenario="resilient",
             )
 
@@ -252,14 +236,13 @@ AGILE: Mapping[str, tuple[str, ...]] = {
 
 @declared(
     "speed_mps",
-    drawn={"curves": "case", "drawn_as": "tracking"},
-    defaults={
-        "scenarios": ("eight",),
-        "seeds": 3,
-        "quick_maneuver": "maneuver.phase=[{name='hover',duration_s=0.3,displacement_m=[0,0,0]},"
-        "{name='eight',kind='eight',size_m=[1.0,0.5,0],laps=0.5,speed_mps=1.0,ramp_s=2.0},"
-        "{name='hover',duration_s=0.3,displacement_m=[0,0,0]}]",
-    },
+    curves="case",
+    drawn_as="tracking",
+    scenarios=("eight",),
+    seeds=3,
+    quick_maneuver="maneuver.phase=[{name='hover',duration_s=0.3,displacement_m=[0,0,0]},"
+    "{name='eight',kind='eight',size_m=[1.0,0.5,0],laps=0.5,speed_mps=1.0,ramp_s=2.0},"
+    "{name='hover',duration_s=0.3,displacement_m=[0,0,0]}]",
     speed=Values([3.0, 4.0, 5.0, 6.0], "SPEED", "Largest speed, m/s.", [1.0], least=0.01),
 )
 def agile(scenario: Scenario, speed: Sequence[float]) -> Iterator[Point]:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point, refused
-from transport.experiments.declaration import NONE, Values, axis, declared
+from transport.experiments.declaration import NONE, Values, declared
 
 # Standard deviation of one unit of `links.jitter_s`, and the mean it adds, by distribution (docs/keys.md); and the
 # smallest mean delay at which the random part is never cut off at zero, in standard deviations. The normal distribution
@@ -38,8 +38,9 @@ def latency(_: Scenario, delay: Sequence[float]) -> Iterator[Point]:
 
 @declared(
     "loss",
-    drawn={"curves": "model", "legend": {"bernoulli": "independent", "bursts": "in bursts"}},
-    defaults={"seeds": 5},
+    curves="model",
+    legend={"bernoulli": "independent", "bursts": "in bursts"},
+    seeds=5,
     loss=Values([0.1, 0.3, 0.6], "SHARE", "Packet loss.", [0.3]),
     burst=Values(5.0, "TICKS", "Mean length of a burst, ticks.", least=1.0),
 )
@@ -48,13 +49,11 @@ def loss(_: Scenario, loss: Sequence[float], burst: float) -> Iterator[Point]:
 
     Example: transport experiment loss --loss 0.3 --burst 10
     """
-    lossy = [share for share in loss if share]
     yield Point({"model": NONE, "loss": 0.0}, "no loss", ("links.loss=0.0",), baseline=True)
-    for share in lossy:
-        text = f"{_percent(share)} at random"
-        yield Point({"model": "bernoulli", "loss": share}, text, (f"links.loss={share!r}",))
-    for share in lossy:
-        yield Point({"model": "bursts", "loss": share}, f"{_percent(share)} in bursts", (_bursts(share, burst),))
+    for model, words in (("bernoulli", "at random"), ("bursts", "in bursts")):
+        for share in filter(None, loss):
+            setting = _bursts(share, burst) if model == "bursts" else f"links.loss={share!r}"
+            yield Point({"model": model, "loss": share}, f"{_percent(share)} {words}", (setting,))
 
 
 def _bursts(share: float, burst_ticks: float) -> str:
@@ -69,8 +68,8 @@ def _bursts(share: float, burst_ticks: float) -> str:
 
 @declared(
     "std_s",
-    drawn={"curves": "distribution"},
-    defaults={"seeds": 3},
+    curves="distribution",
+    seeds=3,
     distribution=Values(list(JITTER), "NAME", "Distribution.", ["uniform", "exponential"]),
     std=Values([0.02, 0.05, 0.08], "SECONDS", "Standard deviation of the delay, s.", [0.05]),
     mean=Values(0.16, "SECONDS", "Mean delay, s."),
@@ -93,27 +92,24 @@ def jitter(_: Scenario, distribution: Sequence[str], std: Sequence[float], mean:
         if name not in JITTER:
             raise refused("--distribution", f"one of {', '.join(JITTER)}", name)
         unit, mean_of_unit, smallest = JITTER[name]
-        largest_s = mean / smallest
-        for deviation_s in (deviation_s for deviation_s in std if deviation_s):
-            if not 0.0 < deviation_s <= largest_s:
-                expected = f"a standard deviation from 0 to {largest_s:.3g} s ({name}, mean {mean:g} s)"
+        for deviation_s in filter(None, std):
+            if not 0.0 < deviation_s <= mean / smallest:
+                expected = f"a standard deviation from 0 to {mean / smallest:.3g} s ({name}, mean {mean:g} s)"
                 raise refused("--std", expected, f"{deviation_s:g}")
             scale_s = deviation_s / unit
-            yield Point(
-                {"distribution": name, "std_s": deviation_s, "mean_s": mean},
-                f"{name} with {_ms(deviation_s)}",
-                (
-                    f"links.delay_s={max(0.0, mean - mean_of_unit * scale_s)!r}",
-                    f"links.jitter_s={scale_s!r}",
-                    f"links.distribution={name}",
-                ),
+            settings = (
+                f"links.delay_s={max(0.0, mean - mean_of_unit * scale_s)!r}",
+                f"links.jitter_s={scale_s!r}",
+                f"links.distribution={name}",
             )
+            labels: dict[str, str | float] = {"distribution": name, "std_s": deviation_s, "mean_s": mean}
+            yield Point(labels, f"{name} with {_ms(deviation_s)}", settings)
 
 
 @declared(
     "delay_s",
-    drawn={"y": axis("loss")},
-    defaults={"seeds": 3},
+    y="loss",
+    seeds=3,
     delay=Values([0.0, 0.1, 0.2, 0.4], "SECONDS", "Delay, s.", [0.0, 0.2]),
     loss=Values([0.0, 0.1, 0.3, 0.6], "SHARE", "Packet loss.", [0.0, 0.3]),
 )
@@ -136,14 +132,12 @@ def matrix(_: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterat
 
 @declared(
     "share_threshold",
-    drawn={"curves": "network", "drawn_as": "sharing"},
-    defaults={"scenarios": ("resilient",), "seeds": 5},
+    curves="network",
+    drawn_as="sharing",
+    scenarios=("resilient",),
+    seeds=5,
     threshold=Values(
-        [0.002, 0.005, 0.01, 0.02, 0.05],
-        "SHARE",
-        "Smallest change that is sent, share of the input's range.",
-        [0.01],
-        least=1e-6,
+        [0.002, 0.005, 0.01, 0.02, 0.05], "SHARE", "Smallest change that is sent, share of the input's range.", [0.01]
     ),
     heartbeat=Values(1.0, "SECONDS", "Longest time between two plans, s."),
 )
@@ -156,18 +150,20 @@ def sharing(_: Scenario, threshold: Sequence[float], heartbeat: float) -> Iterat
 
     Example: transport experiment sharing --threshold 0.01 --threshold 0.1
     """
-    for network, links in NETWORKS.items():  # the baseline of each sends all plans
-        labels: dict[str, str | float] = {"network": network, "share_threshold": 0.0}
-        always = (*links, "controller.share=always")
-        yield Point(labels, f"all plans sent, {network}", always, baseline=True, group=network)
-        for least in threshold:
+    for network, links in NETWORKS.items():
+        for least in (0.0, *threshold):  # the baseline of each network sends all plans
             on_change = (
                 "controller.share=on_change",
                 f"controller.share_heartbeat_s={heartbeat!r}",
                 f"controller.share_threshold={least!r}",
             )
-            labels = {"network": network, "share_threshold": least}
-            yield Point(labels, f"threshold {least:g}, {network}", (*links, *on_change), group=network)
+            yield Point(
+                {"network": network, "share_threshold": least},
+                f"threshold {least:g}, {network}" if least else f"all plans sent, {network}",
+                (*links, *(on_change if least else ["controller.share=always"])),
+                baseline=not least,
+                group=network,
+            )
 
 
 def _ms(seconds: float) -> str:

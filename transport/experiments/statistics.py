@@ -1,18 +1,16 @@
-"""Statistics of repetitions, means with 95 % confidence intervals for each point of a sweep, and their tables."""
+"""Statistics of repetitions: means with 95 % confidence intervals of each point of a sweep, in tables and sentences."""
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich.table import Table
 from scipy.special import stdtrit
 
-from transport.experiments.cases import Point
-from transport.experiments.simulation import ERROR, Result
-
-CONFIDENCE = 0.95
+from transport.experiments.cases import ERROR, Point, Result
 
 # Numbers of a point beside those of its runs.
 FIRST_DIVERGED, COST_RATIO = "first_lost_s", "cost_ratio"
@@ -35,19 +33,16 @@ def estimate(values: Sequence[float]) -> Estimate | None:
     n = len(values)
     if n == 0:
         return None
-    mean = math.fsum(values) / n
-    if n == 1:
-        return Estimate(mean, None, 1)
-    t = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2.0))
-    return Estimate(mean, t * statistics.stdev(values) / math.sqrt(n), n)
+    half_width = float(stdtrit(n - 1, 0.975)) * statistics.stdev(values) / math.sqrt(n) if n > 1 else None
+    return Estimate(math.fsum(values) / n, half_width, n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointStatistics:
     """Statistics of the runs of one point.
 
-    The cost ratio is the mean cost over that of the baseline, if both are known. The baseline has the same scenario,
-    group and number of UAVs.
+    The cost ratio is the mean cost over that of the baseline, if both are known. The baseline has the same scenario
+    and group.
     """
 
     point: Point
@@ -82,43 +77,37 @@ def statistics_of(
 
     Costs of diverged runs are left out: they cover only part of the maneuver.
     """
-    numbers = [{name: estimate(_completed(found, name)) for name in names} for found in results]
-    baselines = {
-        _comparable(point): cost.mean
-        for point, own in zip(points, numbers, strict=True)
-        if point.baseline and (cost := own["cost_mean"]) is not None
-    }
-    made = []
-    for point, found, own in zip(points, results, numbers, strict=True):
+    made: list[PointStatistics] = []
+    baselines = {}
+    for point, found in zip(points, results, strict=True):
         simulated = [result for result in found if result.outcome != ERROR]
-        cost, baseline = own["cost_mean"], baselines.get(_comparable(point))
-        ends_s = [result.numbers["lost_s"] for result in simulated]
-        made.append(
-            PointStatistics(
-                point=point,
-                runs=len(simulated),
-                completed=sum(result.outcome == "completed" for result in simulated),
-                errors=len(found) - len(simulated),
-                diverged_s=tuple(sorted(end_s for end_s in ends_s if end_s is not None)),
-                numbers=own,
-                cost_ratio=cost.mean / baseline if cost is not None and baseline else None,
-            )
+        done = [result.numbers for result in simulated if result.outcome == "completed"]
+        estimates = {
+            name: estimate([value for numbers in done if (value := numbers.get(name)) is not None]) for name in names
+        }
+        ends_s = (result.numbers["lost_s"] for result in simulated)
+        m = PointStatistics(
+            point=point,
+            runs=len(simulated),
+            completed=len(done),
+            errors=len(found) - len(simulated),
+            diverged_s=tuple(sorted(end_s for end_s in ends_s if end_s is not None)),
+            numbers=estimates,
+            cost_ratio=None,
         )
-    return made
+        made.append(m)
+        if point.baseline:
+            baselines[point.scenario, point.group] = m.mean("cost_mean")
+    return [
+        replace(m, cost_ratio=cost / baseline)
+        if (baseline := baselines.get((m.point.scenario, m.point.group))) and (cost := m.mean("cost_mean")) is not None
+        else m
+        for m in made
+    ]
 
 
-def _comparable(point: Point) -> tuple[str, str, int]:
-    """Return scenario, group and number of UAVs, which a point has in common with its baseline."""
-    return point.scenario, point.group, 0 if point.team is None else point.team.uavs
-
-
-def _completed(results: Sequence[Result], name: str) -> list[float]:
-    """Return a number of the completed runs that have it."""
-    values = [result.numbers[name] for result in results if result.outcome == "completed"]
-    return [value for value in values if value is not None]
-
-
-WIDTH, WIDTH_OF_VARIANTS = 100, 140
+# Most characters in a line of a table, and its title.
+WIDTH, TITLE = 140, "means of completed runs, ± 95 % confidence"
 
 # Numbers from here on are shown without decimals.
 _LARGE = 100.0
@@ -135,7 +124,7 @@ class Column(NamedTuple):
 
     def cell(self, row: Mapping[str, Any]) -> str:
         """Return the number of a row as text."""
-        values = [row[self.name], row.get(f"{self.name}_ci95") if self.interval else None]
+        values = [row.get(self.name), row.get(f"{self.name}_ci95") if self.interval else None]
         shown = [self.factor * value for value in values if value is not None]
         return " ±".join(f"{v:.{self.digits if abs(v) < _LARGE else 0}f}" for v in shown) or "-"
 
@@ -149,7 +138,7 @@ _APART = Column("apart\n(m)", "separation_min_m", 1.0, 3)
 _AGE = Column("age\n(tick)", "plan_age_mean_ticks")
 _COLUMNS = [_DIVERGED, _COST, _RATIO, Column("max\n(1e-3)", "cost_max", 1e3, 1), _ATTITUDE, _SWING, _APART, _AGE]
 
-# Columns of runs in which agents do not send every plan, and of runs at several speeds, by a label that these have.
+# Columns of experiments whose points have a label: plans that are not sent, speeds, and teams, which are timed.
 _FURTHER = {
     "share_threshold": [
         Column("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),
@@ -160,38 +149,21 @@ _FURTHER = {
         Column("largest\n(cm)", "payload_max_m", 100.0, 1),
         *(_DIVERGED, _RATIO, _ATTITUDE, _APART, _AGE),
     ],
+    "ownership": [
+        Column("CPU step\np50 (ms)", "cpu_step_p50_ms", 1.0, 2, True),
+        Column("p99\n(ms)", "cpu_step_p99_ms"),
+        Column("team\n(ms)", "cpu_team_tick_ms", 1.0, 1),
+        Column("plans\n(kB/s)", "plan_bytes_per_s", 1e-3, 1),
+        *(_COST, _RATIO, _SWING),
+    ],
 }
 
-# Columns of timed runs.
-_TIMED_COLUMNS = [
-    Column("CPU step\np50 (ms)", "cpu_step_p50_ms", 1.0, 2, True),
-    Column("p99\n(ms)", "cpu_step_p99_ms"),
-    Column("team\n(ms)", "cpu_team_tick_ms", 1.0, 1),
-    Column("run\n(s/s)", "cpu_flight_s_per_s"),
-    Column("plans\n/tick", "plans_per_tick", 1.0, 0),
-    Column("\nkB/s", "plan_bytes_per_s", 1e-3, 1),
-    Column("cost\n(1e-3)", "cost_mean", 1e3),
-    _RATIO,
-    Column("attitude\n(deg)", "attitude_max_deg"),
-    _SWING,
-]
 
-
-def means_in_words(measured: Sequence[PointStatistics]) -> str:
-    """Return the title of a table: a single run for each point has no confidence interval."""
-    repeated = any(number is not None and number.n > 1 for m in measured for number in m.numbers.values())
-    return "means of completed runs" + ", ± 95 % confidence" * repeated
-
-
-def table_of(title: str, measured: Sequence[PointStatistics], *, timed: bool = False) -> Table:
-    """Return the table for the console, `WIDTH` characters wide; timed points have one scenario and more columns."""
+def table_of(title: str, measured: Sequence[PointStatistics]) -> Table:
+    """Return the table for the console, `WIDTH` characters wide."""
     names = list(measured[0].point.labels)
     columns = next((_FURTHER[name] for name in names if name in _FURTHER), _COLUMNS)
-    headings = {name: name.replace("_", "\n", 1) for name in names}
-    if timed:
-        columns = _TIMED_COLUMNS
-    else:
-        headings = {"scenario": "scenario", **headings}
+    headings = {name: name.replace("_", "\n", 1) for name in ("scenario", *names)}
     return console_table(title, headings, columns, [m.row() for m in measured])
 
 
@@ -209,3 +181,57 @@ def console_table(
         done = f"{row['completed']}/{row['flights']}" + (f" {row['errors']}!" if row.get("errors") else "")
         table.add_row(*texts, done, *(column.cell(row) for column in columns))
     return table
+
+
+# Team sizes that power laws are fitted to: below four the constant part of a step dominates, and larger teams are not
+# always run.
+FEWEST, MOST = 4, 12
+# Numbers whose growth with the team is told: name, factor, unit.
+_GROWING = {
+    "CPU of an agent's step": ("cpu_step_p50_ms", 1.0, "ms"),
+    "CPU of the team per tick": ("cpu_team_tick_ms", 1.0, "ms"),
+    "volume of plans": ("plan_bytes_per_s", 1e-3, "kB/s"),
+}
+
+
+def conclusions(measured: Sequence[PointStatistics]) -> list[str]:
+    """Return one sentence for each scenario or, with teams of increasing size, for each ownership."""
+    groups: dict[str, list[PointStatistics]] = {}
+    for m in measured:
+        groups.setdefault(str(m.point.labels.get("ownership", m.point.scenario)), []).append(m)
+    told = _growth if "ownership" in measured[0].point.labels else _extremes
+    return [f"{name}: {'; '.join([*_outcomes(own), *told(own)])}" for name, own in groups.items()]
+
+
+def _outcomes(measured: Sequence[PointStatistics]) -> Iterator[str]:
+    """Yield how many runs were completed, where and when the first of the others diverged, and the errors."""
+    runs, completed, errors = (sum(getattr(m, name) for m in measured) for name in ("runs", "completed", "errors"))
+    diverged = [(m.diverged_s[0], m.point.text) for m in measured if m.diverged_s]
+    if runs:
+        first = "first diverged at {:.1f} s ({})".format(*min(diverged)) if diverged else "none diverged"
+        yield f"completes {completed} of {runs} runs, {first}"
+    if errors:
+        yield f"{errors} run{'s' * (errors > 1)} could not be simulated"
+
+
+def _extremes(measured: Sequence[PointStatistics]) -> Iterator[str]:
+    """Yield the largest attitude, and the lowest and highest cost over the baseline's."""
+    attitudes = [(value, m.point.text) for m in measured if (value := m.mean("attitude_max_deg")) is not None]
+    if attitudes:
+        yield "largest payload attitude {:.2f} deg ({})".format(*max(attitudes))
+    costs = [(m.cost_ratio, m.point.text) for m in measured if m.cost_ratio is not None and not m.point.baseline]
+    if costs:
+        ends = dict.fromkeys([min(costs), max(costs)])
+        yield "cost " + " to ".join(f"x{ratio:.2f} ({text})" for ratio, text in ends)
+
+
+def _growth(measured: Sequence[PointStatistics]) -> Iterator[str]:
+    """Yield how numbers grow from `FEWEST` to `MOST` UAVs: p of N^p by least squares; nothing for a single team."""
+    for name, (number, factor, unit) in _GROWING.items():
+        means = {float(m.point.labels["uavs"]): factor * (m.mean(number) or 0.0) for m in measured}
+        fitted = {uavs: value for uavs, value in sorted(means.items()) if FEWEST <= uavs <= MOST and value > 0.0}
+        if len(fitted) > 1:
+            sizes, values = list(fitted), list(fitted.values())
+            power = np.polyfit(np.log(sizes), np.log(values), 1)[0]
+            ends = f"{values[0]:.3g} to {values[-1]:.3g} {unit}"
+            yield f"{name} grows as N^{power:.2f} from {sizes[0]:g} to {sizes[-1]:g} UAVs ({ends})"

@@ -1,23 +1,22 @@
 """A sweep from its cases to its tables and figure: simulate the missing cases, keep each result, report all."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from functools import cached_property
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 import orjson
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
 
 from protocol.wire.exit_codes import EXIT_CASE_FAILED
-from transport.experiments.cases import Case, ExperimentError, Point, refused
-from transport.experiments.declaration import Experiment, axis
+from transport.experiments.cases import ERROR, NUMBERS, Case, ExperimentError, Result, refused
+from transport.experiments.declaration import Experiment
 from transport.experiments.figures import draw
-from transport.experiments.simulation import ERROR, NUMBERS, RESOURCES, Result
 from transport.experiments.statistics import PointStatistics, statistics_of
-from transport.experiments.workers import on_cores
 from transport.flight.progress import ConsoleProgress
 from transport.flight.run_files import machine
 from transport.report.report import write_csv, write_whole
@@ -28,24 +27,22 @@ _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
 class Results:
     """Results by case; with a folder each is written to disk at once, and earlier ones are read from it.
 
-    The machine is noted for the reader; ignored lines of the file are in `notices`.
+    Lines of the file that are incomplete or of another version are ignored: their cases are simulated again.
 
     Raises: ExperimentError: the folder contains something else, or cannot be written.
     """
 
     def __init__(self, experiment: str, folder: Path | None = None) -> None:
         self.folder = folder
-        self.notices: list[str] = []
         self._by_key: dict[str, Result] = {}
         self._file: BinaryIO | None = None
-        if folder is None:
-            return
-        try:
-            _identify(folder, experiment)
-            self._file = (folder / _RESULTS).open("ab", buffering=0)
-        except OSError as error:
-            raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
-        self._read(folder / _RESULTS, self._file)
+        if folder is not None:
+            try:
+                _identify(folder, experiment)
+                self._file = (folder / _RESULTS).open("ab+", buffering=0)
+            except OSError as error:
+                raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
+            self._read(self._file)
 
     def __enter__(self) -> Self:
         return self
@@ -68,36 +65,27 @@ class Results:
             self._file.write(orjson.dumps(asdict(result)) + b"\n")
         self._by_key[result.key] = result
 
-    def _read(self, path: Path, file: BinaryIO) -> None:
-        content = path.read_bytes()
-        whole = content.rfind(b"\n") + 1
-        if whole < len(content):
-            file.truncate(whole)  # otherwise the next line would be appended to it
-            self.notices.append(f"{path}: the last line is incomplete; its case is simulated again")
-        for number, line in enumerate(content[:whole].splitlines(), start=1):
-            try:
+    def _read(self, file: BinaryIO) -> None:
+        file.seek(0)
+        lines = file.read().splitlines(keepends=True)
+        if lines and not lines[-1].endswith(b"\n"):
+            file.write(b"\n")  # otherwise the next result would continue the last line
+        for line in lines:
+            with suppress(ValueError, TypeError):
                 result = Result(**orjson.loads(line))
-                if result.outcome != ERROR:
-                    itemgetter(*NUMBERS)(result.numbers)
-                self._by_key[result.key] = result
-            except (ValueError, TypeError, KeyError):
-                self.notices.append(f"{path}: line {number} is no result of this version; its case is simulated again")
+                if result.outcome == ERROR or result.numbers.keys() >= set(NUMBERS):
+                    self._by_key[result.key] = result
 
 
 def _identify(folder: Path, experiment: str) -> None:
     """Note the experiment in its folder, or check that the folder belongs to it."""
-    identity = folder / _IDENTITY
+    identity, wanted = folder / _IDENTITY, f"experiment {experiment}"
     folder.mkdir(parents=True, exist_ok=True)
-    if identity.exists():
-        found = orjson.loads(identity.read_bytes())["experiment"]
-        got = "" if found == experiment else f"which belongs to {found}"
-    else:
-        got = "which contains other files" if any(folder.iterdir()) else ""
-    if got:
-        raise refused("--out", f"a new folder, or one of experiment {experiment}", f"{folder}, {got}")
-    if not identity.exists():
-        content = {"experiment": experiment, "machine": machine()}
-        write_whole(identity, orjson.dumps(content, option=orjson.OPT_INDENT_2) + b"\n")
+    if not any(folder.iterdir()):
+        write_whole(identity, orjson.dumps({"experiment": experiment}) + b"\n")
+    found = f"experiment {orjson.loads(identity.read_bytes())['experiment']}" if identity.exists() else "other files"
+    if found != wanted:
+        raise refused("--out", f"a new folder, or one of {wanted}", f"{folder}, which contains {found}")
 
 
 Simulate = Callable[[Sequence[Case]], Iterable[Result]]
@@ -112,16 +100,21 @@ class Swept:
     results: Sequence[Result]
 
     @cached_property
+    def by_point(self) -> list[list[Result]]:
+        """Results of each point."""
+        found: list[list[Result]] = [[] for _ in self.experiment.points]
+        for case, result in zip(self.cases, self.results, strict=True):
+            found[case.point].append(result)
+        return found
+
+    @cached_property
     def measured(self) -> list[PointStatistics]:
         """Statistics of each point."""
-        by_point: list[list[Result]] = [[] for _ in self.experiment.points]
-        for case, result in zip(self.cases, self.results, strict=True):
-            by_point[case.point].append(result)
-        return statistics_of(self.experiment.points, by_point, self._numbers[1:])  # lost_s is in diverged_s
+        return statistics_of(self.experiment.points, self.by_point, self._numbers[1:])  # lost_s is in diverged_s
 
     @property
-    def _numbers(self) -> tuple[str, ...]:
-        return (*NUMBERS, *(RESOURCES if self.experiment.timed else ()))
+    def _numbers(self) -> list[str]:
+        return list(dict.fromkeys([*NUMBERS, *(name for result in self.results for name in result.numbers)]))
 
     def rows(self, table: str) -> list[dict[str, Any]]:
         """Return a row for each point or, if the table is not "points", for each run; values by column."""
@@ -163,8 +156,6 @@ def sweep(
     experiment: Experiment, cases: Sequence[Case], simulate: Simulate, results: Results, console: Console
 ) -> Swept:
     """Simulate the cases without a result, and keep each result at once."""
-    for notice in results.notices:
-        console.print(notice, highlight=False, soft_wrap=True)
     every = {case.key: case for case in cases}
     # Seed by seed: a slow period of the machine affects the timing of all points alike.
     missing = sorted(
@@ -186,19 +177,15 @@ def sweep(
     return Swept(experiment=experiment, cases=cases, results=[results[case.key] for case in cases])
 
 
-def simulated(name: str, groups: Sequence[Sequence[Case]], folder: Path | None = None) -> list[list[Result]]:
-    """Simulate the cases of several points on all cores, and return the results of each point.
-
-    Raises: ExperimentError: a run raised an error, a worker was lost, or the folder cannot be used.
-    """
-    cases = [replace(case, point=i) for i, group in enumerate(groups) for case in group]
-    points = tuple(Point({}, group[0].scenario.name, scenario="run") for group in groups)
-    with Results(name, folder) as results:
-        experiment = Experiment(name=name, points=points, x=axis("point"))
-        swept = sweep(experiment, cases, on_cores, results, Console(stderr=True))
-    swept.check()
-    found = iter(swept.results)
-    return [[next(found) for _ in group] for group in groups]
+def write_markdown(folder: Path, sentences: Sequence[str], table: Table, files: Sequence[Path]) -> list[str]:
+    """Write sentences, table and machine to report.md; return lines for the console, with the files."""
+    file, origin = folder / "report.md", f"machine: {machine()}"
+    rows = zip(*(column.cells for column in table.columns), strict=True)
+    cells = [[" ".join(str(column.header).split()) for column in table.columns], ["---"] * len(table.columns), *rows]
+    lines = [f"| {' | '.join(map(str, row))} |" for row in cells]
+    text = [*(f"- {sentence}" for sentence in sentences), "", *lines, "", f"*{origin}*", ""]
+    write_whole(file, "\n".join(text).encode())
+    return ["", *sentences, "", origin, *(f" {path}" for path in (*files, file))]
 
 
 class _Progress(ConsoleProgress):
@@ -207,12 +194,11 @@ class _Progress(ConsoleProgress):
     def __init__(self, name: str, done: int, total: int, console: Console) -> None:
         status = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[last]}"))
         super().__init__(console, TextColumn(name), *status, TimeElapsedColumn(), TimeRemainingColumn())
-        self._done, self._total = done, total
         self._task = self._bar.add_task(name, total=total, completed=done, last="")
 
     def advance(self, last: str) -> None:
         """Count one more finished run, described with its outcome."""
-        self._done += 1
-        self._bar.update(self._task, completed=self._done, last=last)
-        if self._is_line_due() or (self._done == self._total and not self._console.is_terminal):
-            self.say(f"{self._done} of {self._total} runs done; last: {last}")
+        self._bar.update(self._task, advance=1, last=last)
+        (task,) = self._bar.tasks
+        if self._is_line_due() or (task.finished and not self._console.is_terminal):
+            self.say(f"{task.completed:g} of {task.total:g} runs done; last: {last}")

@@ -12,8 +12,7 @@ from collections.abc import Iterator, Sequence
 
 from protocol.scenario.budget import most_workers
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from transport.experiments.cases import Case, ExperimentError, refused
-from transport.experiments.simulation import ERROR, Result, simulate
+from transport.experiments.cases import Case, ExperimentError, Result, refused, simulate
 
 # Timeout of the cluster, and period at which a worker checks that its parent lives, s.
 _ANSWER_S, _CHECK_S = 15.0, 0.5
@@ -32,23 +31,17 @@ def on_cores(cases: Sequence[Case], jobs: int | None = None) -> Iterator[Result]
     if (jobs := min(len(cases), most)) <= 1:
         yield from map(simulate, cases)
         return
-    from joblib.externals.loky import get_reusable_executor
+    from joblib.externals.loky import as_completed, get_reusable_executor
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    team = joblib.Parallel(
-        n_jobs=jobs,
-        return_as="generator_unordered",
-        batch_size=1,
-        max_nbytes=None,
-        initializer=_serve,
-        initargs=(os.getpid(),),
-    )
+    executor = get_reusable_executor(jobs, initializer=_serve, initargs=(os.getpid(),))
     try:
-        yield from team(joblib.delayed(simulate)(case) for case in cases)
+        for future in as_completed([executor.submit(simulate, case) for case in cases]):
+            yield future.result()
     except TerminatedWorkerError as error:
         raise ExperimentError(f"a worker process died: {str(error).splitlines()[0]}", EXIT_UNREACHABLE) from error
     finally:
-        get_reusable_executor().shutdown(wait=True, kill_workers=True)
+        executor.shutdown(wait=True, kill_workers=True)
 
 
 def check_cluster(address: str) -> None:
@@ -65,7 +58,7 @@ def check_cluster(address: str) -> None:
 def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
     """Simulate cases on a Dask cluster; the cases of a worker that dies are repeated by the others.
 
-    Raises: ExperimentError: no cluster, or one without suitable workers.
+    Raises: ExperimentError: no cluster, one without suitable workers, or one that fails.
     """
     from distributed import Client, as_completed
 
@@ -78,19 +71,11 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
         if not threads or max(threads) > 1:
             expected = f"workers with one thread each at {address} (dask worker {address} --nthreads 1)"
             raise refused("--dask", expected, f"some with {max(threads)}" if threads else "none", EXIT_UNREACHABLE)
-        futures = {client.submit(simulate, case, pure=False): case for case in cases}
-        try:
-            for future in as_completed(futures, loop=client.loop):
-                failure = future.exception()
-                if failure is None:
-                    yield future.result()
-                elif future.cancelled():
-                    raise ExperimentError(f"--dask: the cluster at {address} is gone", EXIT_UNREACHABLE)
-                else:
-                    reason = f"on the cluster: {failure}"
-                    yield Result(key=futures[future].key, outcome=ERROR, reason=reason, numbers={})
-        finally:
-            client.cancel(list(futures))
+        futures = [client.submit(simulate, case, pure=False) for case in cases]
+        for future in as_completed(futures, loop=client.loop):
+            if future.status != "finished":
+                raise ExperimentError(f"--dask: the cluster at {address} fails: {future.exception()}", EXIT_UNREACHABLE)
+            yield future.result()
 
 
 def _serve(parent: int) -> None:

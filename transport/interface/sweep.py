@@ -12,7 +12,7 @@ from transport.experiments import sweep as experiment_sweep
 from transport.experiments.cases import Case, Point, cases_of_point
 from transport.experiments.declaration import Experiment, axis
 from transport.experiments.figures import fill
-from transport.experiments.statistics import WIDTH, PointStatistics, means_in_words, table_of
+from transport.experiments.statistics import TITLE, WIDTH, PointStatistics, table_of
 from transport.experiments.sweep import Results
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.progress import compile_model
@@ -80,7 +80,7 @@ def sweep(
             cases += cases_of_point(len(points), changed.validated, changed.file, seeds)
             points.append(Point(scenario=label, labels=labels, text=text, baseline=number == 0))
             sizes.add(changed.setup.system.N)
-    experiment = Experiment(name=_NAME, points=tuple(points), x=axis(next(iter(values))))
+    experiment = Experiment(name=_NAME, points=tuple(points))
     shown = console(shown=progress)
     target = None if folder is None else Path(folder)
     with Results(_NAME, target) as results:
@@ -106,7 +106,7 @@ class Sweep:
 
     def __str__(self) -> str:
         """Return the table that the commands `transport experiment` print."""
-        return printed(table_of(means_in_words(self.points), self.points), WIDTH)
+        return printed(table_of(TITLE, self.points), WIDTH)
 
     def rows(self, table: Literal["points", "runs"] = "points") -> list[dict[str, Any]]:
         """Return a row for each point, or each run, as points.csv and cases.csv have them (docs/experiments.md)."""
@@ -142,17 +142,17 @@ class Sweep:
         along = names[0] if x is None else x
         if along not in names:
             raise ArgumentError(f"x: expected one of {', '.join(names)}, got {along!r}")
-        others, across = [name for name in names if name != along], axis(along)
+        others = [name for name in names if name != along]
         if kind == "map":
             if len(others) != 1 or any(isinstance(value, str) for point in points for value in point.labels.values()):
                 raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
-            return Experiment(name=_NAME, points=points, x=across, y=axis(others[0])), self.points
+            return Experiment(name=_NAME, points=points, x=along, y=others[0]), self.points
         measured = []
         for m in self.points:  # the settings other than that along the axis tell the curve
             curve = {_CURVE: ", ".join(axis(name).text(m.point.labels[name]) for name in others)} if others else {}
             measured.append(replace(m, point=replace(m.point, labels={along: m.point.labels[along], **curve})))
         shown = tuple(m.point for m in measured)
-        return Experiment(name=_NAME, points=shown, x=across, curves=_CURVE if others else None), measured
+        return Experiment(name=_NAME, points=shown, x=along, curves=_CURVE if others else None), measured
 
 
 def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:

@@ -11,8 +11,8 @@ from protocol.wire.messages import Control
 from tests.support.results import here, kept, tables
 from tests.support.runs import ticks
 from transport.cli.experiment import EXPERIMENTS
-from transport.experiments.simulation import NUMBERS
-from transport.experiments.statistics import WIDTH, WIDTH_OF_VARIANTS
+from transport.experiments.cases import NUMBERS
+from transport.experiments.statistics import WIDTH
 from transport.flight import memory
 
 DONE, USAGE, SCENARIO, LOST, CASES = 0, 2, 3, 4, 7
@@ -38,7 +38,7 @@ REFUSED = [
         SCENARIO,
         "clock.mode: expected lockstep, got realtime",
     ),
-    (("latency", "--processes", "--jobs", "2"), USAGE, "--processes: expected only one of --processes, --dask, --jobs"),
+    (("latency", "--dask", "tcp://host:8786", "--jobs", "2"), USAGE, "--dask: expected only one of --dask and --jobs"),
     (("latency", "--dask", "nowhere"), USAGE, "--dask: expected an address such as tcp://host:8786, got 'nowhere'"),
 ]
 
@@ -118,12 +118,11 @@ def test_a_trial_says_so(name: str, tmp_path: Path) -> None:
     assert "--quick: a trial, no measurement" in result.stderr
     assert "(trial, no measurement)" in result.stdout
     table = result.stdout.partition("\n\n")[0].splitlines()
-    width = WIDTH_OF_VARIANTS if name in ("ablation", "horizon") else WIDTH
-    assert max(len(line.rstrip()) for line in table) <= width
+    assert max(len(line.rstrip()) for line in table) <= WIDTH
     assert "…" not in "".join(table)
     assert "resilient: completes" in result.stdout
     assert "machine: " in result.stdout
-    for file in ("points.csv", "cases.csv", "figure.png", "figure.svg"):
+    for file in ("points.csv", "cases.csv", "figure.png", "figure.svg", "report.md"):
         assert f" {tmp_path / file}\n" in result.stdout
         assert (tmp_path / file).stat().st_size > 0
     assert orjson.loads((tmp_path / "experiment.json").read_bytes())["experiment"] == name

@@ -50,7 +50,7 @@ def test_every_point_is_valid(name: str) -> None:
     baselines = [(point.scenario, point.group) for point in experiment.points if point.baseline]
     assert baselines == [(scenario, network) for scenario in flown for network in networks]
     assert len({tuple(point.labels) for point in experiment.points}) == 1
-    assert {experiment.x.label} <= set(experiment.points[0].labels)
+    assert {experiment.x} <= set(experiment.points[0].labels)
     repetitions = [sum(case.point == i for case in cases) for i in range(len(experiment.points))]
     assert set(repetitions) <= {1, 2}
 

@@ -13,13 +13,11 @@ from rich.console import Console
 from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.figure_texts import problems
 from transport.cli.experiment import EXPERIMENTS
-from transport.experiments.cases import Point
+from transport.experiments.cases import ERROR, NUMBERS, Point, Result
 from transport.experiments.declaration import Experiment
 from transport.experiments.figures import draw, fill
-from transport.experiments.simulation import ERROR, NUMBERS, Result
 from transport.experiments.statistics import (
     WIDTH,
-    WIDTH_OF_VARIANTS,
     PointStatistics,
     statistics_of,
     table_of,
@@ -98,13 +96,12 @@ def test_anything_can_be_reported(experiment: Experiment, mix: str, tmp_path: Pa
         fill(figure, experiment, measured)
         assert problems(figure, SMALL) == []
     assert figure.get_figwidth() == COLUMN_IN
-    assert all(axes.lines or axes.patches or axes.collections for axes in figure.axes)
+    assert all(axes.lines or axes.patches or axes.collections or axes.images for axes in figure.axes)
     first = [path.read_bytes() for path in draw(experiment, measured, tmp_path)]
     assert first[0].startswith(b"\x89PNG\r\n\x1a\n")
     assert b"<svg" in first[1]
-    width = WIDTH_OF_VARIANTS if experiment.drawn_as == "variants" else WIDTH
-    console = Console(width=width, record=True, file=io.StringIO())
+    console = Console(width=WIDTH, record=True, file=io.StringIO())
     console.print(table_of(experiment.name, measured))
     text = console.export_text()
     assert "…" not in text
-    assert max(len(line.rstrip()) for line in text.splitlines()) <= width
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= WIDTH

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from transport.experiments.cases import Point
-from transport.experiments.simulation import ERROR, NUMBERS, Result
+from transport.experiments.cases import ERROR, NUMBERS, Point, Result
 from transport.experiments.statistics import estimate, statistics_of
 
 BASELINE = Point(scenario="a", labels={"delay_s": 0.0}, text="0 ms", baseline=True)
