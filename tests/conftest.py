@@ -2,7 +2,6 @@
 
 import os
 import signal
-from collections.abc import Iterator
 
 import hypothesis
 import pytest
@@ -21,6 +20,19 @@ hypothesis.settings.register_profile("workers", deadline=None)
 hypothesis.settings.load_profile("workers")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep compiled models in pytest's cache, for later test runs too; the user's is neither read nor filled.
+
+    Kernels and the model of the paper's team are compiled once, before workers start that would all do it.
+    """
+    if not hasattr(config, "workerinput"):
+        assert config.cache is not None
+        os.environ["PAYLOAD_TRANSPORT_CACHE"] = str(config.cache.mkdir("models"))
+        from model import compiled, native  # noqa: F401 - the import compiles
+
+        compiled.compile_functions(4)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put long files first, of which workers take one at a time: a long one at the end would leave a worker idle.
 
@@ -34,14 +46,3 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return 2 if item.path in slow else 3
 
     items.sort(key=rank)
-
-
-@pytest.fixture(autouse=True, scope="session")
-def cache_of_the_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep compiled models of this test run in a folder of its own; the user's cache is neither read nor filled."""
-    base = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        base = base.parent  # of all workers of this test run
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PAYLOAD_TRANSPORT_CACHE", str(base / "models"))
-        yield

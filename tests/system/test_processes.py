@@ -10,6 +10,7 @@ import pytest
 
 from protocol.wire.codec import encode
 from protocol.wire.messages import Message
+from tests.mpc.test_published_equations import PUBLISHED
 from tests.support import runs
 from tests.support.commands import SHORT, command, free_base, processes_of, settings, transport, wait_for
 from tests.support.troubles import ITERATIONS
@@ -19,6 +20,9 @@ SCHEMA = json.loads((Path(__file__).parents[2] / "transport" / "analysis" / "sum
 
 # DAQP and Clarabel meet the same optimality conditions to 1e-6; the cost of a run then agrees to this.
 SOLVER_TOLERANCE = 1e-3
+
+# Expansions with and without response to rod length differ in directions that a state reaches at second order only.
+SAME_ALGORITHM = 0.02
 
 
 def run_json(folder: Path, *arguments: str) -> dict[str, Any]:
@@ -72,6 +76,7 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
     assert summary["ticks"] == 500
     assert summary["attitude_max_deg"] <= 2.5
     assert summary["separation_min_m"] > 0.4
+    assert summary["cost"]["mean"] == pytest.approx(PUBLISHED, rel=SAME_ALGORITHM)
     assert summary["solver"]["failures"] == 0
     assert summary["messages"]["lost"] == summary["messages"]["late"] == summary["messages"]["rejected"] == 0
 
