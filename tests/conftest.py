@@ -2,6 +2,7 @@
 
 import os
 import signal
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -31,6 +32,12 @@ def pytest_configure(config: pytest.Config) -> None:
         from model import compiled, native  # noqa: F401 - the import compiles
 
         compiled.compile_functions(4)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave files without slow tests alone where only slow ones are asked for: importing them takes seconds."""
+    only_slow = str(config.option.markexpr).startswith("slow")
+    return True if only_slow and collection_path.suffix == ".py" and "slow" not in collection_path.read_text() else None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
