@@ -29,21 +29,20 @@ def team(uavs: int, template: str, *settings: str) -> Setup:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("uavs", "delay_s"), [(6, 0.0), (8, 0.1)])
-def test_larger_teams_complete_the_maneuver(uavs: int, delay_s: float) -> None:
-    """Section V at its speeds with six and eight UAVs, level and apart, on a perfect network and 0.1 s late."""
-    run = team(uavs, "resilient", HALF, f"links.delay_s={delay_s}")
+def test_eight_complete_the_maneuver() -> None:
+    """Section V at its speeds with eight UAVs, level and apart, with plans 0.1 s late."""
+    run = team(8, "resilient", HALF, "links.delay_s=0.1")
     messages = completed(run)
     series = series_of(run, log_of(messages))
     assert len(series.ticks) == run.ticks == 220
     reports = [message for message in messages if isinstance(message, StepReport)]
     assert {report.status for report in reports} == {"solved"}
-    assert max(report.plan_ages[0] for report in reports) == max(1, round(delay_s / 0.05))
+    assert max(report.plan_ages[0] for report in reports) == 2
     # The four are held to 2.5 deg and 0.4 m (test_processes.py); measured here: at most 0.4 deg, and 0.499 m.
     assert series.attitude_max_deg.max() < 1.0
     assert series.separation_m.min() > 0.45
     # The cost is a sum over the UAVs: for each it stays that of one of the four of `resilient`, 0.00078.
-    assert series.cost.mean() / uavs < 1e-3
+    assert series.cost.mean() / 8 < 1e-3
     assert np.linalg.norm(series.payload_error_I, axis=1).max() < 0.7
 
 
