@@ -18,6 +18,17 @@ from transport.log.run_log import read_log
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "transport" / "analysis" / "summary.schema.json").read_text())
 
+PAIRS_ON_CHANGE = (
+    *("agents.owned=[[1,2],[3,4]]", "controller.prediction=closed_loop", "controller.received_plans=by_age"),
+    *("controller.share=on_change", "controller.share_threshold=0.02", "controller.share_heartbeat_s=0.4"),
+)
+FAILURES = (
+    "plant.motors={lag_s=0.06,thrust_step_N=0.1}",
+    *("controller.relaxation=0.25", "controller.motor_lag_s=0.05", "links.loss=0.3"),
+    "faults.event=[{at_s=0.5,do='degrade',target='uav2',efficiency=0.95},{at_s=0.6,do='motor_off',target='uav3'},"
+    "{at_s=0.65,do='release',target='uav3'}]",
+)
+
 # Expansions with and without response to rod length differ in directions that a state reaches at second order only.
 SAME_ALGORITHM = 0.02
 
@@ -75,11 +86,12 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
         pytest.param(
             (*runs.VEHICLE, "links.delay_s=0.1", "links.loss=0.3"), id="vehicle sensors", marks=pytest.mark.slow
         ),
+        pytest.param((*PAIRS_ON_CHANGE, *FAILURES), id="pairs, on change, failures", marks=pytest.mark.slow),
     ],
 )
 def test_network_equals_memory(changes: tuple[str, ...], tmp_path: Path) -> None:
     """Every message except for the wall-clock times of reports is bitwise equal on the network and in memory."""
-    run_json(tmp_path / "run", "paper", *settings(SHORT, *changes))
+    assert run_json(tmp_path / "run", "paper", *settings(SHORT, *changes))["rejections"] == []
     memory = runs.recorded(runs.ready("paper", SHORT, *changes))
     log = [recorded.message for recorded in read_log(tmp_path / "run" / "run.mcap").messages]
     assert reproducible(log) == reproducible(memory)
