@@ -41,8 +41,8 @@ def test_eight_complete_the_maneuver() -> None:
     # The four are held to 2.5 deg and 0.4 m (test_processes.py); measured here: at most 0.4 deg, and 0.499 m.
     assert series.attitude_max_deg.max() < 1.0
     assert series.separation_m.min() > 0.45
-    # The cost is a sum over the UAVs: for each it stays that of one of the four of `resilient`, 0.00078.
-    assert series.cost.mean() / 8 < 1e-3
+    # The cost is a sum over the UAVs: for each it stays that of one of the four of `resilient` on this path, 0.00148.
+    assert series.cost.mean() / 8 < 1.6e-3
     assert np.linalg.norm(series.payload_error_I, axis=1).max() < 0.7
 
 
