@@ -21,6 +21,10 @@ hypothesis.settings.register_profile("workers", deadline=None)
 hypothesis.settings.load_profile("workers")
 
 
+# Files of tests whose waiting, or computing, takes longest.
+FIRST = ("test_soak", "test_agile", "test_mujoco")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Keep compiled models in pytest's cache, for later test runs too; the user's is neither read nor filled.
 
@@ -43,13 +47,16 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put long files first, of which workers take one at a time: a long one at the end would leave a worker idle.
 
-    The soak test is the very first: it mostly waits for a minute, which leaves processor time for style and types.
+    The soak test is the very first: it mostly waits, which leaves processor time for style and types. Files whose tests
+    compute for long come next beside those of processes, which wait.
     """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
 
     def rank(item: pytest.Item) -> int:
+        if item.path.stem in FIRST:
+            return FIRST.index(item.path.stem)
         if "system" in item.path.parts:  # tests that start processes wait much: several at once use the processors
-            return 0 if item.path.stem == "test_soak" else 1
-        return 2 if item.path in slow else 3
+            return len(FIRST)
+        return len(FIRST) + (1 if item.path in slow else 2)
 
     items.sort(key=rank)
