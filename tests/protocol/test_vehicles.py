@@ -49,7 +49,6 @@ def test_the_command_writes_a_scenario(tmp_path: Path) -> None:
     assert CliRunner().invoke(app, arguments).exit_code == 0
     made = transport.Scenario("resilient").resized(4, vehicle="x500", load_kg=3.0)
     assert transport.Scenario(out).digest() == made.digest()
-    assert "--vehicle x500 --load 3" in out.read_text(encoding="utf-8")
     assert made.validated.name == "resilient-x500-4"
 
 
