@@ -18,10 +18,10 @@ run: $(VENV)/.installed ## set up and run the paper's maneuver (SCENARIO=name fo
 	@echo "next: $(BIN)/transport run resilient --set links.delay_s=0.2    # a controller for delay and packet loss"
 	@echo "      $(BIN)/transport run playground --view                    # fly by hand in the browser"
 
-test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (3 to 4 minutes on two processors)
+test: $(VENV)/.installed-test ## set up and run the tests, without the slow ones (3 minutes on two processors)
 	@$(BIN)/python -m pytest $(WORKERS) -m "not slow"
 
-test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, a minute in real time
+test-slow: $(VENV)/.installed-test ## run the slow tests: long runs, browsers, half a minute in real time
 	@$(BIN)/python -m pytest $(WORKERS) -m "slow and not pages and not firmware"
 
 test-pages: $(VENV)/.installed-test ## run the commands of docs/command-line.md (playground), docs/getting-started.md and the notebooks

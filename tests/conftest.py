@@ -2,7 +2,7 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -21,27 +21,42 @@ hypothesis.settings.register_profile("workers", deadline=None)
 hypothesis.settings.load_profile("workers")
 
 
+# Files of tests whose waiting, or computing, takes longest.
+FIRST = ("test_soak", "test_agile", "test_mujoco")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep compiled models in pytest's cache, for later test runs too; the user's is neither read nor filled.
+
+    Kernels and the model of the paper's team are compiled once, before workers start that would all do it.
+    """
+    if not hasattr(config, "workerinput"):
+        assert config.cache is not None
+        os.environ["PAYLOAD_TRANSPORT_CACHE"] = str(config.cache.mkdir("models"))
+        from model import compiled, native  # noqa: F401 - the import compiles
+
+        compiled.compile_functions(4)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave files without slow tests alone where only slow ones are asked for: importing them takes seconds."""
+    only_slow = str(config.option.markexpr).startswith("slow")
+    return True if only_slow and collection_path.suffix == ".py" and "slow" not in collection_path.read_text() else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put long files first, of which workers take one at a time: a long one at the end would leave a worker idle.
 
-    The soak test is the very first: it mostly waits for a minute, which leaves processor time for style and types.
+    The soak test is the very first: it mostly waits, which leaves processor time for style and types. Files whose tests
+    compute for long come next beside those of processes, which wait.
     """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
 
     def rank(item: pytest.Item) -> int:
+        if item.path.stem in FIRST:
+            return FIRST.index(item.path.stem)
         if "system" in item.path.parts:  # tests that start processes wait much: several at once use the processors
-            return 0 if item.path.stem == "test_soak" else 1
-        return 2 if item.path in slow else 3
+            return len(FIRST)
+        return len(FIRST) + (1 if item.path in slow else 2)
 
     items.sort(key=rank)
-
-
-@pytest.fixture(autouse=True, scope="session")
-def cache_of_the_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep compiled models of this test run in a folder of its own; the user's cache is neither read nor filled."""
-    base = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        base = base.parent  # of all workers of this test run
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PAYLOAD_TRANSPORT_CACHE", str(base / "models"))
-        yield

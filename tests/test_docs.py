@@ -1,14 +1,14 @@
 """Documents against the code: equations, scenario keys, links and command lines that they name exist."""
 
-import json
 import re
 import shlex
 import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
+from importlib import import_module
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 from typer.core import TyperGroup
@@ -30,19 +30,6 @@ KEYS = ROOT / "docs" / "keys.md"
 NUMBERS = r"\(\d+[a-z]?\)(?:-\(\d+[a-z]?\))?"
 CITATION = re.compile(rf"equations\.md\)?\s+({NUMBERS}(?:,\s+{NUMBERS})*)|({NUMBERS}) (?:of|in) docs/equations\.md")
 RANGE = re.compile(r"\((\d+)([a-z]?)\)(?:-\((\d+)[a-z]?\))?")
-
-# Prints the names of the parts of each document that a program renews, once each of their runs has been read.
-TABLES = """
-import json
-from results_page import EXPERIMENTS
-from measured_pages import PAGES
-rows = [runs for tables in PAGES.values() for table in tables for runs in table.rows.values()]
-for run in {run for runs in rows for run in runs if run}:
-    run.point().read()
-names = {name: ["origin", *(table.name for table in tables)] for name, tables in PAGES.items()}
-names["results.md"] += EXPERIMENTS
-print(json.dumps(names))
-"""
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 CODE_SPAN = re.compile(r"`([^`\n]+)`")
@@ -126,11 +113,16 @@ def test_relative_links_resolve(document: Path) -> None:
         assert not anchor or anchor in anchors(path), f"{document.name} links to {target}, which has no such heading"
 
 
-def test_measured_tables_have_a_place() -> None:
+def test_measured_tables_have_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """A document has markers for each part that its program renews, and no others; all runs are scenarios."""
-    command = [sys.executable, "-c", TABLES]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=ROOT / "docs")
-    for document, names in json.loads(done.stdout).items():
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    pages: dict[str, Any] = import_module("measured_pages").PAGES
+    rows = [runs for tables in pages.values() for table in tables for runs in table.rows.values()]
+    for run in {run for runs in rows for run in runs if run}:
+        import_module("simulations").scenario_of(run)
+    for document, tables in pages.items():
+        names = ["origin", *(table.name for table in tables)]
+        names += import_module("results_page").EXPERIMENTS if document == "results.md" else []
         text = (ROOT / "docs" / document).read_text(encoding="utf-8")
         begun = re.findall(r"^<!-- (\w+) -->$", text, re.MULTILINE)
         assert sorted(begun) == sorted(names), document
@@ -164,10 +156,15 @@ def options_of(*some: Command) -> set[str]:
     return {"--help"}.union(*([*parameter.opts, *parameter.secondary_opts] for parameter in parameters))
 
 
+@cache
+def every_option() -> set[str]:
+    """Options of all commands."""
+    return options_of(*every_command(root()))
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_commands_in_text_exist(document: Path) -> None:
     """`transport ...` within a sentence names commands and options that exist, `--option ...` one of some command."""
-    every = tuple(every_command(root()))
     for span in CODE_SPAN.findall(prose(document)):
         words = span.split()
         if words[0] == "transport" and len(words) > 1 and not words[1].isupper():  # capitals stand for a value
@@ -175,7 +172,7 @@ def test_commands_in_text_exist(document: Path) -> None:
             assert names or words[1].startswith("--"), f"{document.name}: {span}"
             known = options_of(found)
         elif words[0].startswith("--"):
-            known = options_of(*every)
+            known = every_option()
         else:
             continue
         assert {word for word in words if word.startswith("--")} <= known, f"{document.name}: {span}"

@@ -162,8 +162,7 @@ def test_delay_without_disturbance(delay: int) -> None:
     assert_close(found, plant_state, range(delay, TICKS + 1), TEN_PERIODS)
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("delay", [2, 7, TICKS])
+@pytest.mark.parametrize(("seed", "delay"), [(0, 2), (1, 7), (2, TICKS)])
 def test_order_of_arrival_does_not_matter(seed: int, delay: int) -> None:
     """After all plans have arrived, the estimate equals bit for bit that of plans in order and without delay."""
     plant_state = flight(FOUR, 0.02)

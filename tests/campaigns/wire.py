@@ -82,7 +82,7 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
             with suppress(zenoh.ZError), attacker.session(endpoints[:1], secure, _REFUSED_S):
                 result.findings.append(f"{name}: a session without keys has connected")
         if access != "secret":
-            source = Garbage("recorder", keys, run, rng, incarnation=0, delay=_DELAY)
+            source = Garbage("recorder", keys, rng, delay=_DELAY)
             secure, awaited, hears = None, proofs_of_connection(keys, run.agents), list[str]()
             if access == "certificates":  # the session hears what agent 1 may hear
                 secure, awaited = attacker.tls(keyring("one"), "agent1"), {f"{keys.prefix}/instant"}

@@ -90,10 +90,10 @@ def test_weights_on_accelerations_serve_vehicles_of_any_size(size: float) -> Non
     assert growths[1] == pytest.approx(growths[0], rel=1e-6)
 
 
-@pytest.mark.parametrize("next_tick", [False, True])
-@pytest.mark.parametrize("follows", [False, True])
-@pytest.mark.parametrize("gone", [(1,), (0, 2), (0, 1, 3)])
-def test_the_team_that_is_left_is_its_regulator(gone: tuple[int, ...], follows: bool, next_tick: bool) -> None:
+@pytest.mark.parametrize(
+    ("gone", "follows"), [((1,), False), ((1,), True), ((0, 2), False), ((0, 2), True), ((0, 1, 3), True)]
+)
+def test_the_team_that_is_left_is_its_regulator(gone: tuple[int, ...], follows: bool) -> None:
     """The step has the eigenvalues of the regulator for that team, which settle if the fail-safe follows.
 
     The other eigenvalues are those of the estimates of UAVs that no agent measures. Two UAVs that only keep level swing
@@ -107,9 +107,10 @@ def test_the_team_that_is_left_is_its_regulator(gone: tuple[int, ...], follows: 
         controller.without(gone)
     regulator = team[0].regulation.regulator
     assert regulator is not None
-    loop = Loop(team, next_tick=next_tick, age=2, uncontrolled={uav: fail_safe.gain(uav) for uav in gone})
-    found = np.linalg.eigvals(loop.matrix(Mismatch()))
-    assert np.abs(found[:, None] - np.linalg.eigvals(regulator.A_closed)[None]).min(axis=0).max() < ROUNDING
-    settling_s = loop.settling_s(Mismatch())
-    assert (settling_s is not None) == (follows or len(gone) == 1)
-    assert settling_s is None or not follows or settling_s < SETTLING_S
+    for next_tick in (False, True):
+        loop = Loop(team, next_tick=next_tick, age=2, uncontrolled={uav: fail_safe.gain(uav) for uav in gone})
+        found = np.linalg.eigvals(loop.matrix(Mismatch()))
+        assert np.abs(found[:, None] - np.linalg.eigvals(regulator.A_closed)[None]).min(axis=0).max() < ROUNDING
+        settling_s = loop.settling_s(Mismatch())
+        assert (settling_s is not None) == (follows or len(gone) == 1)
+        assert settling_s is None or not follows or settling_s < SETTLING_S

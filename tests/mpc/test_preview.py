@@ -125,8 +125,6 @@ CASES: dict[str, tuple[Profile, str, tuple[int, ...]]] = {
     "one gone": ("ramp", "passing", (2,)),
 }
 SLOW: dict[str, tuple[Profile, str, tuple[int, ...]]] = {
-    "ramp": ("ramp", "none", ()),
-    "min_jerk": ("min_jerk", "none", ()),
     "step": ("step", "none", ()),
     "passing pull": ("ramp", "passing", ()),
 }

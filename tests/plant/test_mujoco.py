@@ -29,10 +29,10 @@ GROUND_CABLES = CABLES.model_copy(update={"ground_m": 0.0})
 
 MUJOCO = "plant.engine=mujoco"
 IMPAIRED = ("links.delay_s=0.2", "links.loss=0.3")
-# A leg in all directions, and a hover in which the payload may swing.
+# A leg in all directions, and a hover in which the payload swings back.
 LEG = (
     "maneuver.phase=[{name='leg',duration_s=5.0,displacement_m=[2.0,1.0,-2.0]},"
-    "{name='hover',duration_s=5.0,displacement_m=[0,0,0]}]"
+    "{name='hover',duration_s=2.0,displacement_m=[0,0,0]}]"
 )
 
 
@@ -192,7 +192,7 @@ def test_two_engines_are_equal_bit_for_bit() -> None:
 def test_the_controllers_hold_in_mujoco(name: str, network: tuple[str, ...]) -> None:
     """A leg completes, with a payload error of at most 1.3 times that of our equations, plus 1 cm."""
     found, own = payload_errors(name, LEG, MUJOCO, *network), payload_errors(name, LEG, *network)
-    assert len(found) == len(own) == 200
+    assert len(found) == len(own) == 140
     assert found.max() < 1.3 * own.max() + 0.01
     assert np.sqrt(np.mean(found**2)) < 1.3 * np.sqrt(np.mean(own**2)) + 0.01
 

@@ -15,7 +15,7 @@ from protocol.scenario.setup import Setup
 from tests.support.runs import setup
 
 PERIOD_S = 0.05
-COUNT = 20_000
+COUNT = 5_000
 # Bounds of all statistical tests: five standard errors, one false alarm in two million at fixed seeds.
 SIGMAS = 5.0
 

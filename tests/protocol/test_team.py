@@ -67,10 +67,11 @@ def test_the_payload_keeps_its_shape(uavs: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("template", ["paper", "centralized", "resilient"])
-@pytest.mark.parametrize("uavs", SIZES)
+@pytest.mark.parametrize(
+    ("uavs", "template"), [*((uavs, "resilient") for uavs in SIZES), (3, "paper"), (3, "centralized"), (6, "paper")]
+)
 def test_every_size_is_valid(uavs: int, template: str) -> None:
-    """Every size builds with every ready scenario; the start is an equilibrium with the same thrust for all."""
+    """Every size builds, also from other scenarios; the start is an equilibrium with the same thrust for all."""
     scenario = scenario_of(uavs, SCENARIOS / f"{template}.toml")
     run = Setup.of(scenario, "team")  # refuses a hover outside the thrust limits or closer than the separation
     assert len(run.hover.tensions) == uavs

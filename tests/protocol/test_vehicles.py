@@ -36,7 +36,7 @@ def test_ready_vehicles_fly(vehicle: str) -> None:
 @pytest.mark.parametrize("vehicle", READY)
 def test_motors_are_within_the_margin(vehicle: str) -> None:
     """The hover of each ready vehicle is stable with the motors of its file, known to its controllers or not."""
-    scenario = transport.Scenario("resilient").resized(4, vehicle=vehicle, load_kg=READY[vehicle])
+    scenario = transport.Scenario("resilient").resized(3, vehicle=vehicle, load_kg=READY[vehicle])
     for margins in transport.margins(scenario).data["margins"].values():
         lag = margins["lag_s"]
         assert (lag["lower"] or 0.0) < scenario.plant.motors.lag_s < lag["upper"]

@@ -9,10 +9,7 @@ import msgpack
 import numpy as np
 from msgspec.structs import replace
 
-from protocol.scenario.setup import Setup
-from protocol.wire import codec
 from protocol.wire.codec import VERSION, decode, encode
-from protocol.wire.errors import MessageError
 from protocol.wire.keys import Keys, matches
 from protocol.wire.messages import (
     Answer,
@@ -29,7 +26,6 @@ from protocol.wire.messages import (
     StepReport,
     Tick,
 )
-from tests.support.runs import INCARNATION
 
 T = TypeVar("T")
 
@@ -56,27 +52,15 @@ class Garbage:
     Args:
         name: Name of the receiver.
         keys: Keys of the run.
-        setup: The run.
         rng: Random number generator.
-        incarnation: Incarnation of every process.
         delay: Number of later messages after which all processes have received a message.
 
     Attributes:
         tick: Newest tick known to all processes.
     """
 
-    def __init__(
-        self,
-        name: str,
-        keys: Keys,
-        setup: Setup,
-        rng: np.random.Generator,
-        *,
-        incarnation: int = INCARNATION,
-        delay: int = 1,
-    ) -> None:
-        self._name, self._keys, self._setup, self._rng = name, keys, setup, rng
-        self._incarnation, self._delay = incarnation, delay
+    def __init__(self, name: str, keys: Keys, rng: np.random.Generator, *, delay: int) -> None:
+        self._name, self._keys, self._rng, self._delay = name, keys, rng, delay
         self._coming: deque[tuple[str, bytes]] = deque()  # messages of the run in transit
         self._delivered: deque[tuple[str, bytes]] = deque(maxlen=REMEMBERED)
         self._first: dict[str, bytes] = {}  # first delivered message of each key
@@ -86,8 +70,6 @@ class Garbage:
         self.sorts: dict[str, Callable[[], tuple[str, bytes]]] = {
             "noise": self._noise,
             "truncated": self._truncated,
-            "flipped bits": self._flipped,
-            "oversized": self._oversized,
             "another version": self._other_version,
             "another kind": self._other_kind,
             "strange fields": self._strange_fields,
@@ -95,19 +77,12 @@ class Garbage:
             "deep": self._deep,
             "replayed": self._replayed,
             "past": self._past,
-            "future": self._future,
-            "another incarnation": self._other_incarnation,
             "another key": self._other_key,
             "another sender": self._other_sender,
             "absurd": self._absurd,
         }
-        self._single = [sort for sort in self.sorts if sort != "oversized"]
-        if setup.shape.relayed:
-            self.sorts |= {"bad parts": self._bad_parts, "renumbered bundle": self._renumbered_bundle}
-        if name == "recorder":  # whose readers know neither tick nor tokens: other bits may be a later message
-            for sort in ("flipped bits", "future", "another incarnation", "oversized"):
-                del self.sorts[sort]
-            self._single = [sort for sort in self._single if sort in self.sorts]
+        self._single = list(self.sorts)
+        self.sorts |= {"bad parts": self._bad_parts, "renumbered bundle": self._renumbered_bundle}
 
     def heard(self, key: str, data: bytes) -> None:
         """Note a message of the run before its delivery, but no notice of refusals: a changed one is a valid one."""
@@ -182,26 +157,6 @@ class Garbage:
         key, data = self._old()
         return key, data[: int(self._rng.integers(len(data)))]
 
-    def _flipped(self) -> tuple[str, bytes]:
-        key, data = self._old()
-        changed = bytearray(data)
-        for at in self._rng.integers(8 * len(changed), size=int(self._rng.integers(1, 4))):
-            changed[at // 8] ^= 1 << int(at % 8)
-        return (key, bytes(changed)) if not self._is_later(bytes(changed)) else self._noise()
-
-    def _is_later(self, data: bytes) -> bool:
-        """Return whether bytes are, or carry, a message of a tick to come, which the gate does not tell from true."""
-        try:
-            message = decode(data)
-        except MessageError:
-            return False
-        parts = message.parts if isinstance(message, Bundle) else ()
-        return message.tick > self.tick or any(map(self._is_later, parts))
-
-    def _oversized(self) -> tuple[str, bytes]:
-        key, data = self._old()
-        return key, data + bytes(codec.MAX_BYTES + int(self._rng.integers(1, 3000)) - len(data))
-
     def _other_version(self) -> tuple[str, bytes]:
         key, data = self._old()
         return key, bytes([self._one_of([0, VERSION - 1, VERSION + 1, 255])]) + data[1:]
@@ -244,19 +199,6 @@ class Garbage:
         """Return a message with a new sequence number and a past tick."""
         key, message = self._message(Tick, Measurement, Plan, PlantState, StepReport, Roster)
         return key, encode(self._new(message))
-
-    def _future(self) -> tuple[str, bytes]:
-        """Return a message with a new sequence number and a tick beyond the end of the run."""
-        key, message = self._message(Tick, Measurement, Plan, PlantState, StepReport)
-        tick = self._setup.ticks + int(self._rng.integers(100))
-        start = {"start_tick": tick} if isinstance(message, Plan) else {}
-        return key, encode(self._new(message, tick=tick, **start))
-
-    def _other_incarnation(self) -> tuple[str, bytes]:
-        key, message = self._message()
-        others = [number for number in (0, self._incarnation + 1, 2**48) if number != self._incarnation]
-        incarnation = self._one_of(others)
-        return key, encode(self._new(message, tick=self.tick, incarnation=incarnation))
 
     def _other_key(self) -> tuple[str, bytes]:
         """Return a message under another message's key."""

@@ -1,23 +1,27 @@
 """Logs composed of single messages and of simulated runs, for the tests of metrics, report and figures."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+import pytest
 import tomli_w
 from msgspec.structs import replace
 
 from agent.kalman import TOLD
 from model import state
 from model.arrays import Array
+from protocol.scenario.file import read_scenario
 from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, Note, Plan, PlantState, StepReport, agent_name
+from protocol.wire.messages import FaultNote, Message, Note, Plan, PlantState, StepReport, agent_name
 from tests.support import runs
 from transport.flight.memory import simulate
-from transport.log.run_log import Recorded, RunLog
+from transport.log.run_log import LogTail, Recorded, RunLog
 from transport.log.writer import LogWriter
+
+M = TypeVar("M", bound=Message)
 
 MILLISECOND_NS = 1_000_000
 
@@ -132,3 +136,47 @@ def record_run(run: Setup, folder: Path) -> list[Message]:
 
         simulate(run, record)
     return messages
+
+
+class Growing(LogTail):
+    """Log of a live run, with all messages read so far."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._all: list[Message] = []
+
+    def of(self, kind: type[M]) -> list[M]:
+        """Return the messages of one kind so far."""
+        self._all += self.read()
+        return [message for message in self._all if isinstance(message, kind)]
+
+    def notes(self, target: str, what: str) -> bool:
+        """Return whether a fault of a process by a person is noted."""
+        return any((note.target, note.what, note.origin) == (target, what, "person") for note in self.of(FaultNote))
+
+
+class EnoughError(Exception):
+    """End of the compared part of a run."""
+
+
+def messages_until(tick: int, scenario: Path, setting: str) -> list[Message]:
+    """Return the messages before a tick of a run in this process, without a viewer."""
+    messages: list[Message] = []
+
+    def record(message: Message) -> None:
+        if isinstance(message, PlantState) and message.tick == tick:
+            raise EnoughError
+        messages.append(message)
+
+    with pytest.raises(EnoughError):
+        simulate(Setup.of(read_scenario(scenario, [setting]), str(scenario)), record)
+    return [message for message in messages if message.tick < tick]
+
+
+def bits(messages: Iterable[Message]) -> Iterator[tuple[int, str, bytes]]:
+    """Return tick, sender and bytes of plant states and plans."""
+    for message in messages:
+        if isinstance(message, PlantState):
+            yield message.tick, message.sender, message.x.tobytes() + message.u.tobytes()
+        elif isinstance(message, Plan):
+            yield message.tick, message.sender, message.inputs.tobytes() + message.corrections.tobytes()

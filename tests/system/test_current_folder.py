@@ -11,12 +11,10 @@ from tests.support.commands import PATIENCE_S, SHORT, settings
 TRAP = 'raise RuntimeError("imported from the current folder")\n'
 
 
-@pytest.fixture(params=["model.py", pytest.param("agent/__init__.py", marks=pytest.mark.slow)])
-def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
     """Return a folder with a file named like one of our packages."""
-    file = tmp_path / request.param
-    file.parent.mkdir(exist_ok=True)
-    file.write_text(TRAP, encoding="utf-8")
+    (tmp_path / "model.py").write_text(TRAP, encoding="utf-8")
     return tmp_path
 
 

@@ -53,7 +53,7 @@ def test_cables(tmp_path: Path) -> None:
     """A run survives and records a second without cable; without coordinator all processes end with a whole log."""
     # Both labs at once: the second one mostly waits for a connection timeout.
     with lab(tmp_path / "b", "coordinator:2", duration_s=30.0) as second:
-        with lab(tmp_path / "a", "agent2:8:1", duration_s=12.0) as first:
+        with lab(tmp_path / "a", "agent2:3:1", duration_s=6.0) as first:
             briefly = ended(first)
         for_good = ended(second)
 

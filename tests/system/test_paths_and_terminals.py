@@ -66,7 +66,7 @@ def test_a_run_beside_a_reader_that_leaves_in_a_path_beyond_ascii(tmp_path: Path
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full")
-@pytest.mark.parametrize("words", [("validate", "paper"), ("validate", "paper", "--format", "json"), ("--help",)])
+@pytest.mark.parametrize("words", [("validate", "paper", "--format", "json"), ("--help",)])
 def test_standard_output_on_a_full_disk(words: tuple[str, ...]) -> None:
     """Results that cannot be written are told in one line, with exit code 10."""
     with Path("/dev/full").open("wb") as full:

@@ -10,15 +10,27 @@ import pytest
 
 from protocol.wire.codec import encode
 from protocol.wire.messages import Message
+from tests.mpc.test_published_equations import PUBLISHED
 from tests.support import runs
-from tests.support.commands import SHORT, command, free_base, processes_of, settings, transport, wait_for
+from tests.support.commands import SHORT, command, free_base, processes_of, settings, transport
 from tests.support.troubles import ITERATIONS
 from transport.log.run_log import read_log
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "transport" / "analysis" / "summary.schema.json").read_text())
 
-# DAQP and Clarabel meet the same optimality conditions to 1e-6; the cost of a run then agrees to this.
-SOLVER_TOLERANCE = 1e-3
+PAIRS_ON_CHANGE = (
+    *("agents.owned=[[1,2],[3,4]]", "controller.prediction=closed_loop", "controller.received_plans=by_age"),
+    *("controller.share=on_change", "controller.share_threshold=0.02", "controller.share_heartbeat_s=0.4"),
+)
+FAILURES = (
+    "plant.motors={lag_s=0.06,thrust_step_N=0.1}",
+    *("controller.relaxation=0.25", "controller.motor_lag_s=0.05", "links.loss=0.3"),
+    "faults.event=[{at_s=0.5,do='degrade',target='uav2',efficiency=0.95},{at_s=0.6,do='motor_off',target='uav3'},"
+    "{at_s=0.65,do='release',target='uav3'}]",
+)
+
+# Expansions with and without response to rod length differ in directions that a state reaches at second order only.
+SAME_ALGORITHM = 0.02
 
 
 def run_json(folder: Path, *arguments: str) -> dict[str, Any]:
@@ -39,14 +51,6 @@ def reproducible(messages: list[Message]) -> dict[tuple[str, str], list[bytes]]:
     return streams
 
 
-def steps_without_times(folder: Path) -> list[list[str]]:
-    """Return the step table without its wall-clock columns."""
-    rows = [line.split(",") for line in (folder / "steps.csv").read_text().splitlines()]
-    kept = [i for i, name in enumerate(rows[0]) if not name.endswith("_ms")]
-    assert len(kept) < len(rows[0])
-    return [[row[i] for i in kept] for row in rows]
-
-
 @pytest.fixture(scope="module")
 def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """Run the paper's whole maneuver; return its folder and summary."""
@@ -54,13 +58,6 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     summary = run_json(folder, "paper")
     assert processes_of("run") == {}
     return folder, summary
-
-
-@pytest.fixture(scope="module")
-def short(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """Run a short maneuver of the paper's team; return its folder and summary."""
-    folder = tmp_path_factory.mktemp("short") / "run"
-    return folder, run_json(folder, "paper", *settings(SHORT))
 
 
 @pytest.mark.slow
@@ -72,6 +69,7 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
     assert summary["ticks"] == 500
     assert summary["attitude_max_deg"] <= 2.5
     assert summary["separation_min_m"] > 0.4
+    assert summary["cost"]["mean"] == pytest.approx(PUBLISHED, rel=SAME_ALGORITHM)
     assert summary["solver"]["failures"] == 0
     assert summary["messages"]["lost"] == summary["messages"]["late"] == summary["messages"]["rejected"] == 0
 
@@ -80,80 +78,23 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
     assert reproducible(log) == reproducible(memory)
 
 
-@pytest.mark.slow
-def test_centralized_costs_less(paper: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
-    """A single agent that owns all UAVs completes the maneuver at a lower mean cost than the four (section V-C)."""
-    _, distributed = paper
-    centralized = run_json(tmp_path / "centralized", "centralized")
-    assert centralized["outcome"] == "completed"
-    assert centralized["processes"] == 3
-    assert centralized["cost"]["mean"] < distributed["cost"]["mean"]
-
-
-@pytest.mark.slow
-def test_the_other_solver_finds_the_same_flight(short: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
-    """Clarabel in place of DAQP gives the same cost."""
-    _, daqp = short
-    clarabel = run_json(tmp_path / "clarabel", "paper", *settings(SHORT, "controller.solver=clarabel"))
-    assert clarabel["controller"]["solver"] == "clarabel"
-    assert clarabel["cost"]["mean"] == pytest.approx(daqp["cost"]["mean"], rel=SOLVER_TOLERANCE)
-
-
-def test_two_runs_are_equal(short: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
-    """Two runs of one scenario differ in nothing but wall-clock columns."""
-    folder, _ = short
-    run_json(tmp_path / "again", "paper", *settings(SHORT))
-    assert steps_without_times(folder) == steps_without_times(tmp_path / "again")
-
-
 @pytest.mark.parametrize(
     "changes",
     [
         pytest.param(("clock.actuation=next_tick",), id="next tick"),
-        pytest.param(
-            ("agents.owned=[[1, 2], [3, 4]]",),
-            id="two UAVs each",
-            marks=pytest.mark.slow,
-        ),
         pytest.param((ITERATIONS, "clock.speed=2.0"), id="paced negotiation"),
         pytest.param(
             (*runs.VEHICLE, "links.delay_s=0.1", "links.loss=0.3"), id="vehicle sensors", marks=pytest.mark.slow
         ),
+        pytest.param((*PAIRS_ON_CHANGE, *FAILURES), id="pairs, on change, failures", marks=pytest.mark.slow),
     ],
 )
 def test_network_equals_memory(changes: tuple[str, ...], tmp_path: Path) -> None:
     """Every message except for the wall-clock times of reports is bitwise equal on the network and in memory."""
-    run_json(tmp_path / "run", "paper", *settings(SHORT, *changes))
+    assert run_json(tmp_path / "run", "paper", *settings(SHORT, *changes))["rejections"] == []
     memory = runs.recorded(runs.ready("paper", SHORT, *changes))
     log = [recorded.message for recorded in read_log(tmp_path / "run" / "run.mcap").messages]
     assert reproducible(log) == reproducible(memory)
-
-
-def test_started_by_hand_in_any_order(tmp_path: Path) -> None:
-    """Six processes and a recorder, started one by one in an unusual order, join and complete the run."""
-    options = ["--run", "by-hand", *settings(SHORT, f"network.base_port={free_base()}")]
-    roles = [
-        ["agent", "--id", "3"],
-        ["record", "--out", "recorded", "--no-figures"],
-        ["plant"],
-        ["agent", "--id", "1"],
-        ["coordinator", "--observer", "recorder"],
-        ["agent", "--id", "4"],
-        ["agent", "--id", "2"],
-    ]
-    started = []
-    for role in roles:
-        started.append(
-            subprocess.Popen(
-                command(*role, *options), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-            )
-        )
-    outputs = [process.communicate(timeout=120) for process in started]
-    assert [process.returncode for process in started] == [0] * len(roles), outputs
-    summary = json.loads((tmp_path / "recorded" / "summary.json").read_text())
-    assert summary["outcome"] == "completed"
-    assert summary["ticks"] == 30
-    assert wait_for(lambda: processes_of("by-hand") == {})
 
 
 def test_processes_with_different_scenarios_refuse_each_other(tmp_path: Path) -> None:

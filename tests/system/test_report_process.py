@@ -1,8 +1,7 @@
-"""The process that reports a run: the same files as any report, prepared or not, and nothing left behind."""
+"""The process that reports a run: the same files as any report, and nothing left behind."""
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -15,37 +14,25 @@ from transport.report.report import write_report
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 
-# Time in which a process prepares on a busy machine, s; the test holds for any.
-_PREPARING_S = 3.0
-
 
 def files(folder: Path) -> dict[str, bytes]:
     """Return the files of a report by name."""
     return {path.name: path.read_bytes() for path in [*folder.glob("s*.*"), *folder.glob("figures/*")]}
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, bytes]]:
-    """Return a run folder and the files of its report by this process."""
-    folder = tmp_path_factory.mktemp("run")
-    record_run(runs.setup(runs.SHORT), folder)
-    write_report(folder)
-    return folder, files(folder)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("waiting_s", [0.0, _PREPARING_S], ids=["at-once", "prepared"])
-def test_equal_reports(recorded: tuple[Path, dict[str, bytes]], waiting_s: float) -> None:
-    """The process writes the bytes that a report in one process writes, prepared or not."""
-    folder, expected = recorded
+def test_equal_reports(tmp_path: Path) -> None:
+    """The process, asked while it prepares, writes the bytes that a report in one process writes."""
+    record_run(runs.setup(runs.SHORT), tmp_path)
+    write_report(tmp_path)
+    expected = files(tmp_path)
     assert len(expected) == 11
-    for path in folder.glob("figures/*"):
+    for path in tmp_path.glob("figures/*"):
         path.unlink()
-    with ReportProcess(folder) as reporter:
+    with ReportProcess(tmp_path) as reporter:
         reporter.prepare()
-        time.sleep(waiting_s)
         assert reporter.report()
-    assert files(folder) == expected
+    assert files(tmp_path) == expected
 
 
 @pytest.mark.slow

@@ -3,14 +3,12 @@
 import json
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-import zenoh
 from typer.testing import CliRunner
 
 from protocol.network.endpoints import process_names
@@ -61,7 +59,7 @@ def calm(folder: Path, *changes: str) -> list[dict[str, str]]:
 
 @pytest.mark.slow
 def test_a_run_under_attack(tmp_path: Path) -> None:
-    """Wrong keys, forgery and repeated messages on agent 1's key do not change a lockstep run.
+    """Forgery and repeated messages on agent 1's key do not change a lockstep run.
 
     Forged messages reach no process. Repeated ones reach all and are counted; agent 1's own are still accepted.
     """
@@ -75,9 +73,6 @@ def test_a_run_under_attack(tmp_path: Path) -> None:
     repeating = [sys.executable, "-m", "tests.support.attacker", "out", "1", str(RATE_HZ), str(keyring("one"))]
     with subprocess.Popen([*repeating, *endpoints], stdout=subprocess.PIPE, text=True) as flood:
         assert wait_for(is_flying(tmp_path / "out", process_names(scenario)))
-        refused: list[str] = []
-        attempts = threading.Thread(target=_connect_without_keys, args=(endpoints[0], refused))
-        attempts.start()
         with attacker.session(endpoints, attacker.tls(keyring("one"), "agent1")) as forger:
             # Asked within this process: on a busy host the run would end before a new process has started.
             status = ["status", "--format", "json", "--run", str(tmp_path / "out"), "--process"]
@@ -94,9 +89,7 @@ def test_a_run_under_attack(tmp_path: Path) -> None:
                     attacker.say(forger, f"{keys.prefix}/{key}", b"?")
         printed, errors = run.communicate(timeout=PATIENCE_S)
         sent = int(flood.communicate(timeout=PATIENCE_S)[0])
-        attempts.join()
     assert run.returncode == 0, errors
-    assert refused == ["no certificate", "another authority", "no TLS"]
     summary: dict[str, Any] = json.loads(printed)
     assert summary["outcome"] == "completed"
     assert table(tmp_path / "out") == calm(tmp_path / "calm", *FLIGHT)
@@ -116,21 +109,6 @@ def test_a_run_under_attack(tmp_path: Path) -> None:
     assert len(families["transport_refused_messages"].samples) == count
     assert other.exit_code == 2
     assert "expected one of coordinator, plant, agent1" in other.stderr
-
-
-def _connect_without_keys(endpoint: str, refused: list[str]) -> None:
-    """Try to connect without the right keys, and list the attempts refused."""
-    one, other = keyring("one"), keyring("other")
-    for attempt, at, secure in (
-        ("no certificate", endpoint, attacker.tls(None, "", one / "ca.pem")),
-        ("another authority", endpoint, attacker.tls(other, "agent1", one / "ca.pem")),
-        ("no TLS", endpoint.replace("tls/", "tcp/"), None),
-    ):
-        try:
-            with attacker.session([at], secure, 0.7):
-                pass
-        except zenoh.ZError:
-            refused.append(attempt)
 
 
 @contextmanager

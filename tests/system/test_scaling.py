@@ -36,7 +36,6 @@ def test_sizes_and_ownerships() -> None:
 
 
 REFUSED = [
-    (("--max", "1"), USAGE, "invalid value for '--max': expected greater than or equal to 2, got '1'"),
     (("--max", "17"), USAGE, "invalid value for '--max': expected less than or equal to 16, got '17'"),
     (("--max", "many"), USAGE, "invalid value for '--max'"),
     (("--jobs", "0"), USAGE, "--jobs"),

@@ -66,14 +66,6 @@ def test_the_output_is_whole(reference: Path) -> None:
     assert float(points[1]["plan_age_mean_ticks_ci95"]) > 0.0
 
 
-@pytest.mark.slow
-def test_jobs_do_not_matter(reference: Path) -> None:
-    """Two runs at a time give byte for byte the same tables as one by one."""
-    result = transport(*SMALL, "--jobs", "2", "--out", "two", cwd=reference.parent)
-    assert result.returncode == DONE, result.stderr
-    assert tables(reference.parent / "two") == tables(reference)
-
-
 def test_a_killed_experiment_is_resumed(reference: Path) -> None:
     """After SIGKILL, even in the middle of a line, finished runs are not repeated and the tables are the same."""
     folder = reference.parent / "killed"

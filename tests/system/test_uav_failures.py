@@ -115,12 +115,11 @@ def test_a_late_release_of_the_dead_one(after_s: float, limit_deg: float) -> Non
     assert 1.0 < flight.attitude_deg < limit_deg
 
 
-@pytest.mark.parametrize("uavs", [5, 6])
-def test_five_and_six_balance_the_dead_one(uavs: int) -> None:
+def test_five_balance_the_dead_one() -> None:
     """With one UAV more the failed one stays upright on its rod, balanced by the motion of the payload below."""
-    flight = flown(uavs, "resilient", OFF, CLIMB)
+    flight = flown(5, "resilient", OFF, CLIMB)
     assert flight.control.outcome == "completed"
-    assert flight.attitude_deg < 4.0  # measured: 2.5 and 1.6
+    assert flight.attitude_deg < 4.0  # measured: 2.5
     assert flight.series.uavs_I[-1, 2, 2] < flight.series.x[-1, 2] - 3.0  # above the payload: z is down
 
 

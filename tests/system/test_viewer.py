@@ -8,11 +8,11 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,25 +22,20 @@ from typer.testing import CliRunner
 
 from model.arrays import Array
 from protocol.network.parent import PARENT_PIPE
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
 from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from protocol.wire.messages import FaultNote, LinkChange, Message, Plan, PlantState, Target
+from protocol.wire.messages import LinkChange, PlantState, Target
 from tests.support import runs
 from tests.support.browser import END, RIGHT, Browser, Drawing, browser, connected_pages, needs_browser
 from tests.support.commands import PATIENCE_S, command, processes_of, settings, start, wait_for
-from tests.support.logs import record_run
+from tests.support.logs import Growing, bits, messages_until, record_run
 from transport.cli.main import app
 from transport.flight import live
 from transport.flight.live import LiveRun
-from transport.flight.memory import simulate
 from transport.flight.run import simulate as run_processes
 from transport.log.run_log import LogTail, read_log, setup_of
 from transport.scene.scene import RunHistory, SceneBuilder
 from transport.viewer.panel import Playback
 from transport.viewer.viewer import Viewer, open_viewer
-
-M = TypeVar("M", bound=Message)
 
 # A climb of half a metre moves the payload by at least this, m.
 SEEN_M = 0.2
@@ -325,50 +320,6 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
         for said in (f"{place}: arrives at t = ", f"{place}: since t = "):
             assert wait_for(lambda said=said: said in (window.text() or ""), BROWSER_S), window.text()  # type: ignore[misc]
         assert window.console() == []
-
-
-class Growing(LogTail):
-    """Log of a live run, with all messages read so far."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._all: list[Message] = []
-
-    def of(self, kind: type[M]) -> list[M]:
-        """Return the messages of one kind so far."""
-        self._all += self.read()
-        return [message for message in self._all if isinstance(message, kind)]
-
-    def notes(self, target: str, what: str) -> bool:
-        """Return whether a fault of a process by a person is noted."""
-        return any((note.target, note.what, note.origin) == (target, what, "person") for note in self.of(FaultNote))
-
-
-class EnoughError(Exception):
-    """End of the compared part of a run."""
-
-
-def messages_until(tick: int, scenario: Path, setting: str) -> list[Message]:
-    """Return the messages before a tick of a run in this process, without a viewer."""
-    messages: list[Message] = []
-
-    def record(message: Message) -> None:
-        if isinstance(message, PlantState) and message.tick == tick:
-            raise EnoughError
-        messages.append(message)
-
-    with pytest.raises(EnoughError):
-        simulate(Setup.of(read_scenario(scenario, [setting]), str(scenario)), record)
-    return [message for message in messages if message.tick < tick]
-
-
-def bits(messages: Iterable[Message]) -> Iterator[tuple[int, str, bytes]]:
-    """Return tick, sender and bytes of plant states and plans."""
-    for message in messages:
-        if isinstance(message, PlantState):
-            yield message.tick, message.sender, message.x.tobytes() + message.u.tobytes()
-        elif isinstance(message, Plan):
-            yield message.tick, message.sender, message.inputs.tobytes() + message.corrections.tobytes()
 
 
 def test_the_command_listens_here_alone_until_ctrl_c(recorded: Path) -> None:

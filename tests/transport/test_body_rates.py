@@ -10,15 +10,15 @@ from transport.log.tables import RATE_NAMES, tables
 RATES = {"controller.inputs": "rates"}
 CLIMB = [{"name": "climb", "duration_s": 1.5, "displacement_m": [0.2, 0.0, -0.2]}]
 LEG = [
-    {"name": "leg", "duration_s": 4.0, "displacement_m": [1.0, 0.8, -1.0]},
-    {"name": "hover", "duration_s": 4.0, "displacement_m": [0.0, 0.0, 0.0]},
+    {"name": "leg", "duration_s": 3.0, "displacement_m": [0.75, 0.6, -0.75]},
+    {"name": "hover", "duration_s": 2.0, "displacement_m": [0.0, 0.0, 0.0]},
 ]
-DEATH = {"faults.event": [{"at_s": 2.0, "do": "kill", "target": "agent3"}], "clock.on_agent_loss": "continue"}
+DEATH = {"faults.event": [{"at_s": 1.5, "do": "kill", "target": "agent3"}], "clock.on_agent_loss": "continue"}
 RETURN = {
-    "faults.event": [*DEATH["faults.event"], {"at_s": 3.0, "do": "restart", "target": "agent3"}],
+    "faults.event": [*DEATH["faults.event"], {"at_s": 2.5, "do": "restart", "target": "agent3"}],
     "clock.on_agent_loss": "continue",
 }
-RELEASE = {"faults.event": [{"at_s": 2.0, "do": "release", "target": "uav3"}]}
+RELEASE = {"faults.event": [{"at_s": 1.5, "do": "release", "target": "uav3"}]}
 IMPAIRED = {"links.delay_s": 0.2, "links.loss": 0.3}
 
 

@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -80,18 +78,13 @@ def test_errors_are_one_line(words: str, tmp_path: Path, monkeypatch: pytest.Mon
         ("transport plot ru", "runs/b"),
     ],
 )
-def test_the_shell_completes(line: str, expected: str, recorded: Path) -> None:
+def test_the_shell_completes(line: str, expected: str, recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands, options, ready-made scenarios, faults and run folders are completed."""
-    words = line.split()
-    environment = {"_TRANSPORT_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
-    done = subprocess.run(
-        [sys.executable, "-c", "from transport.cli.main import app; app(prog_name='transport')"],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=recorded,
-        env={**os.environ, **environment, "PYTHONPATH": str(Path.cwd())},
-    )
+    monkeypatch.chdir(recorded)
+    asked = {
+        "_TRANSPORT_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(line.split()) - 1)
+    }  # fmt: skip
+    done = CliRunner().invoke(app, [], prog_name="transport", env=asked)
     assert done.stdout.splitlines()[:1] == [expected], done.stderr
 
 

@@ -7,7 +7,7 @@ from protocol.scenario.setup import Setup
 from protocol.scenario.team import resized
 from protocol.wire.messages import Control
 from tests.support.logs import SINGLE_UAV
-from tests.support.runs import SCENARIOS, SHORT, ready
+from tests.support.runs import SCENARIOS, SHORT, ready, ticks
 from transport.flight.memory import simulate
 
 LIGHT = "system.payload={{mass_kg={0},inertia_kgm2=[{1},{1},{1}]}}"
@@ -44,7 +44,7 @@ def test_one_uav() -> None:
 def test_sixteen_uavs() -> None:
     """N = 16, each its own agent, made as `transport scenario new` makes it."""
     path = SCENARIOS / "resilient.toml"
-    scenario = resized(read_scenario(path, [SHORT]), 16, group=None, name=None, source=path.name)
+    scenario = resized(read_scenario(path, [ticks(10)]), 16, group=None, name=None, source=path.name)
     run = Setup.of(scenario, path.name)
     assert (run.system.N, len(run.agents)) == (16, 16)
     assert simulate(run).outcome == "completed"

