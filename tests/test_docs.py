@@ -119,7 +119,7 @@ def test_measured_tables_have_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
     pages: dict[str, Any] = import_module("measured_pages").PAGES
     rows = [runs for tables in pages.values() for table in tables for runs in table.rows.values()]
     for run in {run for runs in rows for run in runs if run}:
-        import_module("simulations").scenario_of(run)
+        run.point().read()
     for document, tables in pages.items():
         names = ["origin", *(table.name for table in tables)]
         names += import_module("results_page").EXPERIMENTS if document == "results.md" else []
