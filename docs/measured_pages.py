@@ -112,7 +112,7 @@ GUARANTEES = (
 )
 
 
-# docs/engines.md and docs/vehicles.md
+# docs/engines.md
 
 # A maneuver that descends almost as fast as bodies fall.
 FALL = (
@@ -176,31 +176,6 @@ ENGINES = (
             for key, settings in FIRMWARE.items()
         },
         unless_diverged(COST),
-    ),
-)
-ESTIMATES: Mapping[str, tuple[str, ...]] = {
-    "perfect network": (),
-    "200 ms and 30 % loss": LATE,
-    "the same, 30 ms of motor lag that no agent knows": (*LATE, "plant.motors.lag_s=0.03"),
-    "200 ms and 30 % loss, payload 20 % heavier, gusts of 1 m/s, forces estimated": (
-        *(*LATE, ESTIMATE, f"{HEAVIER}=1.2"),
-        "plant.wind.gust_mps=[1.0,1.0,1.0]",
-    ),
-    "200 ms and 30 % loss, agent 3 killed at 7 s": (*LATE, *events((7.0, "kill", "agent3"))),
-}
-VEHICLES = (
-    listed(
-        "estimates",
-        "`precise`",
-        {text: Run("precise", (*SENSORS, *settings), seeds=3) for text, settings in ESTIMATES.items()},
-        {
-            "completed": completed,
-            "payload error, rms": cell("payload_rms_m", "{:.2f} cm", 100.0),
-            "estimate's error, rms": cell("position_rms_m", "{:.2f} cm", 100.0),
-            "in attitude": cell("attitude_rms_deg", "{:.2f} deg"),
-            "NEES of 6, least": cell("nees", "{:.1f}", of=np.min),
-            "largest": cell("nees", "{:.1f}", of=np.max),
-        },
     ),
 )
 
@@ -401,7 +376,6 @@ RESULTS = (
 PAGES = {
     "guarantees.md": GUARANTEES,
     "engines.md": ENGINES,
-    "vehicles.md": VEHICLES,
     "values.md": VALUES,
     "scenario.md": SCENARIO,
     "time.md": TIME,

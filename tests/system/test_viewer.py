@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.keys import Keys
 from typer.testing import CliRunner
 
 from model.arrays import Array
@@ -288,7 +289,7 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
 @pytest.mark.slow
 @needs_browser
 def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
-    """The handle and the numbers of a page send the payload to targets, one after the other."""
+    """The handle, keys and the numbers of a page send the payload to targets, one after the other."""
     folder = tmp_path / "sent"
     hover = "maneuver.phase=[{name='hover',duration_s=900.0,displacement_m=[0,0,0]}]"
     with live_run(folder, "clock.speed=1.0", hover) as address:
@@ -307,6 +308,12 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
         expected = log.of(Target)[-1].points[0]
         assert expected[0] > 0.1
         assert expected[1:].tolist() == [0.0, -10.0]
+        for key, step in ((Keys.ARROW_UP, [0.0, -0.5, 0.0]), (Keys.PAGE_UP, [0.0, 0.0, -0.5])):
+            known, expected = len(log.of(Target)), expected + step
+            keys: Any = ActionChains(window.driver).key_down(Keys.SHIFT)
+            keys.send_keys(key).key_up(Keys.SHIFT).perform()
+            assert wait_for(lambda known=known: len(log.of(Target)) > known, BROWSER_S)  # type: ignore[misc]
+            assert np.allclose(log.of(Target)[-1].points, [expected])
         known = len(log.of(Target))
         window.type("x, y, z (m)", "1.25, -0.5")
         window.click("Go there")
@@ -314,7 +321,7 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
         window.type("x, y, z (m)", "1.25, -0.75 -10")
         window.click("Go there")  # at once: what is typed may come later than the click
         assert wait_for(lambda: len(log.of(Target)) > known, BROWSER_S)
-        expected[:2] = 1.25, -0.75
+        expected = np.array([1.25, -0.75, -10.0])
         assert [np.round(target.points[0], 6).tolist() for target in log.of(Target)[known:]] == [expected.tolist()]
         place = "target (1.25, -0.75, -10) m"
         for said in (f"{place}: arrives at t = ", f"{place}: since t = "):

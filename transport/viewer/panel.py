@@ -19,6 +19,16 @@ from transport.viewer.view3d import View3D
 
 _SPAN_S, _POINTS, _HEIGHT_PX = 30.0, 200, 120  # of a plot: time axis, points of a curve, height
 _LEAST_COST = 1e-8  # smaller ones are rounding errors
+# Steps of the target in the inertial frame by the keys for them, with Shift: alone, arrows move sliders.
+_STEPS = {
+    "arrowleft": (-1.0, 0.0, 0.0),
+    "arrowright": (1.0, 0.0, 0.0),
+    "arrowup": (0.0, -1.0, 0.0),
+    "arrowdown": (0.0, 1.0, 0.0),
+    "pageup": (0.0, 0.0, -1.0),
+    "pagedown": (0.0, 0.0, 1.0),
+}
+_STEP_M = 0.5
 _TYPED_S = 0.3  # a page sends what is typed later than a click, by less
 
 
@@ -128,7 +138,7 @@ class Panel:
         self._target, self._live = None, [self._follow]
         if commands is not None:
             self._target = TargetControls(server, builder, commands)
-            self._live += [self._target.folder, self._target.handle, add_links(gui, self._setup, commands)]
+            self._live.append(add_links(gui, self._setup, commands))
         with gui.add_folder("Plots"):
             self._plots = Plots(gui, builder)
         with gui.add_folder("Agents"):
@@ -171,6 +181,8 @@ class Panel:
         """Hide the controls of a live run, which has ended."""
         for widget in self._live:
             widget.visible = False
+        if self._target is not None:
+            self._target.close()
 
 
 def from_browser(act: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -179,7 +191,7 @@ def from_browser(act: Callable[[Any], None]) -> Callable[[Any], None]:
 
 
 class TargetControls:
-    """Widgets in a folder that send the payload somewhere: a handle to drag, and numbers."""
+    """Widgets in a folder that send the payload somewhere: a handle to drag, keys and numbers."""
 
     def __init__(self, server: Any, builder: SceneBuilder, commands: Commands) -> None:
         self._builder, self._go, gui = builder, commands.target, server.gui
@@ -195,11 +207,31 @@ class TargetControls:
         )
         there.on_click(self._typed_place)
         self.handle.on_update(self._dragged)
+        self._dragged_from = start_I
+        self._keys = []
+        for key, step in _STEPS.items():
+            command = gui.add_command(f"target: {_STEP_M:g} m, shift {key}", hotkey=key, modifier="shift")
+            command.on_trigger(partial(self._step, _STEP_M * np.array(step)))
+            self._keys.append(command)
 
     def show(self, scene: Scene) -> None:
         """Show the target of a scene."""
         known = [target for target in self._builder.setup.maneuver.targets if target.since_s <= scene.time_s]
         self._state.content = html.target(known[-1].end_I, known[-1].ends_s, scene) if known else ""
+
+    def close(self) -> None:
+        """Hide handle and folder and remove the keys when the run has ended."""
+        self.folder.visible = self.handle.visible = False
+        for command in self._keys:
+            command.remove()
+
+    def _send(self, place_I: Array) -> None:
+        self.handle.position = place_I
+        self._typed.value = _in_text(place_I)
+        self._go(place_I)
+
+    def _step(self, step_I: Array, _: object) -> None:
+        self._send(np.round(np.array(self.handle.position) + step_I, 2) + 0.0)  # without -0
 
     def _typed_place(self, event: Any) -> None:
         time.sleep(_TYPED_S)
@@ -208,14 +240,15 @@ class TargetControls:
         except ValueError:
             event.client.add_notification("Target", f"expected three numbers, got {self._typed.value[:40]!r}")
             return
-        self.handle.position = np.array([x, y, z])
-        self._go(np.array([x, y, z]))
+        self._send(np.array([x, y, z]))
 
     def _dragged(self, event: Any) -> None:
-        """Show where the handle is; send the target once it is let go."""
+        """Show where the handle is; send the target once it is let go, unless it was only clicked."""
         place_I = np.round(np.array(self.handle.position), 2) + 0.0  # without -0
         self._typed.value = _in_text(place_I)
-        if event.phase == "end":
+        if event.phase == "start":
+            self._dragged_from = place_I
+        elif event.phase == "end" and not np.array_equal(self._dragged_from, place_I):
             self._go(place_I)
 
 
