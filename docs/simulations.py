@@ -155,15 +155,11 @@ def _text(shown: Table, found: Mapping[Run, Flown]) -> str:
 def more(setup: Setup, summary: Any, log: RunLog) -> dict[str, float | None]:
     """Return further numbers of a run.
 
-    The distances from their references of UAVs (the largest) and payload at the last tick, the largest x of a UAV; and
-    those of cables, estimates and distances from walls.
+    The largest distance of a UAV from its reference at the last tick, and those of cables and distances from walls.
     """
     series = series_of(setup, log)
     return {
         "uav_last_m": float(np.linalg.norm(series.uav_errors_I[-1], axis=1).max()),
-        "payload_last_m": float(np.linalg.norm(series.payload_error_I[-1])),
-        "front_m": float(series.uavs_I[:, :, 0].max()),
         **(summary["cables"] or {}),
-        **(summary["estimate"] or {}),
         **(summary["clearance_min_m"] or {}),
     }
