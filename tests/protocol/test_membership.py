@@ -2,7 +2,7 @@
 
 import pytest
 
-from protocol.admission.membership import Membership
+from protocol.admission.participant import Membership
 from protocol.wire.errors import MessageError
 from protocol.wire.messages import Plan
 from tests.support.runs import INCARNATION, plan, roster, setup
