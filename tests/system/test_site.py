@@ -139,8 +139,9 @@ def test_search_from_a_folder(site: Path) -> None:
         opened.driver.get((site / "index.html").as_uri())
         field = opened.driver.find_element("css selector", "input[data-md-component=search-query]")
         assert wait_for(field.is_displayed)
+        # Pasted: a busy browser also searches for the first letters of what is typed, and warns that they are too few.
+        opened.driver.execute_script("arguments[0].value = 'relaxation'", field)
         field.click()
-        field.send_keys("relaxation")
 
         def results() -> list[str]:
             found = opened.driver.find_elements("css selector", ".md-search-result__item a")
