@@ -284,7 +284,7 @@ class KalmanFilter:
             T_ahead, L = self.basis(ahead)
             moved, s = discrete.A @ T, T.shape[1]
             pushed = np.zeros((len(T), 0)) if forces is None else self._pushed(model, x, actual, forces, discrete.A)
-            # Nobody knows exactly when the fail-safe of another UAV took over, and at what thrust.
+            # It is not known exactly when the fail-safe of another UAV took over, and at what thrust.
             Q = self.lacking(1.0 if by_fail_safe.any() else belief.level)
             lagging = L.T @ discrete.B * (UNKNOWN_LAG_S / self._period_s * (u - belief.u))
             Q[:s, :s] += lagging @ lagging.T

@@ -105,7 +105,9 @@ def claim() -> str:
     rows = [row for row in read("paper", "verdict.csv") if row["controller"] == "paper's algorithm"]
     weathers = list(dict.fromkeys(row["weather"] for row in rows))
     cells = {(row["at"], row["weather"]): ": ".join(filter(None, (row["cost"], row["verdict"]))) for row in rows}
-    periods = {row["at"]: f" (T_s {row['T_s']})" * bool(row["T_s"]) for row in rows}
+    periods: dict[str, str] = {}
+    for row in rows:  # of the first weather
+        periods.setdefault(row["at"], f" (T_s {row['T_s']})" * bool(row["T_s"]))
     lines = [[f"at {at}{where}", *(cells[at, weather] for weather in weathers)] for at, where in periods.items()]
     return table(["the paper's algorithm with our weights", *weathers], lines)
 

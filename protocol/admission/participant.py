@@ -1,5 +1,6 @@
 """The common part of agents and plant: roster, links, targets, the plans that arrive, and the end of the run."""
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -79,7 +80,7 @@ class Membership:
         )
 
 
-class Participant:
+class Participant(ABC):
     """A node that follows the coordinator; plans of others may be used `after` so many ticks over a perfect link."""
 
     publish_ns = 0
@@ -150,15 +151,17 @@ class Participant:
             self._arrived.setdefault(plan.tick, set()).add(plan.agent)
             self._plans.put(plan, now_ns)
 
+    @abstractmethod
     def _head(self, target: Target) -> None:
         """Follow a target that the run has from now on."""
 
+    @abstractmethod
     def _take(self, message: Message, now_ns: int) -> None:
         """Take in a message of the kinds that only this node uses."""
 
+    @abstractmethod
     def _work(self, now_ns: int) -> Sequence[Message]:
         """Work as far as the messages received allow."""
-        raise NotImplementedError
 
     def _end(self) -> Sequence[Message]:
         """Return the last messages, at the end of the run."""

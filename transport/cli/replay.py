@@ -141,7 +141,6 @@ def _changed_setup(run: RecordedRun, settings: list[str], against: str | None) -
     scenario = read_scenario(source, settings, allow_large=True)
     if against is not None:
         scenario = run.setup.scenario.model_copy(update={"controller": scenario.controller})
-    # Files of measured delays are relative to the run folder.
     setup = Setup.of(scenario, str(run.scenario_file))
     for key, value_of in _FIXED:
         expected, got = value_of(run.setup), value_of(setup)

@@ -159,7 +159,7 @@ def top(
         fail("--format json: expected it with --once, got it without")
     folder = find_active(None, "name its folder with --run")[0] if run is None else run_folder(Path(run))
     if not (folder / "run.mcap").exists():
-        fail(f"--run: expected a run folder with a log, got {run}")
+        fail(f"--run: expected a run folder with a log, got {folder}")
     os.nice(_NICE)
     watch, tail = Watch(setup_of(folder)), LogTail(folder / "run.mcap")
     name, is_marked = folder.resolve().name, live.read(folder) is not None  # not marked: started by hand

@@ -106,7 +106,7 @@ def step(setup: Setup) -> Finding:
 
 
 def kernels(_: Setup) -> Finding:
-    """Check that the kernels of a step are compiled: otherwise a step takes nearly twice as long."""
+    """Check that the kernels of a step are compiled: otherwise a step takes several times as long."""
     found, folder = compiler.find_compiler(), compiler.cache_folder()
     if native.AVAILABLE:
         return Finding("ok", f"compiled for this processor, in {folder}")
@@ -114,7 +114,7 @@ def kernels(_: Setup) -> Finding:
     advice = "install gcc or clang, or set $CC or $PAYLOAD_TRANSPORT_CACHE"
     if not compiler.enabled():
         reason, advice = "switched off", "unset PAYLOAD_TRANSPORT_NATIVE"
-    return Finding("warn", f"{reason}: a step takes nearly twice as long", advice)
+    return Finding("warn", f"{reason}: a step takes several times as long", advice)
 
 
 def wake_up(_: Setup) -> Finding:

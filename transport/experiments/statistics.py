@@ -50,7 +50,7 @@ class PointStatistics:
     completed: int  # number of runs that reached the end of the maneuver
     errors: int  # number of runs that could not be simulated
     diverged_s: tuple[float, ...]  # scenario times at which the other runs ended, ascending, s
-    numbers: Mapping[str, Estimate | None]  # over the completed runs, by name (simulation.NUMBERS)
+    numbers: Mapping[str, Estimate | None]  # over the completed runs, by name (cases.NUMBERS)
     cost_ratio: float | None
 
     def mean(self, name: str) -> float | None:

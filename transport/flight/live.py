@@ -31,7 +31,6 @@ class LiveRun:
     endpoints: Mapping[str, str]  # endpoints of its processes, by name
     pid: int  # process id of their parent
     keys: str = ""  # folder of their keys; empty without keys
-    is_client: bool = False  # whether the endpoints belong to a router
 
     def ask(self, name: str, what: str, given: Mapping[str, Any], keys: Path | None = None) -> dict[str, Any]:
         """Return the answer of one of its processes to a request, as `request`."""

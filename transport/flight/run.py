@@ -157,7 +157,7 @@ def simulate(
         place = Place(run=run, endpoints=recording, join_timeout_s=scenario.clock.join_timeout_s)
         recorder = stack.enter_context(_recorded(place, folder, header, progress, harness))
         try:
-            live.write(folder, live.LiveRun(run, called, os.getpid(), keys, is_client=recording.mode == "client"))
+            live.write(folder, live.LiveRun(run, called, os.getpid(), keys))
             ready()  # the coordinator waits for the recorder
             recorder.start(names)
             for name in external:
