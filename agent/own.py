@@ -231,8 +231,8 @@ class OwnPlanner:
         if inputs.ndim != 2 or inputs.shape[1] != columns or not 1 <= len(inputs) <= rows:
             expected = f"expected shape ({columns},) or (1 to {rows}, {columns})"
             raise OwnClassError(f"step: {expected}, got {np.shape(given)}")
-        wrong = [*inputs[~np.isfinite(inputs)], *(value for value in numbers.values() if not math.isfinite(value))]
-        if wrong:
+        given_numbers = {**{f"input {list(at)}": value for at, value in np.ndenumerate(inputs)}, **numbers}
+        if wrong := [f"{name} = {value}" for name, value in given_numbers.items() if not math.isfinite(value)]:
             raise OwnClassError(f"step: expected finite inputs and numbers for the log, got {wrong[0]}")
         if len(numbers) > MAX_NAMES or any(len(name) > MAX_NAME for name in numbers):
             expected = f"expected at most {MAX_NAMES} numbers with names of at most {MAX_NAME} characters"

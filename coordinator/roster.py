@@ -11,7 +11,7 @@ from protocol.scenario.links import link_change, words_of
 from protocol.scenario.schema import TargetSection
 from protocol.scenario.setup import Setup
 from protocol.scenario.targets import MOST, headed, planned, scripted, target_in_words
-from protocol.wire.messages import LinkChange, Message, Roster, Target, agent_name
+from protocol.wire.messages import MAX_TEXT, LinkChange, Message, Roster, Target, agent_name
 from protocol.wire.names import PLANT
 from protocol.wire.node import Outbox
 
@@ -105,6 +105,8 @@ class TeamRoster:
         settings = json.dumps(given.get("settings"))
         if not link_change(source, target, settings).settings():
             raise RequestError("expected at least one key of a link, got none")
+        if len(settings) > MAX_TEXT:
+            raise RequestError(f"settings: expected at most {MAX_TEXT} characters, got {len(settings)}")
         number = len(self._links) + 1
         change = self._out.stamp(LinkChange, tick=tick, number=number, source=source, target=target, settings=settings)
         self._links.append(change)

@@ -137,6 +137,7 @@ def _source(function: ca.Function) -> str:
     return str(generator.dump())
 
 
+@lru_cache(maxsize=2)
 def _build(N: int, rates: bool) -> dict[str, ca.Function]:
     s = Symbols.of(N, rates)
     motion = dynamics.motion(s)

@@ -28,7 +28,10 @@ class Discrete:
 def zero_order_hold(
     linear: Linearisation, period_s: float, known: Discrete | None = None, *, remainder: float = _REMAINDER
 ) -> Discrete:
-    """Discretise exactly: (16)-(17); A and B of a known one, for another f, stay. Raises: ShapeError: not finite."""
+    """Discretise exactly over a period, s: (16)-(17); A and B of a known one, for another f, stay.
+
+    Raises: ShapeError: A_c is not finite, or too large for exp(A_c T_s).
+    """
     if not native.AVAILABLE:
         return _zero_order_hold(linear, period_s)
     at, sizes = native.at, (*linear.pattern.shapes[1], linear.pattern.shapes[2][1])

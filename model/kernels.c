@@ -768,7 +768,7 @@ ptrdiff_t within_bounds_work(ptrdiff_t n, ptrdiff_t rows)
     return solving > rows + n ? solving : rows + n;
 }
 
-/* minimise 1/2 z' H z + g' z within bounds by a primal-dual active-set method; see mpc/solvers.py.
+/* minimise 1/2 z' H z + g' z within bounds by a primal-dual active-set method; see mpc/qp.py.
 
    Returns the number of guesses, or 0 if there were too many or H is not positive definite. */
 static int within_bounds(ptrdiff_t n, const double *H, const double *g, const double *lower, const double *upper,

@@ -54,9 +54,11 @@ def at(array: npt.NDArray[Any]) -> int:
         return 0
     try:
         return ctypes.addressof(_KINDS[array.dtype.char](array))
-    except (TypeError, ValueError):  # read-only, or not row-major
-        if not array.flags.c_contiguous:
-            raise TypeError(f"expected a row-major array, got {array.dtype} with strides {array.strides}") from None
+    except (KeyError, TypeError, ValueError):  # another type, read-only, or not row-major
+        if not array.flags.c_contiguous or array.dtype.char not in _KINDS:
+            raise TypeError(
+                f"expected a row-major array of float64 or indices, got {array.dtype} with strides {array.strides}"
+            ) from None
         return int(array.__array_interface__["data"][0])
 
 

@@ -147,7 +147,10 @@ class Controller:
         self, solution: Solution, prediction: Prediction | Course, U: Array, law: FeedbackLaw | None,
         ticks_since_start: int | None = None,
     ) -> StepResult:  # fmt: skip
-        """Return w U* + (1 - w) U_previous, or that of corrections; the previous plan after a failure: (30a), (36a)."""
+        """Return w U* + (1 - w) U_previous; after a failure the previous plan: (30a), (36a).
+
+        With a shared control law only the corrections are mixed. Soon after the start of an agent w is larger.
+        """
         w, decision, solved = self._relaxation, self._decision, solution.status == "solved"
         if ticks_since_start is not None:
             w = max(w, 1.0 / (ticks_since_start + 1))

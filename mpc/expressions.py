@@ -1,7 +1,8 @@
 """The user's constraints and cost terms as text: "r0[2] <= -2", "norm(r1 - r3) >= 0.8", "thrust1 <= 30"; "e1[0]".
 
-Allowed are numbers, pi, arithmetic, norm, dot, cross, sin, cos, tan, sqrt, exp, fabs, fmin, fmax, and for UAV i
-r0, v0, Theta0, omega0, ri, ei, Omegai, Thetai, omegai, or thrusti and taui, with commanded body rates ratei.
+Allowed are numbers, pi, arithmetic, norm, dot, cross, sin, cos, tan, sqrt, exp, fabs, fmin, fmax and
+states: r0, v0, Theta0, omega0 of the payload, and of UAV i ri, ei, Omegai, Thetai, omegai; or
+inputs: thrusti and taui, with commanded body rates thrusti and ratei.
 """
 
 import ast

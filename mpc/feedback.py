@@ -217,7 +217,10 @@ def target(
     model: Model, hover: Hover, cost: Cost, uncontrolled: Mapping[int, Array] | None = None, off: Collection[int] = (),
     released: Collection[int] = (),
 ) -> Target:  # fmt: skip
-    """Return the steady state with least output error, then least input effort, the rest as at hover: (40)."""
+    """Return the steady state with least output error, then least input effort, the rest as at hover: (40).
+
+    UAVs, 0-based, that are uncontrolled follow gains of their own, (4, n); others are off or released.
+    """
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)
     T = tangent(hover.x, off, released)

@@ -4,7 +4,7 @@ minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Literal
 
@@ -32,7 +32,7 @@ _CLARABEL: dict[str, Status] = {
 
 @dataclass(frozen=True, kw_only=True)
 class QP:
-    """The data of one program; equalities are rows with equal bounds, missing bounds are infinite."""
+    """The data of one program, row-major; equalities are rows with equal bounds, missing bounds are infinite."""
 
     H: Array  # positive definite, (n, n)
     g: Array  # (n,)
@@ -44,9 +44,13 @@ class QP:
 
     @cached_property
     def addresses(self) -> list[int]:
-        """Addresses of the data, row by row, for the compiled kernels; copies need new ones (`replace`)."""
+        """Addresses of the data, row-major, for the compiled kernels."""
         data = self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper
         return [native.at(array) for array in data]
+
+    def __getstate__(self) -> dict[str, Array]:
+        """Return the data for copies, which have addresses of their own."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def objective(self, z: Array) -> float:
         """Return 1/2 z' H z + g' z."""

@@ -144,8 +144,10 @@ def rollout(
     model: Model, settings: ControllerSettings, z0: Array, law: FeedbackLaw, forces: Array | None = None,
     decision: Decision | None = None, before: Array | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return states, (N_p + 1, n or n + m), and inputs, (N_p, m), under the control law: (35a), (73)."""
-    # Inputs of a decision are free, or within rates if the owned ones before the first step are given, (m_own,).
+    """Return states, (N_p + 1, n or n + m), and inputs, (N_p, m), under the control law, within bounds: (35a), (73).
+
+    Inputs of a decision are free, or within rates if the owned ones `before` the first step are given, (m_own,).
+    """
     lower, upper = bounds = settings.lower(model.system.N), settings.upper(model.system.N)
     period_s, lag_s, at_x0 = settings.sampling_period_s, settings.motor_lag_s, law.uncorrected + law.c
     if decision is None and law.K.ndim == 2 and lag_s == 0.0:

@@ -15,7 +15,7 @@ _OFF_UNIT = 0.2  # deviation of a rod direction's length from 1 that sensor nois
 _IDS: dict[type[Message], tuple[str, ...]] = {
     Tick: ("members", "answered", "shared"),
     Measurement: ("answered", "shared"),
-    Roster: ("agents", "off"),
+    Roster: ("agents", "off", "released"),
     StepReport: ("peers",),
     ActualInputs: ("uavs", "cables"),
 }
@@ -33,7 +33,7 @@ def check_plausible(message: Message, run: RunShape) -> None:
     """Raise MessageError for a message that no process of a run can have sent."""
     check_tick(message, 0, run.ticks - 1)
     for field in _IDS.get(type(message), ()):
-        are_uavs = field in ("off", "uavs", "cables")
+        are_uavs = field in ("off", "released", "uavs", "cables")
         known = range(1, run.uavs + 1) if are_uavs else run.owned
         if strangers := [number for number in getattr(message, field) if number not in known]:
             what = "UAVs" if are_uavs else "agents"

@@ -16,7 +16,7 @@ from protocol.network.endpoints import Endpoints
 from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
 from protocol.wire.codec import VERSION
 from protocol.wire.errors import MessageError
-from protocol.wire.keys import RECORDER, WATCHER, Keys
+from protocol.wire.keys import RECORDER, Keys
 from protocol.wire.messages import Event, Message, Presence, Request
 from protocol.wire.names import COORDINATOR, PLANT, agent_name
 
@@ -79,7 +79,7 @@ class Bus:
         self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
-        log_errors(to_output=name not in (RECORDER, WATCHER))
+        log_errors(to_output=name != RECORDER)
         self._session = open_session(place.endpoints, patience_s, name, self._keys, place.join_timeout_s)
         # Subscribers before the token: a process that sees the token may send at once, and nothing is lost. Their
         # callback runs on the thread that receives, which must be brief, but saves a second thread.
@@ -87,8 +87,7 @@ class Bus:
         self._declared: list[Any] = [
             self._session.declare_subscriber(key, arrived) for key in self._keys.subscriptions(name)
         ]
-        if name != WATCHER:  # a watcher has no token, so it is not asked either
-            self._declared.append(self._session.declare_queryable(self._keys.request(name, "*"), self._put))
+        self._declared.append(self._session.declare_queryable(self._keys.request(name, "*"), self._put))
         self._declared += [
             self._session.liveliness().declare_subscriber(f"{self._keys.prefix}/{kind}/**", self._put, history=True)
             for kind in ("alive", "ready")
@@ -112,7 +111,7 @@ class Bus:
                 missing = awaited - self.alive.keys()
             if not missing:
                 break
-            if now_s >= deadline:
+            if now_s >= deadline and self._inbox.empty():
                 at = ", ".join(ends.listen) or "nothing", ", ".join(ends.connect) or "none: others connect to it"
                 absent = ", ".join(sorted(missing - self._left or missing))
                 text = f"{self.name}: no sign of {absent} within {timeout_s:g} s"
@@ -253,7 +252,7 @@ class Bus:
             given = json.loads(query.payload.to_string() if query.payload else "{}")
         if not isinstance(given, dict) or "/" in what or "*" in what:
             self.gate.rejections.add(self._keys.end(key), MessageError("malformed", "not a request"))
-            query.drop()  # type: ignore[no-untyped-call]
+            reply({"error": "expected a JSON object under the key of one request"})
         elif what == "health":
             own = psutil.Process()
             known = {"name": self.name, "incarnation": self.incarnation, "protocol": VERSION}

@@ -117,13 +117,19 @@ def exposed(endpoints: Sequence[str]) -> str | None:
 
 def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
     """Check a certificate as a peer would, by a handshake with itself. Raises: ssl.SSLError, OSError."""
-    context = ssl.create_default_context(cafile=authority)
-    context.check_hostname = False  # its address is not known here
-    own = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    own.load_cert_chain(certificate, key)
-    there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
-    client, server = context.wrap_bio(back, there), own.wrap_bio(there, back, server_side=True)
-    for end in (client, server) * 4:  # messages in either direction, at most
+    there, back, ends = ssl.MemoryBIO(), ssl.MemoryBIO(), []
+    for protocol, incoming, outgoing in (
+        (ssl.PROTOCOL_TLS_CLIENT, back, there),
+        (ssl.PROTOCOL_TLS_SERVER, there, back),
+    ):
+        # Not the default context: from Python 3.13 on it asks for extensions that Zenoh does not.
+        context = ssl.SSLContext(protocol)
+        context.check_hostname = False  # its address is not known here
+        context.verify_mode = ssl.CERT_REQUIRED
+        context.load_verify_locations(authority)
+        context.load_cert_chain(certificate, key)
+        ends.append(context.wrap_bio(incoming, outgoing, server_side=protocol == ssl.PROTOCOL_TLS_SERVER))
+    for end in ends * 4:  # messages in either direction, at most
         with suppress(ssl.SSLWantReadError):
             end.do_handshake()
 

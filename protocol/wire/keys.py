@@ -13,7 +13,7 @@ _TOKEN = re.compile(r"(alive|ready)/([^/]+)/([0-9]{1,15})(?:/([^/]+)/([0-9]{1,5}
 _CLASSES = (*KINDS.values(), *BUNDLES.values())
 
 # Requests that any client may send, and those that change the run.
-READING, ACTING = ("status", "health"), ("link", "fault")
+READING, ACTING = ("status", "health"), ("link", "fault", "target")
 
 
 @dataclass(frozen=True, slots=True)

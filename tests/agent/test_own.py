@@ -30,11 +30,11 @@ WRONG = {
     "return self.u[:3]": "step: expected shape (4,) or (1 to 20, 4), got (3,)",
     "return np.tile(self.u, (21, 1))": "step: expected shape (4,) or (1 to 20, 4), got (21, 4)",
     "return np.zeros((0, 4))": "step: expected shape (4,) or (1 to 20, 4), got (0, 4)",
-    "return self.u * np.nan": "step: expected finite inputs and numbers for the log, got nan",
+    "return self.u * np.nan": "step: expected finite inputs and numbers for the log, got input [0, 0] = nan",
     "return self.u + 0j": "step raised TypeError: Cannot cast array data from dtype('complex128')",
     "return 'up'": "step raised TypeError: Cannot cast scalar from dtype('<U2')",
     "return None": "step raised TypeError: Cannot cast scalar from dtype('O')",
-    "return self.u, {'e': float('inf')}": "step: expected finite inputs and numbers for the log, got inf",
+    "return self.u, {'e': float('inf')}": "step: expected finite inputs and numbers for the log, got e = inf",
     "return self.u, {'e': 'x'}": "step raised ValueError: could not convert string to float: 'x'",
 }
 

@@ -52,6 +52,7 @@ def refusal(message: Message, shape: RunShape = RUN.shape) -> tuple[str, str]:
         (runs.tick(3), {"members": (1, 5)}, "unknown_agent", "members: expected agents of this run, got [5]"),
         (runs.tick(3), {"answered": (256,)}, "unknown_agent", "answered: expected agents of this run, got [256]"),
         (runs.roster({1: 0, 6: 0}), {}, "unknown_agent", "agents: expected agents of this run, got [6]"),
+        (runs.roster({1: 0}), {"released": (200,)}, "unknown_agent", "released: expected UAVs of this run, got [200]"),
         (report(RUN, 2, 3), {"peers": (1, 3, 9)}, "unknown_agent", "peers: expected agents of this run, got [9]"),
         (
             sample(type(runs.plant_state(RUN, 3))),

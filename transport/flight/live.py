@@ -41,8 +41,10 @@ class LiveRun:
 
 def write(folder: Path, run: LiveRun) -> None:
     """Mark a run as active; a folder that cannot be written is left unmarked."""
+    new = folder / f".{_FILE}"
     with suppress(OSError):
-        (folder / _FILE).write_bytes(msgspec.json.encode(run))
+        new.write_bytes(msgspec.json.encode(run))
+        new.replace(folder / _FILE)  # whole for every reader
 
 
 def remove(folder: Path) -> None:

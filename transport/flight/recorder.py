@@ -160,8 +160,9 @@ class Recorder:
             return
         # Recorded as it came; progress is that of messages which are in order.
         header = message.header
-        self._write(f"/{self._keys.end(message.key)}", message.data, header, at_ns)
-        if header.tick >= self.setup.ticks:
+        key = self._keys.end(message.key)
+        self._write(f"/{key}", message.data, header, at_ns)
+        if header.tick >= self.setup.ticks or key != header.kind:  # kinds of progress have keys of their own
             return
         if header.kind in _OF_TICKS:
             self.tick = max(header.tick, self.tick)

@@ -137,8 +137,8 @@ def simulate(
         base = scenario.network.base_port
         wanted = [0] * len(names) if base is None else range(base, base + len(names))
         # The recorder listens for requests to this process.
-        ports = stack.enter_context(reserved_ports(scenario.network.host, [*wanted, 0]))
-        places = mesh(scenario, [*names, RECORDER], ports)
+        own_port, *ports = stack.enter_context(reserved_ports(scenario.network.host, [0, *wanted]))
+        places = mesh(scenario, [*names, RECORDER], [*ports, own_port])
         places = {name: place.checked(name, scenario) for name, place in places.items()}
         run = folder.name if Keys.allows(folder.name) else scenario.name
         header = run_header(setup, run, len(names), create(folder, setup), classes)
@@ -210,7 +210,8 @@ def _finished(folder: Path, recorder: Recorder) -> Finished:
     if control is None:
         return Finished(folder, codes.EXIT_INTERRUPTED, "recording interrupted; the run may continue without it")
     if lost := recorder.writer.lost:
-        raise RunError(f"{lost}; the run {control.outcome}", control.exit_code or codes.EXIT_UNRECORDED)
+        text = f"{lost}; the run {control.outcome} {control.reason}".rstrip()
+        raise RunError(text, control.exit_code or codes.EXIT_UNRECORDED)
     return Finished(folder, control.exit_code, control.reason)
 
 
@@ -218,9 +219,10 @@ def _watch(
     recorder: Recorder, progress: RunProgress, harness: Harness | None = None, faults: FaultScript | None = None
 ) -> None:
     """Show progress until the run has ended; forward Ctrl-C; refuse processes started here that end too early."""
-    interrupted, ended_s = 0, math.inf
+    interrupted, ended_s, goes_on = 0, math.inf, True
     with collected_signals() as signals:
-        while recorder.join(_POLL_S):
+        while goes_on:  # once more after the end
+            goes_on = recorder.join(_POLL_S)
             progress.setup = recorder.setup
             progress.show(recorder.plant_state, recorder.started_s)
             if faults is not None:

@@ -13,7 +13,7 @@ from transport.analysis.series import counted, steps_rows
 from transport.flight.run_files import create
 from transport.interface.scenario import Scenario
 from transport.interface.series import RunSeries
-from transport.interface.settings import printed
+from transport.interface.settings import ArgumentError, printed
 from transport.log.run_log import RunLog
 from transport.log.writer import LogWriter
 from transport.report.report import summary_table, write_report
@@ -81,9 +81,12 @@ class Run:
         """Return a table: "series" has a row per tick, "steps" one per agent and tick, as steps.csv (docs/summary.md).
 
         Columns of "series" are those of `RunSeries.columns`, with time as index. Needs the extra `pandas`.
+        Raises: ArgumentError: no such table.
         """
         import pandas as pd
 
+        if table not in ("series", "steps"):
+            raise ArgumentError(f"table: expected 'series' or 'steps', got {table!r}")
         if table == "steps":
             return pd.DataFrame(list(steps_rows(self._setup, self._counted)))
         return pd.DataFrame(self.series.columns()).set_index("time_s")

@@ -163,6 +163,8 @@ class Scenario(Section):
         """Return a scenario with another team, as `team`; an agent owns `group` UAVs, by default as many as here."""
         if not FEWEST <= uavs <= MOST:
             raise ArgumentError(f"uavs: expected {FEWEST} to {MOST}, got {uavs}")
+        if group is not None and group < 1:
+            raise ArgumentError(f"group: expected at least 1 UAV per agent, got {group}")
         source, chosen = str(self._path), None if vehicle is None else str(vehicle)
         data = resized(self._tree, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg)
         made = Scenario(self)
@@ -234,7 +236,10 @@ def team(
 
 def path_phase(path: Sequence[Sequence[float]], *, flat: bool) -> dict[str, Any]:
     """Return the phase of a maneuver along rows of time and position, (t_s, x_m, y_m, z_m), counted from the first."""
-    rows = np.asarray(path, dtype=np.float64)
+    try:
+        rows = np.asarray(path, dtype=np.float64)
+    except (TypeError, ValueError):
+        rows = np.zeros(0)
     if rows.ndim != 2 or rows.shape[1] != 4 or len(rows) < 2:
         raise ArgumentError(f"path: expected two or more rows of t_s, x_m, y_m, z_m, got {path!r:.60}")
     rows = rows - rows[0]

@@ -142,6 +142,8 @@ class Sweep:
         along = names[0] if x is None else x
         if along not in names:
             raise ArgumentError(f"x: expected one of {', '.join(names)}, got {along!r}")
+        if kind not in ("curves", "map"):
+            raise ArgumentError(f"kind: expected 'curves' or 'map', got {kind!r}")
         others = [name for name in names if name != along]
         if kind == "map":
             if len(others) != 1 or any(isinstance(value, str) for point in points for value in point.labels.values()):
