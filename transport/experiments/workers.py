@@ -31,17 +31,20 @@ def on_cores(cases: Sequence[Case], jobs: int | None = None) -> Iterator[Result]
     if (jobs := min(len(cases), most)) <= 1:
         yield from map(simulate, cases)
         return
-    from joblib.externals.loky import as_completed, get_reusable_executor
+    from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    executor = get_reusable_executor(jobs, initializer=_serve, initargs=(os.getpid(),))
+    # Not loky alone: with all cases in its queue its thread may raise while workers are killed.
+    team = joblib.Parallel(
+        n_jobs=jobs, return_as="generator_unordered", batch_size=1, max_nbytes=None,
+        initializer=_serve, initargs=(os.getpid(),),
+    )  # fmt: skip
     try:
-        for future in as_completed([executor.submit(simulate, case) for case in cases]):
-            yield future.result()
+        yield from team(joblib.delayed(simulate)(case) for case in cases)
     except TerminatedWorkerError as error:
         raise ExperimentError(f"a worker process died: {str(error).splitlines()[0]}", EXIT_UNREACHABLE) from error
     finally:
-        executor.shutdown(wait=True, kill_workers=True)
+        get_reusable_executor().shutdown(wait=True, kill_workers=True)
 
 
 def check_cluster(address: str) -> None:
