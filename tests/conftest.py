@@ -28,6 +28,11 @@ hypothesis.settings.load_profile("workers")
 FIRST = ("test_soak", "test_agile", "test_mujoco")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that renews transcripts of runs (tests/transport/test_transcripts.py)."""
+    parser.addoption("--rewrite", action="store_true", help="write transcripts of runs anew")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Keep compiled models in pytest's cache, for later test runs too.
 
