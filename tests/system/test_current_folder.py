@@ -78,3 +78,20 @@ def test_a_file_with_the_name_of_an_imported_package_is_refused(tmp_path: Path) 
     assert done.returncode == 3
     assert f"{tmp_path / 'numpy.py'} has the name of the imported package" in done.stderr
     assert "rename it" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_notebook_does_not_import_from_its_folder(folder: Path) -> None:
+    """A notebook beside these files, whose folder is first on the path of its kernel, flies."""
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    cell = (
+        "import transport\n"
+        f"transport.fly('resilient', phases={HOVER}, progress=False).summary['outcome']"
+    )
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell)])
+    client = nbclient.NotebookClient(
+        notebook, timeout=PATIENCE_S, resources={"metadata": {"path": str(folder)}}
+    )
+    client.execute()
+    assert notebook.cells[0].outputs[0]["data"]["text/plain"] == "'completed'"
