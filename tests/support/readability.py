@@ -12,19 +12,21 @@ FUNCTION = (ast.FunctionDef, ast.AsyncFunctionDef)
 def figures(path: Path) -> Counter[str]:
     """Count assignments, pairs of unrelated values, blank lines and large functions of a file."""
     lines = path.read_text(encoding="utf-8").splitlines()
-    count = Counter(found=sum("found" in line for line in lines))
-    for node in ast.walk(ast.parse("\n".join(lines))):
+    tree = ast.parse("\n".join(lines))
+    words = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
+    count = Counter(found=len({word.lineno for word in words if word.id == "found"}))
+    for node in ast.walk(tree):
         if isinstance(node, ast.Assign):
             pair = isinstance(node.targets[0], ast.Tuple) and isinstance(node.value, ast.Tuple)
             count.update(assignments=1, pairs=pair)
         elif isinstance(node, FUNCTION):
             first = node.body[ast.get_docstring(node) is not None :]
             body = lines[first[0].lineno - 1 : node.end_lineno] if first else []
-            stored = [n for n in ast.walk(node) if isinstance(n, ast.Name)]
-            names = {name.id for name in stored if isinstance(name.ctx, ast.Store)}
+            inside = [word for word in ast.walk(node) if isinstance(word, ast.Name)]
+            local = {word.id for word in inside if isinstance(word.ctx, ast.Store)}
             arguments = {a.arg for a in ast.walk(node.args) if isinstance(a, ast.arg)}
             count.update(body=len(body), blank=sum(not line.strip() for line in body))
-            count.update(locals=len(names) > 15, arguments=len(arguments - {"self", "cls"}) > 6)
+            count.update(locals=len(local) > 15, arguments=len(arguments - {"self", "cls"}) > 6)
     return count
 
 
