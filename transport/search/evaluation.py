@@ -140,4 +140,3 @@ Evaluate = Callable[[Problem, Sequence[Candidate]], Iterator[Evaluation]]
 def one_by_one(problem: Problem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
     """Evaluate candidates in this process."""
     return map(problem.evaluate, candidates)
-

@@ -271,9 +271,9 @@ class TargetEvent:
                 kept = [0.0 if i == axis else value for i, value in enumerate(self.offset_m)]
                 if any(kept):
                     yield replace(self, offset_m=(kept[0], kept[1], kept[2]))
-        rounded = tuple(round(value) * 1.0 for value in self.offset_m)
-        if rounded != self.offset_m and any(rounded):
-            yield replace(self, offset_m=rounded)
+        x, y, z = (round(value) * 1.0 for value in self.offset_m)
+        if (x, y, z) != self.offset_m and any((x, y, z)):
+            yield replace(self, offset_m=(x, y, z))
         for at_s in _rounder(self.at_s):
             yield replace(self, at_s=max(0.0, at_s))
 
@@ -302,7 +302,9 @@ def changes_of_links(silences: Sequence[Silence], agents: int, loss: float) -> l
     return changes
 
 
-def _entries(changed: dict[tuple[int, int], float], new: dict[tuple[int, int], float]) -> list[Tree]:
+def _entries(
+    changed: dict[tuple[int, int], float], new: dict[tuple[int, int], float]
+) -> list[Tree]:
     """Return as few changes as it takes to bring some links to new losses."""
     if not changed:
         return []

@@ -65,7 +65,9 @@ class Optimiser:
             (
                 self._points[index]
                 for index in order
-                if all(np.linalg.norm(self._points[index] - other) > least for other in self._starts)
+                if all(
+                    np.linalg.norm(self._points[index] - other) > least for other in self._starts
+                )
             ),
             np.random.default_rng([self._seed, len(self._starts)]).random(self._dimension),
         )

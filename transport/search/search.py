@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 import orjson
@@ -94,9 +94,7 @@ class Evaluations:
         if self._file is not None:
             self._file.close()
 
-    def of(
-        self, problem: Problem, candidates: Sequence[Candidate], fly: "Fly"
-    ) -> list[Evaluation]:
+    def of(self, problem: Problem, candidates: Sequence[Candidate], fly: "Fly") -> list[Evaluation]:
         """Return the evaluations of candidates, flying those that are missing."""
         missing = {
             problem.key(candidate): candidate
@@ -118,6 +116,16 @@ def _identify(folder: Path, identity: dict[str, Any]) -> None:
         file.write_bytes(text)
     elif not file.exists() or file.read_bytes() != text:
         raise refused("--out", "a new folder, or one of the same search", str(folder))
+
+
+class Progress(Protocol):
+    """What is told of a search while it runs."""
+
+    def show(self, one: Flown) -> None:
+        """Tell a case that was flown."""
+
+    def shrinking(self, candidate: Candidate, evaluations: int) -> None:
+        """Tell the minimal case so far, and how many evaluations it took."""
 
 
 Fly = Callable[[Problem, Sequence[Candidate]], Iterable[Evaluation]]
@@ -142,7 +150,7 @@ class Search:
     seed: int = 0
     until_failure: bool = False  # end with the first batch that has a failure
 
-    def run(self, evaluations: Evaluations, fly: Fly, progress: Callable[[Flown], None]) -> Found:
+    def run(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Found:
         """Fly the budget, then shrink the worst case if it has failed.
 
         Raises: ScenarioError: the scenario fails without any event.
@@ -156,14 +164,13 @@ class Search:
 
         flown = list(self._fly(evaluations, fly, progress))
         worst = min(flown, key=lambda one: (one.evaluation.robustness, one.number))
-        minimal = self._minimal(worst.candidate) if worst.evaluation.failed else None
+        failed = worst.evaluation.failed
+        minimal = self._minimal(worst.candidate, progress) if failed else None
         return Found(
             problem=self.problem, without_events=without_events, flown=flown, minimal=minimal
         )
 
-    def _fly(
-        self, evaluations: Evaluations, fly: Fly, progress: Callable[[Flown], None]
-    ) -> Iterator[Flown]:
+    def _fly(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Iterator[Flown]:
         optimiser = Optimiser(self.space.dimension, seed=self.seed)
         number = 0
         while number < self.budget:
@@ -175,14 +182,14 @@ class Search:
             for candidate, evaluation in zip(candidates, results, strict=True):
                 number += 1
                 one = Flown(number=number, candidate=candidate, evaluation=evaluation)
-                progress(one)
+                progress.show(one)
                 yield one
                 failed = failed or evaluation.failed
             if failed and self.until_failure:
                 return
 
-    def _minimal(self, candidate: Candidate) -> Minimal:
-        problem, minimal, evaluation = shrunk(self.problem, candidate, lambda *_: None)
+    def _minimal(self, candidate: Candidate, progress: Progress) -> Minimal:
+        problem, minimal, evaluation = shrunk(self.problem, candidate, progress.shrinking)
         with_perfect_information = problem.with_perfect_information(minimal)
         return Minimal(
             problem=problem,
