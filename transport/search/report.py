@@ -11,11 +11,13 @@ import orjson
 import tomli_w
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from transport.analysis.series import Series, series_of
 from transport.flight.memory import simulate
 from transport.flight.run_files import machine
 from transport.log.run_log import Recorded, RunLog
+from transport.model.arrays import Array
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Message
 from transport.report.column import column_panels
@@ -25,10 +27,15 @@ from transport.search.search import Flown, Found, Minimal
 
 SCENARIO, FIGURE, SUMMARY = "minimal.toml", "minimal.png", "summary.json"
 _SHOWN = 10  # cases of the table
-_BEFORE_S, _LAST_S = 1.0, 8.0  # shown before the first event, and at most before the end
+_BEFORE_S = 1.0  # shown before the first event
+_AFTER_S = 2.0  # shown after the failure
+_LONGEST_S = 15.0  # shown at most
 _WIDTH = 100  # columns of a comment
 _HEIGHT_IN = 0.9
-_SILENT, _EVENT = "#f3d9d9", "#B2182B"
+_SILENT = "#f3d9d9"
+_DEATH: Any = {"color": "#004488", "linewidth": 0.9, "linestyle": "--"}
+_TARGET: Any = {"color": "#D55E00", "linewidth": 0.9, "linestyle": "-."}
+_LIMIT: Any = {"color": "#B2182B", "linewidth": 0.9, "linestyle": ":"}
 
 
 def write(folder: Path, found: Found) -> None:
@@ -132,17 +139,40 @@ def flown_again(minimal: Minimal) -> tuple[Setup, RunLog]:
 
 
 def draw(figure: Figure, minimal: Minimal) -> Figure:
-    """Draw attitude, payload error and smallest distance over the last seconds, with the events."""
+    """Draw attitude, payload error and smallest distance around the failure, with the events."""
     setup, log = flown_again(minimal)
     series = series_of(setup, log)
-    panels = column_panels(figure, [_HEIGHT_IN] * 3)
-    last_s = float(series.times_s[-1])
-    first_s = max(last_s - _LAST_S, min(last_s, _first_s(minimal.candidate.events)) - _BEFORE_S)
-    _curves(panels, series)
-    for panel in panels:
-        _mark(panel, minimal.candidate.events, last_s)
-        panel.set_xlim(max(0.0, first_s), last_s)
+    end_s = min(float(series.times_s[-1]), minimal.evaluation.end_s + _AFTER_S)
+    begin_s = min(end_s, _first_s(minimal.candidate.events)) - _BEFORE_S
+    begin_s = max(0.0, begin_s, end_s - _LONGEST_S)
+
+    panels = column_panels(figure, [_HEIGHT_IN] * 3, legend=_legend(minimal.candidate.events))
+    curves = _curves(series)
+    shown = (series.times_s >= begin_s) & (series.times_s <= end_s)
+    for panel, (label, values) in zip(panels, curves.items(), strict=True):
+        panel.plot(series.times_s[shown], values[shown], color="#000000")
+        panel.set_ylabel(label)
+        _mark(panel, minimal.candidate.events)
+        panel.set_xlim(begin_s, end_s)
+    limited = {"attitude": 0, "payload": 1, "separation": 2}.get(minimal.problem.objective.measure)
+    if limited is not None:
+        panels[limited].axhline(minimal.problem.objective.limit, **_LIMIT)
     return figure
+
+
+def _legend(events: Sequence[Event]) -> list[Line2D]:
+    """Return the entries of the kinds of marks that the figure has."""
+    kinds = {
+        "silence": (Silence, {"color": _SILENT, "linewidth": 5.0}),
+        "death": (Death, _DEATH),
+        "target": (TargetEvent, _TARGET),
+    }
+    lines = [
+        Line2D([], [], label=name, **style)
+        for name, (kind, style) in kinds.items()
+        if any(isinstance(event, kind) for event in events)
+    ]
+    return [*lines, Line2D([], [], label="limit", **_LIMIT)]
 
 
 def _first_s(events: Sequence[Event]) -> float:
@@ -152,20 +182,21 @@ def _first_s(events: Sequence[Event]) -> float:
     return min(times, default=np.inf)
 
 
-def _curves(panels: Sequence[Axes], series: Series) -> None:
-    attitude, error, distance = panels
-    attitude.plot(series.times_s, series.attitude_max_deg, color="#000000")
-    attitude.set_ylabel("attitude (deg)")
-    error.plot(series.times_s, np.linalg.norm(series.payload_error_I, axis=-1), color="#000000")
-    error.set_ylabel("payload error (m)")
-    distance.plot(series.times_s, series.separation_m, color="#000000")
-    distance.set_ylabel("distance (m)")
+def _curves(series: Series) -> dict[str, Array]:
+    """Return the curves of the panels by their labels, each (T,)."""
+    return {
+        "attitude (deg)": series.attitude_max_deg,
+        "payload error (m)": np.linalg.norm(series.payload_error_I, axis=-1),
+        "distance (m)": series.separation_m,
+    }
 
 
-def _mark(panel: Axes, events: Sequence[Event], last_s: float) -> None:
+def _mark(panel: Axes, events: Sequence[Event]) -> None:
     """Shade silences and mark deaths and targets."""
     for event in events:
         if isinstance(event, Silence):
-            panel.axvspan(event.start_s, min(event.end_s, last_s), color=_SILENT, linewidth=0)
-        elif isinstance(event, Death | TargetEvent):
-            panel.axvline(event.at_s, color=_EVENT, linewidth=0.8, linestyle="--")
+            panel.axvspan(event.start_s, event.end_s, color=_SILENT, linewidth=0)
+        elif isinstance(event, Death):
+            panel.axvline(event.at_s, **_DEATH)
+        elif isinstance(event, TargetEvent):
+            panel.axvline(event.at_s, **_TARGET)

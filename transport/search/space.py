@@ -3,14 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-from annotated_types import Interval
-from pydantic import model_validator
+from annotated_types import Interval, Len
+from pydantic import AfterValidator, BeforeValidator
 
 from transport.model.arrays import Array
-from transport.mpc.settings import Section
+from transport.mpc.settings import NotNegative, Section
 from transport.protocol.scenario.errors import ScenarioError, validated
 from transport.protocol.scenario.file import read_tree
 from transport.protocol.scenario.schema import Scenario
@@ -26,24 +26,29 @@ from transport.search.events import (
     TargetEvent,
 )
 
-Range = tuple[float, float]
+
+def _as_tuple(value: Any) -> Any:
+    """Return a list of a file as a tuple, which a frozen section has."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _rising(value: tuple[float, float]) -> tuple[float, float]:
+    """Refuse bounds of which the first is above the second."""
+    if value[0] > value[1]:
+        raise ValueError(f"expected smallest <= largest, got {list(value)}")
+    return value
+
+
+Range = Annotated[
+    tuple[NotNegative, NotNegative], BeforeValidator(_as_tuple), AfterValidator(_rising)
+]
+Who = Literal["all", "mute", "deaf", "cut"]
 _SEEDS = 1000  # of gusts and sensors
 _RESOLUTION = 1e-3  # of times, seconds and other numbers: finer ones change no run
 _ACTIVE = 0.5  # an event exists where its first coordinate is above
 
 
-class _Bounds(Section):
-    """Bounds of one kind of event; every pair is smallest and largest value."""
-
-    @model_validator(mode="after")
-    def _rise(self) -> Self:
-        for name, value in self:
-            if isinstance(value, tuple) and value[0] > value[1]:
-                raise ValueError(f"{name}: expected smallest <= largest, got {list(value)}")
-        return self
-
-
-class SilenceBounds(_Bounds):
+class SilenceBounds(Section):
     """Windows without messages."""
 
     count: Annotated[int, Interval(ge=1, le=8)] = 2
@@ -54,11 +59,11 @@ class SilenceBounds(_Bounds):
     """length of a window"""
     loss: Range = (1.0, 1.0)
     """share of the messages that are lost in it"""
-    who: tuple[str, ...] = ("all", "mute", "deaf", "cut")
+    who: Annotated[tuple[Who, ...], BeforeValidator(_as_tuple), Len(1)] = get_args(Who)
     """whose messages: of all, from one agent, to one agent, between two agents and the others"""
 
 
-class DeathBounds(_Bounds):
+class DeathBounds(Section):
     """Agents that are killed."""
 
     count: Annotated[int, Interval(ge=1, le=8)] = 1
@@ -69,7 +74,7 @@ class DeathBounds(_Bounds):
     """time until the agent is started again; half of the deaths are for good"""
 
 
-class LinksBounds(_Bounds):
+class LinksBounds(Section):
     """Impairments of all links for the whole run."""
 
     delay_s: Range = (0.0, 0.4)
@@ -77,14 +82,14 @@ class LinksBounds(_Bounds):
     loss: Range = (0.0, 0.6)
 
 
-class GustsBounds(_Bounds):
+class GustsBounds(Section):
     """Gusts of wind."""
 
     speed_mps: Range = (0.0, 1.0)
     """standard deviation of each component"""
 
 
-class MassBounds(_Bounds):
+class MassBounds(Section):
     """Errors of the model that the controllers use."""
 
     mass_factor: Range = (0.9, 1.15)
@@ -93,14 +98,14 @@ class MassBounds(_Bounds):
     """lag of the motors"""
 
 
-class SensorsBounds(_Bounds):
+class SensorsBounds(Section):
     """Noise of the sensors."""
 
     factor: Range = (0.0, 1.0)
     """multiple of the scenario's standard deviations"""
 
 
-class TargetsBounds(_Bounds):
+class TargetsBounds(Section):
     """Targets of the payload during the run."""
 
     count: Annotated[int, Interval(ge=1, le=8)] = 1
