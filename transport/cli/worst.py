@@ -65,9 +65,9 @@ def worst(
     ] = False,
     output: FormatOption = Format.text,
 ) -> None:
-    r"""Search for the network, the deaths and the weather that bring the team down.
+    r"""Search for the network that brings the team down.
 
-    Simulates cases in memory: quasi-random ones first, then those that CMA-ES derives from the
+    Silences, deaths, gusts or targets. Simulates cases in memory: quasi-random ones first, then those that CMA-ES derives from the
     worst. A case that fails is made minimal and written as a scenario, which gives the same bits
     in memory and with processes. Results: minimal.toml, minimal.png, summary.json,
     evaluations.jsonl.
