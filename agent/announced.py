@@ -264,7 +264,7 @@ class AnnouncedInputs:
             return self._by_fail_safe(plan.agent, tick, x)
 
         #   u_a(k) = U_a(min(k - s_a, N_p - 1))    (32)
-        announced = played.inputs[min(step, len(played.inputs) - 1)]
+        announced: Array = played.inputs[min(step, len(played.inputs) - 1)]
 
         is_first = step <= 0 or plan.agent == self._own
         if x is None or is_first or is_off or not self._is_under_law(plan, tick):
@@ -311,7 +311,8 @@ class AnnouncedInputs:
         u_start = self._law.inputs(plan.start_tick, start_state)
         if u_start is None:
             return by_law
-        return by_law + (plan.inputs[0] - u_start[columns] - plan.corrections[0])
+        first_step = plan.inputs[0] - u_start[columns] - plan.corrections[0]
+        return by_law + np.asarray(first_step)
 
     def _by_fail_safe(self, agent: int, tick: int, x: Array | None) -> Array:
         """Return the inputs of an agent's UAVs by their fail-safe, (4 owned,); hover without a state."""

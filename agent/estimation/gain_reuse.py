@@ -29,17 +29,15 @@ class Deferred:
     """A covariance that is computed when it is first asked for, and once."""
 
     def __init__(self, compute: Callable[[], Covariance]) -> None:
-        self._compute: Callable[[], Covariance] | None = compute
+        self._compute = compute
         self._value: Covariance | None = None
 
     @property
     def value(self) -> Covariance:
         """The covariance."""
-        if self._compute is not None:
-            self._value = self._compute()
-            self._compute = None  # with it, the beliefs that it was computed from
         if self._value is None:
-            raise RuntimeError("expected a covariance, got none: its computation failed before")
+            self._value = self._compute()
+            del self._compute  # and with it the beliefs that it was computed from
         return self._value
 
 
@@ -132,5 +130,5 @@ class GainReuse:
 
         #   G' = S^-1 H P, of these rows
         S = correction.S[rows[:, None], rows]
-        G: Array = np.linalg.solve(S, correction.H_P[rows]).T
+        G = np.asarray(np.linalg.solve(S, correction.H_P[rows]).T, dtype=np.float64)
         return SavedGain(gain=self._team.in_state(belief.covariance, G), ticks=0)

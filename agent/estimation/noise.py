@@ -3,7 +3,7 @@
 Standard deviations, SI; docs/equations.md after (63), (64) has their reasons.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -107,17 +107,17 @@ class ForceNoise:
     payload's mass error by its mass; drag, per speed, by the mass of the body, 1/s.
     """
 
-    payload_force: RandomWalk = field(default=RandomWalk(first=0.03, change_per_s=0.045))
-    payload_mass: RandomWalk = field(default=RandomWalk(first=0.2, change_per_s=0.015))
-    uav_force: RandomWalk = field(default=RandomWalk(first=0.03, change_per_s=0.036))
-    payload_drag: RandomWalk = field(default=RandomWalk(first=0.3, change_per_s=0.015))
-    uav_drag: RandomWalk = field(default=RandomWalk(first=0.3, change_per_s=0.015))
+    payload_force: RandomWalk = RandomWalk(first=0.03, change_per_s=0.045)
+    payload_mass: RandomWalk = RandomWalk(first=0.2, change_per_s=0.015)
+    uav_force: RandomWalk = RandomWalk(first=0.03, change_per_s=0.036)
+    payload_drag: RandomWalk = RandomWalk(first=0.3, change_per_s=0.015)
+    uav_drag: RandomWalk = RandomWalk(first=0.3, change_per_s=0.015)
     same_air: float = 0.8  # correlation of the forces on payload and UAVs along one axis
 
     def first(self, system: System) -> Array:
         """Return the standard deviations at the start, (7,), SI, in the order of `forces`."""
         first = np.array([walk.first for walk in self._walks])
-        return self._scales(system) * first
+        return np.asarray(self._scales(system) * first)
 
     def change(self, system: System, period_s: float) -> Array:
         """Return the covariance of the change in a sampling period, (7, 7), SI."""

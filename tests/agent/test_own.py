@@ -22,7 +22,8 @@ from tests.support.runs import (
     roster,
     setup,
 )
-from transport.agent.own import Run, checked_controller
+from transport.agent.own import checked_controller
+from transport.agent.own_run import Run
 from transport.flight.memory import simulate
 from transport.model.arrays import Array
 from transport.protocol.scenario.errors import ScenarioError
