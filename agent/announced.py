@@ -59,11 +59,11 @@ class Untold:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Sequence:
-    """Inputs from a tick on."""
+class Assumed:
+    """Inputs assumed in place of the last plan of an agent that left."""
 
-    start: int
-    inputs: Array  # (steps, 4 owned)
+    start_tick: int  # first tick that they are for
+    inputs: Array  # (N_p, 4 owned)
 
 
 class AnnouncedInputs:
@@ -116,7 +116,7 @@ class AnnouncedInputs:
         # the last plan of an agent that left has not been received, the inputs assumed for it.
         self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
         self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
-        self._assumed: dict[int, _Sequence] = {}
+        self._assumed: dict[int, Assumed] = {}
 
     def add(self, plan: Plan) -> None:
         """Keep a plan, in any order of arrival; a second plan of the same tick is ignored."""
@@ -139,7 +139,7 @@ class AnnouncedInputs:
         Source: docs/equations.md (32b).
         """
         columns = self._columns[agent]
-        self._assumed[agent] = _Sequence(start=start, inputs=inputs[:, columns])
+        self._assumed[agent] = Assumed(start_tick=start, inputs=inputs[:, columns])
 
     def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:
         """Return the newest plan that an agent made before a tick, and that has started at another."""
@@ -170,20 +170,20 @@ class AnnouncedInputs:
         U = np.empty((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
-
-            U[:, columns] = self._before_any_plan(columns)
-            if agent in self._assumed:
-                assumed = self._assumed[agent]
-                entries = assumed.inputs[max(start - assumed.start, 0) :][:steps]
-            elif plan is not None:
-                entries = self._aligned(plan.inputs, plan, start, steps)
-            else:
-                continue
+            assumed = self._assumed.get(agent)
 
             #   u_a(s + j) = U_a(min(s + j - s_a, N_p - 1))    (32)
+            end = self._before_any_plan(columns)
+            if assumed is not None:
+                entries = assumed.inputs[max(start - assumed.start_tick, 0) :][:steps]
+            elif plan is not None:
+                entries = self._aligned(plan.inputs, plan, start, steps)
+                if agent not in self.off_roster:
+                    end = plan.inputs[-1]
+            else:
+                entries = U[:0, columns]
             U[: len(entries), columns] = entries
-            if plan is not None and agent not in self.off_roster and agent not in self._assumed:
-                U[len(entries) :, columns] = plan.inputs[-1]
+            U[len(entries) :, columns] = end
         return U
 
     def corrections(self, start: int, steps: int, before: int) -> Array:
@@ -258,7 +258,7 @@ class AnnouncedInputs:
     def _applied(self, plan: Plan, tick: int, x: Array | None) -> Array:
         """Return the inputs that an agent applied after its newest started plan, (4 owned,)."""
         played = self._played(plan, tick)
-        step = tick - played.start
+        step = tick - played.start_tick
         is_off = plan.agent in self.off_roster
         if is_off and step >= len(played.inputs):
             return self._by_fail_safe(plan.agent, tick, x)
@@ -272,12 +272,12 @@ class AnnouncedInputs:
         by_law = self._by_law(plan, tick, x)
         return announced if by_law is None else by_law
 
-    def _played(self, plan: Plan, tick: int) -> _Sequence:
-        """Return the inputs that the actuators play: a plan, or what is assumed in its place (32b)."""
+    def _played(self, plan: Plan, tick: int) -> Plan | Assumed:
+        """Return the plan that the actuators play, or the inputs assumed in its place, (32b)."""
         assumed = self._assumed.get(plan.agent)
-        if assumed is not None and tick >= assumed.start:
+        if assumed is not None and tick >= assumed.start_tick:
             return assumed
-        return _Sequence(start=plan.start_tick, inputs=plan.inputs)
+        return plan
 
     def _is_under_law(self, plan: Plan, tick: int) -> bool:
         """Return whether the agent followed the present control law at a tick after a plan."""

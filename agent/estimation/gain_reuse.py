@@ -76,7 +76,7 @@ class GainReuse:
         covariance = Deferred(lambda: self._team.predicted_covariance(belief, period))
         saved = belief.saved
         if saved is not None:
-            saved = replace(saved, ticks=saved.ticks + 1)
+            saved = SavedGain(gain=saved.gain, ticks=saved.ticks + 1)
         return replace(belief, x=period.end, u=period.u, source=covariance, saved=saved)
 
     def correct(self, belief: Belief, model: Model, sensed: Sequence[Sensed]) -> Belief:
@@ -91,8 +91,8 @@ class GainReuse:
 
         observation = self._team.observation(belief, innovation)
         correction = kalman.correct(belief.covariance.P, observation)
-        corrected = self._team.corrected(belief, innovation, observation, correction)
-        return replace(corrected, saved=self._saved(belief, innovation, correction))
+        saved = self._saved(belief, innovation, correction)
+        return self._team.corrected(belief, innovation, observation, correction, saved)
 
     def _is_own(self, innovation: Innovation) -> bool:
         """Return whether the innovation is that of all own measurements and of nothing else."""
@@ -117,8 +117,9 @@ class GainReuse:
                 measurements=len(error),
             )
 
-        moved = self._team.moved(belief, gain @ innovation.error)
-        return replace(moved, source=Deferred(covariance))
+        deviation = gain @ innovation.error
+        deferred = Deferred(covariance)
+        return self._team.moved(belief, deviation, deferred, belief.level, belief.saved)
 
     def _saved(
         self, belief: Belief, innovation: Innovation, correction: Correction

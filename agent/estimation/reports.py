@@ -33,17 +33,25 @@ class Reports:
     def __init__(self) -> None:
         self._ticks: dict[int, _Tick] = {}
 
-    def tell(self, tick: int, uav: int, report: UavReport) -> bool:
-        """Keep a report; return whether it is new."""
-        uavs = self._ticks.setdefault(tick, _Tick()).uavs
-        is_new = uav not in uavs
-        if is_new:
-            uavs[uav] = report
-        return is_new
+    def has(self, tick: int, uav: int) -> bool:
+        """Return whether a UAV has been told of at a tick."""
+        told = self._ticks.get(tick)
+        return told is not None and uav in told.uavs
+
+    def tell(self, tick: int, uav: int, report: UavReport) -> None:
+        """Keep a report, unless there is one."""
+        self._of(tick).uavs.setdefault(uav, report)
 
     def tell_payload(self, tick: int, payload: Array) -> None:
         """Keep the measured state of the payload, (12,), at a tick."""
-        self._ticks.setdefault(tick, _Tick()).payload = payload
+        self._of(tick).payload = payload
+
+    def _of(self, tick: int) -> _Tick:
+        told = self._ticks.get(tick)
+        if told is None:
+            told = _Tick()
+            self._ticks[tick] = told
+        return told
 
     def payload(self, tick: int) -> Array | None:
         """Return the measured state of the payload, (12,), at a tick; None if it was not measured."""
@@ -63,7 +71,7 @@ class Reports:
 
     def forget_before(self, tick: int) -> None:
         """Forget all reports of earlier ticks."""
-        for earlier in [told for told in self._ticks if told < tick]:
+        for earlier in [k for k in self._ticks if k < tick]:
             del self._ticks[earlier]
 
 

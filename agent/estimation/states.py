@@ -68,8 +68,9 @@ class StateEstimator:
             self._tell(tick, uav, report)
 
     def _tell(self, tick: int, uav: int, report: UavReport) -> None:
-        if not self._reports.tell(tick, uav, report):
+        if self._reports.has(tick, uav):
             return
+        self._reports.tell(tick, uav, report)
         self._history.tell(tick)
         if report.inputs is not None and self._uses_inputs:
             self._history.outdate_after(tick - 1)  # they acted in the period before

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from transport.agent.announced import Untold
 from transport.agent.estimation import forces, kalman
-from transport.agent.estimation.belief import Belief, Covariance
+from transport.agent.estimation.belief import Belief, Covariance, Postponed, SavedGain
 from transport.agent.estimation.forces import Situation, UnknownForces
 from transport.agent.estimation.kalman import Correction, Observation
 from transport.agent.estimation.level import EXACT, WIND, Level, LevelRule, followed
@@ -320,12 +320,13 @@ class TeamFilter:
         innovation: Innovation,
         observation: Observation,
         correction: Correction,
+        saved: SavedGain | None = None,
     ) -> Belief:
-        """Return the belief after a correction of least variance."""
+        """Return the belief after a correction of least variance, with a gain to be used again."""
         before = belief.covariance
-        covariance = replace(
-            before,
+        covariance = Covariance(
             P=kalman.corrected(before.P, correction.G, observation),
+            basis=before.basis,
             squared_error=correction.squared_error,
             measurements=len(observation.error),
         )
@@ -333,9 +334,8 @@ class TeamFilter:
         level = followed(
             belief.level, self._rule, self._period_s, innovation.entries.all, innovations
         )
-
-        moved = self.moved(belief, self.in_state(before, correction.step))
-        return replace(moved, source=covariance, level=level)
+        deviation = self.in_state(before, correction.step)
+        return self.moved(belief, deviation, covariance, level, saved)
 
     def in_state(self, covariance: Covariance, coordinates: Array) -> Array:
         """Return coordinates, (r, ...), as deviations of state and unknown forces, (n + 7, ...)."""
@@ -349,11 +349,24 @@ class TeamFilter:
         n = len(L)
         return np.concatenate([L.T @ deviations[:n], deviations[n:]])
 
-    def moved(self, belief: Belief, deviation: Array) -> Belief:
+    def moved(
+        self,
+        belief: Belief,
+        deviation: Array,
+        source: Covariance | Postponed,
+        level: Level,
+        saved: SavedGain | None,
+    ) -> Belief:
         """Return the belief with its estimate moved by deviations of state and unknown forces."""
         n = len(belief.x)
-        x = self.manifold.moved(belief.x, deviation[:n])
-        return replace(belief, x=x, unknowns=belief.unknowns + deviation[n:])
+        return Belief(
+            x=self.manifold.moved(belief.x, deviation[:n]),
+            unknowns=belief.unknowns + deviation[n:],
+            u=belief.u,
+            level=level,
+            source=source,
+            saved=saved,
+        )
 
     def certain(
         self, belief: Belief, entries: npt.NDArray[np.intp], deviation: float = 1e-3

@@ -84,7 +84,7 @@ class SensorEstimator:
         self.news.take(plan)
         for uav, rows in zip(plan.uavs, plan.uav_states, strict=True):
             for age, row in enumerate(rows.reshape(state.REPORTS, state.REPORTED)):
-                if row[0] > 0.0:
+                if row[0] > 0.0 and self._is_news(plan.tick - age, uav - 1):
                     report = UavReport(values=row[_VALUES], inputs=row[_INPUTS])
                     self._tell(plan.tick - age, uav - 1, report)
 
@@ -92,7 +92,12 @@ class SensorEstimator:
         """Take in a measurement of a tick not later than the one to be estimated."""
         self.news.take(measurement)
         for uav, report in by_uav(measurement):
-            self._tell(measurement.tick, uav, report)
+            if self._is_news(measurement.tick, uav):
+                self._tell(measurement.tick, uav, report)
+
+    def _is_news(self, tick: int, uav: int) -> bool:
+        """Return whether a report of a UAV, 0-based, would change an estimate: most are repeats."""
+        return self._history.keeps(tick) and not self._reports.has(tick, uav)
 
     def _tell(self, tick: int, uav: int, report: UavReport) -> None:
         """Keep a report of a UAV, 0-based.
@@ -100,9 +105,9 @@ class SensorEstimator:
         Its inputs acted in the period before; its measurements are of quantities up to the largest
         age of a sensor before.
         """
-        if self._history.keeps(tick) and self._reports.tell(tick, uav, report):
-            self._history.tell(tick - self._oldest)
-            self._history.outdate_after(tick - 1)
+        self._reports.tell(tick, uav, report)
+        self._history.tell(tick - self._oldest)
+        self._history.outdate_after(tick - 1)
 
     def change(self, failure: Failure) -> None:
         """Change the system at a tick, not before the previous change."""
