@@ -142,14 +142,14 @@ class AnnouncedInputs:
         self._assumed[agent] = Assumed(start_tick=start, inputs=inputs[:, columns])
 
     def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:
-        """Return the newest plan that an agent made before a tick, and that has started at another."""
+        """Return an agent's newest plan made before a tick, and started at another."""
         for plan in reversed(self._plans[agent]):
             if plan.tick < before and (started is None or plan.start_tick <= started):
                 return plan
         return None
 
     def under_previous_law(self, before: int) -> list[int]:
-        """Return the agents whose newest plan made before a tick was made under the previous control law."""
+        """Return the agents whose newest plan was made under the previous control law."""
         agents = []
         for agent in self._columns:
             plan = None if agent in self.off_roster else self.newest(agent, before)
@@ -160,7 +160,7 @@ class AnnouncedInputs:
     # Over the horizon, (32).
 
     def sequence(self, start: int, steps: int, before: int) -> Array:
-        """Return the announced inputs of all UAVs over the horizon: the newest plans, held at their ends.
+        """Return the announced inputs over the horizon: the newest plans, held at their ends.
 
         Hover follows the last plan of an agent off the roster.
 
@@ -218,7 +218,7 @@ class AnnouncedInputs:
     # Over a past or present period, (32a).
 
     def in_force(self, tick: int, before: int, x: Array | None = None) -> Array:
-        """Return the inputs assumed in force over [t_k, t_{k+1}), from each agent's newest started plan.
+        """Return the inputs assumed over [t_k, t_{k+1}), from each agent's newest started plan.
 
         That plan's first input was applied as announced. Later ones have been replaced by plans
         that were not received: with a shared control law the agent followed that.
@@ -286,7 +286,7 @@ class AnnouncedInputs:
         return plan.tick >= self.law_since
 
     def _by_law(self, plan: Plan, tick: int, x: Array) -> Array | None:
-        """Return an agent's inputs by the shared control law after its plan's first step, (4 owned,).
+        """Return an agent's inputs by the shared law after its plan's first step, (4 owned,).
 
         None where there is no such law. Source: docs/equations.md (32a).
         """
@@ -315,7 +315,7 @@ class AnnouncedInputs:
         return by_law + np.asarray(first_step)
 
     def _by_fail_safe(self, agent: int, tick: int, x: Array | None) -> Array:
-        """Return the inputs of an agent's UAVs by their fail-safe, (4 owned,); hover without a state."""
+        """Return an agent's inputs by the fail-safe, (4 owned,); hover without a state."""
         if x is None or self.fail_safe is None:
             return self._before_any_plan(self._columns[agent])
         inputs = [self.fail_safe.inputs(uav, x, tick) for uav in self._owned[agent - 1]]

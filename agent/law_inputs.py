@@ -42,7 +42,7 @@ class LawInputs:
         self._saved: dict[int, _Saved] = {}
 
     def inputs(self, tick: int, arguments: LawArguments) -> Array | None:
-        """Return the inputs of all UAVs without corrections, (m,); None with open-loop prediction."""
+        """Return the inputs without corrections, (m,); None with open-loop prediction."""
         key = arguments.key()
         version = self._regulation.version
         saved = self._saved.get(tick)

@@ -77,7 +77,7 @@ class AgentNode(Participant):
         self._planner.warm_up()
 
     def poll(self, now_ns: int) -> Sequence[Message]:
-        """In real time, plan from the newest measurement once all received messages are taken in."""
+        """In real time, plan from the newest measurement, after all received messages."""
         return self._work(now_ns, polled=True)
 
     def check_moment(self, message: Message) -> None:
@@ -126,7 +126,7 @@ class AgentNode(Participant):
     # Work on the open tick.
 
     def _work(self, now_ns: int, *, polled: bool = False) -> list[Message]:
-        """Begin the open tick and continue its negotiation as far as the messages received allow."""
+        """Begin the open tick and negotiate as far as the messages received allow."""
         out: list[Message] = []
         if not self._waits and not polled:
             return out
@@ -160,7 +160,7 @@ class AgentNode(Participant):
         return messages
 
     def _received(self, measurement: Measurement, now_ns: int) -> Received:
-        """Return the information for a measurement's tick, and forget the messages of earlier ticks."""
+        """Return the information for a measurement's tick; forget earlier messages."""
         started_ns = self._stopwatch()
         k = measurement.tick
         membership = self._membership
@@ -195,7 +195,7 @@ class AgentNode(Participant):
         }
 
     def _has_plans_for(self, measurement: Measurement) -> bool:
-        """Return whether the roster is here, and the plans of the tick before from those on it that shared one."""
+        """Return whether the roster is here, and the shared plans of the tick before."""
         membership = self._membership
         before = measurement.tick - 1
         if not self._waits:
@@ -214,7 +214,7 @@ class AgentNode(Participant):
         return others <= self._proposals.get(iteration, {}).keys()
 
     def _take_proposals(self, step: OpenStep) -> list[Plan]:
-        """Return the others' proposals of the present iteration that their links pass without delay, by agent."""
+        """Return the others' proposals of an iteration that pass without delay, by agent."""
         k = step.received.tick
         proposals = self._proposals.pop((k, step.negotiation), {})
         plans = [proposals[agent] for agent in sorted(proposals)]

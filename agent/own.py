@@ -162,7 +162,7 @@ class OwnPlanner:
         return OwnStep(received=received, start=received.tick + self._run.delay)
 
     def plan(self, step: OwnStep, out: Outbox, publish_ns: int) -> list[Message]:
-        """Return the tick's plan and report, and a note if the class has something to say or has failed."""
+        """Return the tick's plan and report, and a note with numbers or a failure, if any."""
         step.negotiation = 0
         begun_ns = self._stopwatch()
         outcome = self._outcome(step)
@@ -191,7 +191,7 @@ class OwnPlanner:
         return self._notes(tick, self.stop(), {}, out)
 
     def _outcome(self, step: OwnStep) -> Outcome:
-        """Return the inputs of the class, or the shifted previous plan if it fails or knows nothing."""
+        """Return the inputs of the class; the shifted previous plan if it has none."""
         shifted = self._previous.from_tick(step.start)
         try:
             if self._controller is None:

@@ -23,7 +23,7 @@ class Returned:
 
 
 def converted(returned: object) -> Returned:
-    """Return inputs, or inputs and a mapping, as arrays and numbers. Raises: what their types raise."""
+    """Return inputs, or inputs and a mapping, as arrays and numbers; raise if they are none."""
     inputs = returned
     numbers: Mapping[object, Any] = {}
     if isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping):

@@ -41,7 +41,7 @@ class Run:
     _X_ref: Array
 
     def reference(self, tick: int) -> Array:
-        """Return the reference state at a tick, (12 + 12 N,), held after the end of the maneuver."""
+        """Return the reference state at a tick, (12 + 12 N,), held after the maneuver."""
         return np.array(self._X_ref[min(tick, len(self._X_ref) - 1)])
 
     def follow(self, setup: Setup) -> None:

@@ -1,4 +1,4 @@
-"""Interface between an agent's node and what plans for it: this project's controller, or the user's."""
+"""Interface between an agent's node and its planner: this project's controller, or the user's."""
 
 from collections.abc import Sequence
 from typing import Protocol, TypeVar
@@ -21,7 +21,7 @@ S = TypeVar("S", bound=OpenStep)
 
 
 class AgentPlanner(Protocol[S]):
-    """Plans of one agent, tick by tick: `begin`, then `plan` and `adopt` in turns, the last one `plan`."""
+    """Plans of one agent: at each tick `begin`, then `plan` and `adopt` in turns, last `plan`."""
 
     @property
     def belief(self) -> Belief | None:

@@ -1,4 +1,4 @@
-"""One tick's work of an agent: estimate the state, form its problem, solve it, negotiate, conclude."""
+"""One tick's work of an agent: estimate, form the problem, solve it, negotiate, conclude."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """What an agent optimises: common to all iterations of a negotiation but for the others' plans."""
+    """Problem of an agent at a tick: the same in all iterations but for the others' plans."""
 
     y_ref: Array  # reference outputs at steps 0..N_p, (N_p + 1, p)
     U: Array  # announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan
@@ -105,7 +105,7 @@ class Planner:
         return self._team.estimator.belief
 
     def warm_up(self) -> None:
-        """Compute a step and discard it, so that the first step of the run is not slower than the others."""
+        """Compute a step and discard it: the first step of the run is not slower then."""
         controller = self._controller
         hover = self._setup.hover
         settings = self._setup.settings
@@ -192,7 +192,7 @@ class Planner:
     def _adapted(
         self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, k: int
     ) -> FeedbackLaw:
-        """Return the law with corrections that reproduce plans made under the previous law, (46)."""
+        """Return the law that reproduces plans made under the previous law, (46)."""
         outdated = self._team.announced.under_previous_law(before=k)
         if not outdated:
             return law
@@ -200,7 +200,7 @@ class Planner:
         return self._controller.adapted(law, linear, discrete, U, np.concatenate(columns))
 
     def plan(self, step: Step, out: Outbox, publish_ns: int) -> list[Message]:
-        """Solve a step's problem and return a proposal to the others, or at the end the tick's plan and report.
+        """Solve a step's problem; return a proposal, or at the end the tick's plan and report.
 
         The step's `negotiation` counts down to 0; the last step's messages took `publish_ns` to
         publish.
@@ -334,7 +334,7 @@ class Planner:
 def numbers_note(
     tick: int, agent: int, numbers: Mapping[str, float], out: Outbox, problem: str = ""
 ) -> Note:
-    """Return a note of an agent, 1-based, with numbers by name, and the problem of a step if any."""
+    """Return a note of an agent, 1-based, with numbers by name, and a problem if any."""
     return out.stamp(
         Note,
         tick=tick,
@@ -348,7 +348,7 @@ def numbers_note(
 def step_report(
     received: Received, agent: int, out: Outbox, *, times_ns: Mapping[str, int], **fields: Any
 ) -> StepReport:
-    """Return the report of a step of an agent, 1-based, from messages, times of stages, and other fields."""
+    """Return the report of an agent's step from messages, times of stages, and other fields."""
     k = received.tick
     return out.stamp(
         StepReport,

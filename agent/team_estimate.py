@@ -1,4 +1,4 @@
-"""State and inputs of the whole team as one agent estimates them, through roster changes and failures."""
+"""State and inputs of the team as one agent estimates them, through rosters and failures."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _NO_UAVS: frozenset[int] = frozenset()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expected:
-    """The last step's prediction, from which the inputs of an agent that leaves are foreseen (32b)."""
+    """Prediction of the last step, which foresees the inputs of an agent that leaves, (32b)."""
 
     start: int  # its first tick
     prediction: Prediction | Course
@@ -84,7 +84,7 @@ class TeamEstimate:
         return self.estimator.forces
 
     def update(self, received: Received) -> Array:
-        """Take in what was received for a tick and return the estimate, (n,), with motor lag (n + m,)."""
+        """Take in the messages of a tick; return the estimate, (n,), with motor lag (n + m,)."""
         k = received.tick
         self._update_roster(received)
         for plan in received.plans:
@@ -191,7 +191,7 @@ class TeamEstimate:
 
 
 def _failed_state(stopped: Iterable[int], cut: Iterable[int]) -> Callable[[Array], Array]:
-    """Return the map of a state to that after some UAVs' motors have stopped and others were cut off."""
+    """Return the map of a state to that after some UAVs have stopped, and some are cut off."""
 
     def moved(x: Array) -> Array:
         for uav in stopped:

@@ -1,9 +1,9 @@
-"""Honest estimates: `python -m benchmarks.estimates` compares the agents' Kalman filters with the ground truth.
+"""Consistency of the estimates: the agents' Kalman filters against the ground truth.
 
-It renews the table of docs/vehicles.md in a quarter of an hour. The squared error of an estimate in
-units of its covariance (NEES) has as many degrees of freedom as the state if the covariance is
-right. Means are over agents and
-ticks, which are correlated: the band is that of a single instant.
+`python -m benchmarks.estimates` renews the table of docs/vehicles.md in a quarter of an hour. The
+squared error of an estimate in units of its covariance (NEES) has as many degrees of freedom as the
+state if the covariance is right. Means are over agents and ticks, which are correlated: the band is
+that of a single instant.
 """
 
 import math

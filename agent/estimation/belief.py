@@ -12,9 +12,11 @@ from transport.model.arrays import Array
 class Covariance:
     """Covariance of the error of an estimate."""
 
-    P: Array  # (r, r), of the coordinates of the state, of the actual inputs with motor lag, of the unknown forces
+    # (r, r), of the coordinates of the state, of the actual inputs with motor lag, and of the
+    # unknown forces.
+    P: Array
     basis: Basis  # these coordinates, without the forces, about the state before its correction
-    # Squared innovation of the last measurements in units of its covariance (NIS), and their number.
+    # Squared innovation of the last measurements in units of its covariance (NIS), their number.
     squared_error: float = 0.0
     measurements: int = 0
 

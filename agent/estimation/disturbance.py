@@ -1,9 +1,10 @@
-"""Estimate of constant external forces from measured states: a low-pass filter of prediction errors.
+"""Estimate of constant external forces from measured states, by filtered prediction errors.
 
 Unmodelled payload mass and wind both act as a force on the payload. Wind acts on the UAVs, too: its
 horizontal force shows in their own motion and is assumed equal for all of them. A vertical force on
 a UAV passes through the stiff rod and is counted as one on the payload. The estimate enters the
-prediction, so that its error vanishes once it is right (offset-free MPC: Pannocchia, Rawlings 2003).
+prediction, so that its error vanishes once it is right (offset-free MPC: Pannocchia and Rawlings
+2003).
 """
 
 import math

@@ -26,7 +26,7 @@ class Estimator(Protocol):
 
     @property
     def forces(self) -> Array | None:
-        """Estimated external forces, as `Model` takes them, N; None where they are not estimated."""
+        """Estimated external forces, as `Model` takes them, N; None if not estimated."""
 
     @property
     def belief(self) -> Belief | None:
@@ -42,13 +42,13 @@ class Estimator(Protocol):
         """Change the system at a tick, not before the previous change."""
 
     def estimate(self, k: int, announced: AnnouncedInputs) -> Array:
-        """Return the estimate at tick k, read-only, with the inputs between the ticks as known now."""
+        """Return the estimate at tick k, read-only, with all that is known now."""
 
     def past(self, tick: int) -> Array | None:
         """Return the estimate at a past tick, read-only; None where it is not kept."""
 
     def start_state(self, tick: int) -> Array | None:
-        """Return the estimate at the start of a received plan, to compare its first step with the law.
+        """Return the estimate at the start of a plan, to compare its first step with the law.
 
         None where it is not kept, or where that difference would be noise.
         """

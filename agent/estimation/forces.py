@@ -96,7 +96,7 @@ class UnknownForces:
         return np.asarray(period_s / 2.0 * (E + A @ E))
 
     def _by_drag(self, x: Array) -> Array:
-        """Return the forces on the bodies per drag of payload and UAVs, (3 + 3 N, 2), at a state."""
+        """Return the forces on the bodies per drag of payload and UAVs, (3 + 3 N, 2)."""
         velocities = self._model.velocities(x[: self._model.system.n]).reshape(-1)
         forces = np.zeros((len(self._spread) - 1, 2))
         forces[:3, 0] = -velocities[:3]

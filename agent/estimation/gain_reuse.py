@@ -1,9 +1,9 @@
-"""Less work for the newest ticks, outside the filter: a gain that is used again, covariances on demand.
+"""Less work for the newest ticks, outside the filter: gains used again, covariances deferred.
 
 With a network some ticks late, an agent repeats its newest ticks, in which it has nothing but own
 measurements, at every tick. Their gain hardly differs from that of the tick before: they take the
 gain of the last correction that had more, and their covariance is computed when it is asked for,
-which is exact for any gain. A tick that has the others' measurements has its own covariance and gain.
+which is exact for any gain. A tick that has the others' measurements has a gain of its own.
 With `most_ticks` = 0 no gain is used again, and the bits are those of `TeamFilter`.
 """
 
@@ -124,7 +124,7 @@ class GainReuse:
     def _saved(
         self, belief: Belief, innovation: Innovation, correction: Correction
     ) -> SavedGain | None:
-        """Return the gain that own measurements alone would have had; the one before without them all."""
+        """Return the gain for own measurements alone; the one before if some are missing."""
         rows = np.flatnonzero(self._is_own_entry[innovation.entries.all])
         if not self._most_ticks or not len(rows) == state.SENSED * len(self._owned) > 0:
             return belief.saved

@@ -1,4 +1,6 @@
-"""Kalman filter of any linear system: prediction and correction of a covariance, docs/equations.md (63), (64).
+"""Kalman filter of any linear system: prediction and correction of a covariance.
+
+Docs/equations.md (63), (64), in general:
 
     xi(k+1) = A xi(k) + w,    cov(w) = Q
     z       = H xi + v,       cov(v) = diag(R)

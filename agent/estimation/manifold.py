@@ -29,7 +29,7 @@ class Basis:
 
 
 class Manifold:
-    """Manifold of a team of N UAVs; the actual inputs of lagging motors join its states as they are.
+    """Manifold of a team of N UAVs; actual inputs of lagging motors join its states as they are.
 
     Attributes:
         r: Number of coordinates of a state, 12 + 10 N, without the actual inputs.
@@ -76,7 +76,7 @@ class Manifold:
         return Basis(T=T, L=L)
 
     def moved(self, x: Array, dx: Array) -> Array:
-        """Return the state x (+) dx, read-only, both (n,), SI: moved, then restored to the manifold.
+        """Return the state x (+) dx, read-only, both (n,), SI, restored to the manifold.
 
         Source: docs/equations.md (62).
         """

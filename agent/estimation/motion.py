@@ -50,7 +50,7 @@ class Motion:
         return model
 
     def predict(self, x: Array, tick: int, u: Array, forces: Array | None) -> Array:
-        """Return the state one period after `tick`, (n,) or (n + m,); the reference if that diverges."""
+        """Return the state one period after `tick`; the reference if that diverges."""
         model = self.model_at(tick)
         end, _ = motors.integrate(model, x, u, self.period_s, self.steps, self.lag_s, forces)
         if np.abs(end).max() > state.LARGEST:

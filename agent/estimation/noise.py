@@ -53,7 +53,7 @@ class LeastSensorNoise:
     specific_force_mps2: float = 0.1
 
     def variances(self, sheet: SensorSheet) -> Array:
-        """Return the variances of one UAV's measurements, (15,), SI; a constant bias counts as noise."""
+        """Return the variances of a UAV's measurements, (15,), SI; a bias counts as noise."""
         least = [
             self.position_m,
             self.velocity_mps,
@@ -80,7 +80,7 @@ class ModelNoise:
     remainder: float = 1e-4
 
     def acceleration_variances(self, deviation: float, period_s: float, N: int) -> Array:
-        """Return the variances that white accelerations add per period, by coordinate, (12 + 10 N,).
+        """Return the variances that accelerations add per period, by coordinate, (12 + 10 N,).
 
         They act on velocities and rates of the payload and of each UAV.
         """

@@ -29,7 +29,7 @@ def pose_numbers(belief: Belief) -> Array:
 
 
 def poses(numbers: Array) -> tuple[Array, Array]:
-    """Return estimated poses, (k, 6), and their covariances, (k, 6, 6), from rows of such numbers."""
+    """Return estimated poses, (k, 6), and covariances, (k, 6, 6), from rows of such numbers."""
     upper = numbers[:, len(POSE) : -2]
     P = np.empty((len(numbers), len(POSE), len(POSE)))
     P[:, _UPPER[0], _UPPER[1]] = upper

@@ -54,7 +54,7 @@ class Reports:
         return told
 
     def payload(self, tick: int) -> Array | None:
-        """Return the measured state of the payload, (12,), at a tick; None if it was not measured."""
+        """Return the measured state of the payload at a tick, (12,); None without one."""
         told = self._ticks.get(tick)
         return None if told is None else told.payload
 

@@ -21,7 +21,7 @@ from transport.protocol.wire.messages import Measurement, Plan
 
 
 class StateEstimator:
-    """Estimator of the whole state, x, (n,), with motor lag [x, a], (n + m,), from the reference on.
+    """Estimator of the whole state, (n,), with motor lag [x, a], (n + m,), from the reference on.
 
     Args:
         motion: Prediction between ticks.
@@ -147,7 +147,7 @@ class StateEstimator:
         return x
 
     def _learn(self, predicted: Array, joined: Array, tick: int) -> None:
-        """Correct the disturbance estimate once per tick, if both ends of the period are measured."""
+        """Correct the disturbance estimate, once per tick, if both its ends are measured."""
         if self._disturbance is None or tick <= self._learned:
             return
         ends = (self._reports.payload(tick - 1), self._reports.payload(tick))

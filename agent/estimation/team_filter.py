@@ -133,7 +133,7 @@ class TeamFilter:
         return np.diag(np.concatenate(deviations) ** 2)
 
     def _set_process_noise(self) -> None:
-        """Set the covariance of the model's errors: the part that the level scales, and the rest."""
+        """Set the covariance of the model's errors: the part that the level scales, the rest."""
         noise = self._noise
         others = np.zeros(self._lagging + self._unknowns)
 
@@ -371,7 +371,7 @@ class TeamFilter:
     def certain(
         self, belief: Belief, entries: npt.NDArray[np.intp], deviation: float = 1e-3
     ) -> Belief:
-        """Return the belief with some entries of the state certain, such as those that a failure sets."""
+        """Return the belief with some entries of the state certain, as a failure sets them."""
         covariance = belief.covariance
         coordinates = np.flatnonzero(covariance.basis.T[entries].any(axis=0))
         P = covariance.P.copy()

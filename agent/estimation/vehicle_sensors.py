@@ -39,7 +39,7 @@ class Tick:
 
 
 class SensorEstimator:
-    """Estimator of the whole state, x, (n,), with motor lag [x, a], (n + m,), from the reference on.
+    """Estimator of the whole state, (n,), with motor lag [x, a], (n + m,), from the reference on.
 
     Args:
         motion: Prediction between ticks.
@@ -136,7 +136,7 @@ class SensorEstimator:
         return None if entry is None else entry.posterior.x
 
     def start_state(self, tick: int) -> Array | None:  # noqa: ARG002  # of any tick
-        """Return None: a plan's first step differs from the law mostly by noise of its sender's estimate."""
+        """Return None: a plan's first step differs from the law by its sender's errors."""
         return None
 
     def inputs_until(self, k: int, announced: AnnouncedInputs) -> Array:
@@ -172,7 +172,7 @@ class SensorEstimator:
         return dict(zip(NAMES, pose_numbers(belief).tolist(), strict=True))
 
     def _begin(self, tick: int) -> Tick:
-        """Return the beliefs about the reference, without any measurement: the start, or a new start."""
+        """Return the beliefs about the reference, without any measurement: a new start."""
         belief = self._filter.first(self._motion.reference_at(tick))
         return Tick(prior=belief, posterior=belief)
 
