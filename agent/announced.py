@@ -312,7 +312,7 @@ class AnnouncedInputs:
         if u_start is None:
             return by_law
         first_step = plan.inputs[0] - u_start[columns] - plan.corrections[0]
-        return by_law + np.asarray(first_step)
+        return np.asarray(by_law + first_step)
 
     def _by_fail_safe(self, agent: int, tick: int, x: Array | None) -> Array:
         """Return an agent's inputs by the fail-safe, (4 owned,); hover without a state."""

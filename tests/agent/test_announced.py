@@ -1,4 +1,4 @@
-"""Announced inputs: plans shifted by their true age and held at their end, for any order of arrival.
+"""Announced inputs: plans shifted by their age and held at their end, for any order of arrival.
 
 Past inputs of the others: the first step of a plan as announced, then the shared control law with
     its corrections.
@@ -85,7 +85,7 @@ def test_shift_and_hold(age: int, delay: int) -> None:
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_corrections_end(age: int, delay: int) -> None:
-    """Corrections to the shared control law are shifted like inputs but zero after their end, and before any plan."""
+    """Corrections are shifted like inputs but zero after their end, and before any plan."""
     plan = labelled(1, 7, delay=delay)
     start = plan.start_tick + age
     c = announced(plan).corrections(start, STEPS, before=start + 1)
@@ -148,7 +148,7 @@ def under_law(
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_later_inputs_follow_the_law(age: int, delay: int) -> None:
-    """After the first step of a plan its agent followed the control law with the announced corrections, (32a)."""
+    """After the first step of a plan its agent followed the law with its corrections, (32a)."""
     plan = labelled(1, 7, delay=delay)
     k = plan.start_tick + age
     u = rows(1, under_law(plan).in_force(k, before=k + 1, x=X))
@@ -160,7 +160,7 @@ def test_later_inputs_follow_the_law(age: int, delay: int) -> None:
 
 
 def test_own_inputs_are_known() -> None:
-    """The own plan counts as announced, not by the control law, as in the plant's schedule, (32a)."""
+    """The own plan counts as announced, as in the plant's schedule, (32a)."""
     plan = labelled(1, 7)
     inputs = under_law(plan, labelled(2, 7), own=1)
     for age in range(STEPS + 2):
@@ -173,7 +173,7 @@ def test_own_inputs_are_known() -> None:
 
 
 def test_plans_under_another_law_are_played_as_announced() -> None:
-    """Corrections belong to the control law of their time: older plans count by their inputs, (46)."""
+    """Corrections belong to the law of their time: older plans count by inputs, (46)."""
     older, newer = labelled(1, 7), labelled(2, 9)
     inputs = under_law(older, newer)
     inputs.law_since = 9

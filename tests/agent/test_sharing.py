@@ -31,7 +31,7 @@ def decided(sharing: Sharing, k: int, c: Array, roster: int = 1) -> bool:
 
 
 def test_expected_corrections_are_not_shared() -> None:
-    """Equation (49): corrections equal to the shared ones, shifted to now and zero after their end, are not shared."""
+    """Corrections that equal the shared ones, shifted and zero after their end, are kept, (49)."""
     sharing = rule(threshold=0.0)
     assert decided(sharing, 0, corrections(1.0, 2.0, 3.0, 4.0))
     assert not decided(sharing, 1, corrections(2.0, 3.0, 4.0))
@@ -51,7 +51,7 @@ def test_threshold() -> None:
 
 
 def test_small_changes_add_up() -> None:
-    """The change counts from the last shared plan, not from the plan before, so that a drift is shared."""
+    """The change counts from the last shared plan, so that a drift is shared."""
     sharing = rule(threshold=0.1)
     # The input for tick 3 grows from plan to plan by a twentieth of the range.
     plans = [corrections(*[0.0] * (3 - k), 0.05 * RANGE * k) for k in range(4)]
@@ -62,7 +62,7 @@ def test_small_changes_add_up() -> None:
     ("heartbeat_s", "ticks"), [(1.0, 20), (0.3, 6), (0.35, 7), (0.12, 2), (0.01, 1)]
 )
 def test_heartbeat(heartbeat_s: float, ticks: int) -> None:
-    """Without any change a plan is shared at least that often, and not more often than the ticks allow."""
+    """Without any change a plan is shared at that pace, in whole ticks."""
     sharing = rule(heartbeat_s=heartbeat_s)
     shared = [k for k in range(3 * ticks + 1) if decided(sharing, k, corrections())]
     assert shared == [0, ticks, 2 * ticks, 3 * ticks]

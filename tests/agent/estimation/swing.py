@@ -26,7 +26,10 @@ OWN_NOISE = np.array([0.5, 0.02, 0.02, 0.02] + [0.0] * 12)
 
 @lru_cache  # a flight by seed and doubt
 def moving(seed: int, doubt: float = 1.0) -> tuple[Setup, list[Array], list[Array], list[Array]]:
-    """Return a run, true states from one drawn by (a share of) the filter's doubt, inputs until then, measurements."""
+    """Return a run, true states, inputs until then and measurements.
+
+    The first state is drawn by (a share of) the filter's doubt.
+    """
     run = setup(*VEHICLE)
     rng = np.random.default_rng(seed)
     team = TeamFilter(run)

@@ -159,7 +159,7 @@ def test_what_pushes_uavs_up_or_down_is_the_payloads() -> None:
 
 @pytest.mark.parametrize("wrong", [1e3, 1e150, np.nan])
 def test_wrong_predictions_are_no_forces(wrong: float) -> None:
-    """An implausible prediction error changes no bit of the estimate; a plausible one changes it."""
+    """An implausible prediction error changes no bit of the estimate; a plausible one does."""
     run = setup()
     disturbance = disturbance_of(run)
     predicted = run.initial_state()
@@ -173,7 +173,7 @@ def test_wrong_predictions_are_no_forces(wrong: float) -> None:
 
 
 def test_actuators_are_believed() -> None:
-    """Inputs that differ from the announced ones are reported and do not count as an external force."""
+    """Reported inputs that differ from announced ones do not count as a force."""
     plant_state = flight(tuple(NOTHING))
     run = plant_state.run
     forces_N = []

@@ -1,4 +1,4 @@
-"""Gain that is used again: nearly as exact, with an exact covariance, and without effect if switched off."""
+"""Gain that is used again: nearly as exact, its covariance exact, no effect if switched off."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def with_late_plans(most_ticks: int) -> tuple[Array, Belief]:
 
 
 def test_newest_ticks_are_nearly_as_exact_as_with_their_own_gains() -> None:
-    """The gain of the last tick that others' messages reached costs a tenth of the error at most; P knows its part."""
+    """The gain of the last tick with others' messages costs a tenth of the error; P knows it."""
     errors, quick = with_late_plans(MOST_TICKS)
     least, exact = with_late_plans(0)
     assert not np.array_equal(quick.x, exact.x)
@@ -51,7 +51,7 @@ def flown(team: Filter, own_only: range) -> list[Belief]:
 
 
 def test_switched_off_it_is_the_plain_filter() -> None:
-    """Without reuse every belief has the bits of the filter alone, although covariances are deferred."""
+    """Without reuse every belief has the bits of the filter alone, with deferred covariances."""
     run, *_ = moving(4, HALF)
     own_only = range(10, 16)
     plain = flown(TeamFilter(run), own_only)
@@ -62,7 +62,7 @@ def test_switched_off_it_is_the_plain_filter() -> None:
 
 
 def test_a_gain_is_used_again_where_own_measurements_are_alone_and_for_some_ticks() -> None:
-    """The first tick without others has the bits of the plain filter until then; after the limit a gain is new."""
+    """Ticks with own measurements alone use a saved gain until the limit, then have their own."""
     run, *_ = moving(4, HALF)
     beliefs = flown(GainReuse(TeamFilter(run), [0], most_ticks=3), range(10, 16))
     ticks = [None if belief.saved is None else belief.saved.ticks for belief in beliefs[9:17]]

@@ -25,7 +25,7 @@ class Sums:
         return tick + 1
 
     def corrected(self, entry: int, tick: int) -> int:
-        """Return an entry with the messages of its tick, which are in the last digit already or not."""
+        """Return an entry with the messages of its tick, which are its last digit."""
         return entry - entry % 10 + self.told.get(tick, 0)
 
     def following(self, entry: int, tick: int) -> int:
@@ -77,7 +77,7 @@ def test_messages_in_time_repeat_nothing() -> None:
 
 
 def test_a_late_message_repeats_the_steps_after_its_tick() -> None:
-    """A message that is d ticks late has d - 1 steps repeated; the last one is that of its tick of arrival."""
+    """A message that is d ticks late has d - 1 steps repeated, before that to the present tick."""
     late = 7
     arrivals = [k + late if k == 5 else k for k in range(TICKS)]
     _, sums = advanced(arrivals, [1] * TICKS)

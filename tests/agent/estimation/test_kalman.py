@@ -1,4 +1,4 @@
-"""General Kalman filter on two states, position and velocity, whose covariances have closed forms."""
+"""General Kalman filter on two states, position and velocity, with closed forms."""
 
 import numpy as np
 import pytest
@@ -112,7 +112,7 @@ def test_covariance_is_exact_for_any_gain() -> None:
 
 
 def test_exact_sensors_leave_no_negative_variance() -> None:
-    """After a thousand nearly exact measurements the covariance is positive semidefinite, to rounding."""
+    """After a thousand nearly exact measurements the covariance is positive semidefinite."""
     exact = Observation(error=np.zeros(1), H=H, R=np.array([1e-18]))
     P = np.diag([1e4, 1e4])
     for _ in range(1000):

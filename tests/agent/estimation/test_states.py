@@ -112,7 +112,7 @@ def estimates(
 
 
 def arriving(plant_state: Flight, when: Callable[[int], int], steps: int = 1) -> Arrivals:
-    """Return the plans of all agents; that of tick k arrives before the estimate of tick when(k)."""
+    """Return all plans; that of tick k arrives before the estimate of tick when(k)."""
     arrivals: Arrivals = {}
     for k in range(TICKS):
         for agent in plant_state.run.agents[1:]:
@@ -190,7 +190,7 @@ def test_delay_without_disturbance(delay: int) -> None:
 
 @pytest.mark.parametrize(("seed", "delay"), [(0, 2), (1, 7), (2, TICKS)])
 def test_order_of_arrival_does_not_matter(seed: int, delay: int) -> None:
-    """After all plans have arrived, the estimate equals bit for bit that of plans in order and without delay."""
+    """After all plans have arrived, the estimate has the bits of plans in order, without delay."""
     plant_state = flight(FOUR, 0.02)
     in_order = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
     rng = np.random.default_rng(seed)
@@ -258,7 +258,7 @@ class LedFlight:
 
 @lru_cache
 def led_flight(force_N: float = 0.0) -> LedFlight:
-    """All agents follow the control law on a climb, from an initial error, under an unknown payload force."""
+    """All agents follow the law on a climb, from an initial error, under an unknown force."""
     closed = (
         "controller.prediction=closed_loop",
         "controller.terminal=riccati",
@@ -287,7 +287,7 @@ def led_flight(force_N: float = 0.0) -> LedFlight:
 
 
 def test_the_law_makes_late_states_exact() -> None:
-    """Under the shared control law the estimate is the true state for any delay and any predicted inputs, (32a).
+    """Under the shared law the estimate is the true state for any delay, (32a).
 
     By induction: a true state gives the true inputs by the control law, and those the next true
         state.

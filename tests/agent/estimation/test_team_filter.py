@@ -1,4 +1,4 @@
-"""Kalman filter over the team: a dense filter with numerical Jacobians, honest covariance, level of errors."""
+"""Kalman filter over the team: against a dense filter, honest covariance, level of errors."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -127,7 +127,7 @@ class Dense:
 
 @pytest.mark.parametrize("forces", ["false", "true"])
 def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
-    """Means and covariances are those of the textbook filter with differences of the nonlinear model as Jacobians."""
+    """Means and covariances are those of the textbook filter with numerical Jacobians."""
     _, _, U, Z = moving(1, SMALL)
     run = setup(*VEHICLE, f"controller.disturbance.estimate={forces}")
     team = TeamFilter(run)
@@ -158,7 +158,7 @@ def test_against_a_dense_filter_with_numerical_jacobians(forces: str) -> None:
 
 @pytest.mark.parametrize("late", [1, DELAY])
 def test_errors_match_their_covariance(late: int) -> None:
-    """The mean squared error in units of the covariance is the number of coordinates, from a swing that is unknown."""
+    """The mean squared error in units of the covariance is the number of coordinates."""
     squared = []
     for seed in range(6):
         run, X, _, _ = moving(seed, HALF)
@@ -170,7 +170,7 @@ def test_errors_match_their_covariance(late: int) -> None:
 
 
 def level_after_flight(pull_N: float) -> tuple[TeamFilter, Belief]:
-    """Return filter and belief after three seconds, under a force on the payload that no agent knows."""
+    """Return filter and belief after three seconds, under an unknown force on the payload."""
     run, X, U, _ = moving(5, SMALL)
     rng = np.random.default_rng(5)
     team = TeamFilter(run)
@@ -190,7 +190,7 @@ def level_after_flight(pull_N: float) -> tuple[TeamFilter, Belief]:
 
 @pytest.mark.parametrize(("pull_N", "is_exact"), [(0.0, True), (3.0, False)])
 def test_level_of_the_models_errors_follows_the_innovations(pull_N: float, is_exact: bool) -> None:
-    """White innovations keep a model exact; those of a payload that falls faster than it says deny it."""
+    """White innovations keep a model exact; those of a payload that falls faster deny it."""
     team, belief = level_after_flight(pull_N)
     level = belief.level.value
     assert (level < EXACT) is is_exact
@@ -198,7 +198,7 @@ def test_level_of_the_models_errors_follows_the_innovations(pull_N: float, is_ex
 
 
 def test_pose_and_covariance_are_told_in_full() -> None:
-    """The numbers for the log are the payload's pose, its covariance, and the innovation of the last tick."""
+    """The numbers for the log are pose, covariance, and innovation of the last tick."""
     belief = filtered(in_time(1, 1), 1, 3)[-1]
     numbers = pose_numbers(belief)
     pose, P = poses(numbers[None])

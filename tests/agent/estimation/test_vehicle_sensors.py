@@ -7,7 +7,7 @@ from transport.model import state
 
 
 def test_messages_in_any_order_give_the_same_bits() -> None:
-    """Late messages, shuffled and lost but for the repeats of later ones, end in the bits of those in time."""
+    """Late, shuffled messages, most lost but repeated later, end in the bits of those in time."""
     last = TICKS - 1
     together = [one for plans in in_time(2, 1).values() for one in plans if one.tick < last - 1]
     kept = [one for one in together if one.tick % state.REPORTS == 1 or one.tick == last - 2]
