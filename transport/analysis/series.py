@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.kalman import TOLD, understood
+from transport.agent.estimation.payload_pose import NAMES, poses
 from transport.log.run_log import Recorded, RunLog
 from transport.model import state
 from transport.model.arrays import Array
@@ -235,14 +235,14 @@ class Estimates(NamedTuple):
 def estimates_of(series: Series, log: RunLog) -> Estimates | None:
     """Return the estimates in a log; None if there are none."""
     at = {int(tick): row for row, tick in enumerate(series.ticks)}
-    notes = [note for note in log.of(Note) if note.names == TOLD and note.tick in at]
+    notes = [note for note in log.of(Note) if note.names == NAMES and note.tick in at]
     if not notes:
         return None
     numbers, rows = (
         np.array([note.values for note in notes]),
         np.array([at[note.tick] for note in notes]),
     )
-    pose, P = understood(numbers)
+    pose, P = poses(numbers)
     true = series.x[rows][:, np.r_[state.R0, state.THETA0]]
     return Estimates(np.array([note.agent for note in notes]), rows, pose, true, P, numbers[:, -2:])
 
