@@ -12,8 +12,8 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import motor_off_state, released_state
 from transport.mpc.controller import Controller
+from transport.mpc.course import Course
 from transport.mpc.prediction import Prediction
-from transport.mpc.tracking import Course
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Measurement, Plan
 

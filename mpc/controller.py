@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transport.model import state
-from transport.model.arrays import Array
+from transport.model.arrays import Array, frozen
 from transport.model.discretisation import Discrete, euler, zero_order_hold
 from transport.model.flat import Track
 from transport.model.hover import Hover
@@ -18,14 +18,16 @@ from transport.model.motors import lagged
 from transport.model.native import Places
 from transport.model.obstacles import Obstacle
 from transport.model.state import LARGEST
+from transport.mpc.cost import CostToGo
+from transport.mpc.course import Course, CourseProgram
+from transport.mpc.decision import Decision
 from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.prediction import Linear, Prediction, convolve, free_response
 from transport.mpc.program import Program
 from transport.mpc.qp import QP, Solution, solve, unsolved
-from transport.mpc.regulation import CostToGo, Regulation
-from transport.mpc.rows import Decision
+from transport.mpc.regulation import Regulation
+from transport.mpc.rollout import Rollout, rollout
 from transport.mpc.settings import ControllerSettings
-from transport.mpc.tracking import Along, Course, rollout
 
 # A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become
 # singular.
@@ -65,7 +67,7 @@ class Controller:
         self.law, self.end = self.regulation.law, self.regulation.cost_to_go
         self.cost = self.regulation.cost
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
-        self._along = Along(self._decision, obstacles)
+        self._along = CourseProgram(self._decision, obstacles)
         self._at_hover: Linearisation | None = None
         # Derivatives and difference equation of the newest step.
         self._held: tuple[Array | None, Discrete | None] = None, None
@@ -113,6 +115,7 @@ class Controller:
         else:  # along the control law, with the derivatives at hover
             at_rest = self.regulation.hover
             self._at_hover = self._at_hover or self.model.linearise(at_rest.x, at_rest.u)
+            frozen(self._at_hover.values)
             f = self.model.derivative(x, actual, forces=forces)
             model = replace(self._at_hover, f=f, y=self.model.outputs(x))
         if lag_s > 0.0:
@@ -129,6 +132,7 @@ class Controller:
             return euler(model, period_s)
         values, known = self._held
         found = zero_order_hold(model, period_s, known if values is model.values else None)
+        frozen(found.A, found.B)
         self._held = model.values, found
         return found
 
@@ -148,7 +152,7 @@ class Controller:
             view = state.StateView(X)
             angles = np.concatenate([view.Theta0[:, None, :2], view.Theta[..., :2]], axis=1)
             if np.abs(angles).max() < _STEEPEST and np.isfinite(Z).all():
-                found = Z, inputs
+                found = Rollout(Z, inputs)
                 at = linear.model
                 self._curvature = self.model.outputs_along(X) - at.y - (Z - linear.z0) @ at.C.T
         return self._program.predict(linear, discrete, U, law, found)
@@ -162,7 +166,7 @@ class Controller:
         Arguments as those of `step`: (22)-(30), (48).
         """
         if isinstance(prediction, Course):
-            return self._along.program(self.model, prediction)
+            return self._along.program(prediction)
         if self._curvature is not None:
             y_ref = y_ref - self._curvature
         return self._program.condense(linear, prediction, y_ref, law, end)

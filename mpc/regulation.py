@@ -19,7 +19,7 @@ from transport.model.linearisation import Model
 from transport.model.parameters import ParameterError
 from transport.model.state import input_slice
 from transport.mpc import feedback
-from transport.mpc.cost import Cost
+from transport.mpc.cost import Cost, CostToGo
 from transport.mpc.expressions import UserCosts
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.feedback import FeedbackError, FeedbackLaw, Preview, Regulator, Target, at_rest
@@ -37,18 +37,6 @@ _MOST_FOUND = 64
 _FOUND: WeakKeyDictionary[Model, dict[tuple[Any, ...], tuple[Any, tuple[object, ...]]]] = (
     WeakKeyDictionary()
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CostToGo:
-    """The cost after the horizon as a function of the last state.
-
-    |root (error + dx)|^2 + 2 slope' dx + constant.
-    """
-
-    root: Array  # square root of the Riccati solution, (rank, n)
-    error: Array  # x0 - x_ref at step N_p, x_ref shifted by external forces, (n,)
-    slope: Array  # effect of reference and forces, (n,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

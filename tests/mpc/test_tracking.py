@@ -18,9 +18,11 @@ from transport.model.maneuver import Maneuver, Phase
 from transport.model.obstacles import Obstacle, Solid, clearances
 from transport.model.state import R0, StateView, input_slice
 from transport.mpc.controller import Controller, StepResult
+from transport.mpc.course import Course
 from transport.mpc.feedback import Gains
+from transport.mpc.rollout import rollout
 from transport.mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
-from transport.mpc.tracking import INSTANTS, Course, Recursion, rollout
+from transport.mpc.tracking import INSTANTS, Recursion
 
 PERIOD_S = 0.05
 SETTINGS = ControllerSettings(

@@ -17,7 +17,7 @@ from transport.model.rotations import rotation
 from transport.model.state import INPUTS, StateView
 from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.regulation import Ahead, Regulation
-from transport.mpc.tracking import rollout
+from transport.mpc.rollout import rollout
 from transport.plant.actuators import FAIL_SAFE
 from transport.protocol.scenario.links import words_of
 from transport.protocol.scenario.setup import Setup
