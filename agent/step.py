@@ -102,8 +102,7 @@ class Planner:
             setup.hover,
             setup.settings,
             self._owned,
-            setup.X_ref,
-            setup.track,
+            setup.reference.sampled,
             setup.obstacles,
         )
         self._team = TeamEstimate(setup, agent, self._controller)

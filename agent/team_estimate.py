@@ -104,8 +104,10 @@ class TeamEstimate:
     def head(self, setup: Setup) -> None:
         """Take the reference from a run with a further target."""
         self._setup = setup
-        if setup.ahead is not None and self._controller.regulation.head(setup.X_ref, setup.ahead):
-            self.announced.law_since = setup.ahead.first
+        reference = setup.reference.sampled
+        completed = self._controller.regulation.follow(reference)
+        if completed and reference.change is not None:
+            self.announced.law_since = reference.change.first
         self.announced.fail_safe = self._controller.regulation.fail_safe
 
     @property

@@ -13,6 +13,7 @@ import numpy as np
 from transport.model import jets, state
 from transport.model.arrays import Array, Rows, frozen
 from transport.model.hover import Hover
+from transport.model.identity import digest
 from transport.model.maneuver import Maneuver
 from transport.model.parameters import System
 
@@ -47,6 +48,11 @@ class Track:
         [Array, Any], Flight
     ]  # the motion of the team along such a path under forces, as `flight`
 
+    @property
+    def key(self) -> bytes:
+        """Digest of the numbers that controllers follow."""
+        return digest(self.X, self.U, self.X_middle, self.paths, self.first)
+
     def by_forces(self, at: Rows) -> tuple[Array, Array]:
         """Return the change of X, (k, n, 4 + 3 N), and U, (k, m, 4 + 3 N), at k rows per external force and mass."""
         places = [divmod(row, _BLOCK) for row in np.arange(len(self.X))[at].tolist()]
@@ -78,6 +84,15 @@ class FlatReference:
     def __init__(self, system: System, hover: Hover, maneuver: Maneuver) -> None:
         self.maneuver = maneuver
         self._system, self._hover = system, hover
+
+    @property
+    def key(self) -> bytes:
+        """Digest of the numbers that the reference follows from."""
+        return digest("flat", self._system, self._hover, self.maneuver)
+
+    def with_maneuver(self, maneuver: Maneuver) -> "FlatReference":
+        """Return the reference of another maneuver of the team."""
+        return FlatReference(self._system, self._hover, maneuver)
 
     def outputs(self, t_s: Array) -> Array:
         """Return y_ref at times t_s, (k,), s: (k, 4 N + 9), SI: equations.md (14), (66)-(68)."""

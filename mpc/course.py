@@ -92,7 +92,7 @@ class CourseProgram:
 
         minimise sum_k dc_o(k)' M_oo(k) dc_o(k) + penalties of slacks. Source: docs/equations.md (74).
         """
-        steps, m = self._decision.shape
+        m = self._decision.shape[1]
         size = self._decision.size
         own, scale = self._decision.own, self._decision.scale
         penalties = self._stack.penalties

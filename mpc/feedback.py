@@ -197,7 +197,7 @@ def tangent(
     return np.asarray(basis)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Preview:
     """Effect of the reference on the optimum at instants 0..K-1 from `first` on.
 

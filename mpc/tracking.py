@@ -1,13 +1,6 @@
-"""The shared control law along a flat reference.
+"""Time-varying linear-quadratic regulator along a flat reference: docs/equations.md (70)-(72)."""
 
-A time-varying linear-quadratic regulator, and the program about it.
-
-The team's cost is constant + sum_k c(k)' M(k) c(k), M(k) = R + B(k)' P(k+1) B(k), by the
-corrections c. So an agent's optimum follows from the others' corrections; only where its trajectory
-violates a constraint is a QP solved about it.
-"""
-
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,161 +9,206 @@ from transport.model import state
 from transport.model.arrays import Array, frozen, padded, rows
 from transport.model.discretisation import zero_order_hold
 from transport.model.flat import Track
-from transport.model.linearisation import Model
-from transport.mpc.cost import Cost
-from transport.mpc.expressions import UserCosts
+from transport.model.identity import digest
 from transport.mpc.fail_safe import FailSafe
-from transport.mpc.feedback import Gains, Regulator
+from transport.mpc.feedback import FeedbackError, Gains
+from transport.mpc.hover_law import HoverLaw
 
-INSTANTS = 16  # gains computed in a sampling period while the team flies: 8 ms of processor time for four UAVs
+# Gains computed in a sampling period while the team flies: 8 ms of processor time for four UAVs.
+INSTANTS = 16
 _STEPS = 2  # integration steps per sampling period of the difference of reference and model
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Tracker:
     """The regulator along a reference at instants 0..L-1 from `first` on.
 
     The last one, at rest, holds from then on.
     """
 
-    gains: Sequence[
-        Gains
-    ]  # laws of several teams share them, as a copy would take as long as their computation
+    # Laws of several teams share the gains: a copy would take as long as their computation.
+    gains: Sequence[Gains]
+    key: bytes  # digest of what the gains follow from
     first: int = 0  # number of the first instant, that of the reference
 
     def over(self, start: int, steps: int) -> Sequence[Gains]:
         """Return the gains at some instants."""
-        at = rows(start - self.first, steps, len(self.gains))
-        return self.gains[at] if isinstance(at, slice) else [self.gains[i] for i in at]
+        chosen = rows(start - self.first, steps, len(self.gains))
+        if isinstance(chosen, slice):
+            return self.gains[chosen]
+        return [self.gains[row] for row in chosen]
 
 
 class Recursion:
-    """Linear-quadratic regulator along a reference in the making, some instants at a time, backwards from its end.
+    """Backward Riccati recursion along a reference, `INSTANTS` instants per sampling period.
 
-    The user's terms count as deviations from the reference. Until the instant `since` the regulator
-    `before` of another team holds, if any. UAVs without an agent, 0-based, have the fail-safe and
-    its feedback, (4, n): (70)-(72).
+    The user's terms count as deviations from the reference. UAVs without an agent have the
+    fail-safe. Until the instant `since` the regulator `before` of another team holds, if any.
     """
 
     def __init__(
-        self, model: Model, track: Track, regulator: Regulator, cost: Cost, terms: UserCosts, period_s: float,
-        uncontrolled: Mapping[int, Array], fail_safe: FailSafe, before: Tracker | None, since: int,
-    ) -> None:  # fmt: skip
-        self._model, self._track, self._regulator, self._cost, self._terms = (
-            model,
-            track,
-            regulator,
-            cost,
-            terms,
-        )
-        since -= track.first  # instants are rows from here on
-        self._period_s, self._uncontrolled, self._fail_safe, self._since = (
-            period_s,
-            uncontrolled,
-            fail_safe,
-            since,
-        )
-        self._found: list[Gains] = []  # from the end on
-        self._P, self._p = regulator.T @ regulator.P @ regulator.T.T, np.zeros(model.system.n)
+        self,
+        law: HoverLaw,
+        fail_safe: FailSafe,
+        track: Track,
+        key: bytes,
+        before: Tracker | None,
+        since: int,
+    ) -> None:
+        if law.regulator is None:
+            raise FeedbackError("expected a shared control law, got none")
+        self._law = law
+        self._regulator = law.regulator
+        self._fail_safe = fail_safe
+        self._track = track
+        self._key = key
+        self._since = since - track.first  # instants are rows of the reference from here on
+
+        # Cost-to-go x'Px + 2p'x of the instant after the newest one that is computed.
+        self._P = law.regulator.T @ law.regulator.P @ law.regulator.T.T
+        self._p = np.zeros(law.model.system.n)
+        self._computed: list[Gains] = []  # from the end on
+
         self._before: Sequence[Gains] = []
-        self.ready = (
-            track.first + since
-        )  # instant from which on the result holds; before, it is `meanwhile`
+        self.ready = since  # instant from which on the result holds; before, it is `meanwhile`
         if before is None:
-            moving = np.flatnonzero(
-                (track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1)
-            )
-            self._last = int(moving.max(initial=-1)) + 1
+            self._last = _first_at_rest(track)
         else:
-            self._before, self._last = before.gains, len(before.gains) - 1
-            self.ready += -(-max(self._last + 1 - since, 0) // INSTANTS)
+            self._before = before.gains
+            self._last = len(before.gains) - 1
+            missing = max(self._last + 1 - self._since, 0)
+            self.ready += -(-missing // INSTANTS)
 
-    def meanwhile(self, off: Collection[int], horizon: int) -> Tracker:
-        """Return the regulator until this one is ready.
-
-        The gains before, but not of and by UAVs off, 0-based.
-        """
+    def meanwhile(self, off: frozenset[int], horizon: int) -> Tracker:
+        """Return the regulator until this one is ready: the gains before, but not of and by UAVs off."""
         gains = list(self._before)
-        for k in range(self._since, min(self.ready - self._track.first + horizon, len(gains))):
-            K, feedforward = gains[k].K.copy(), gains[k].feedforward.copy()
+        until = min(self.ready - self._track.first + horizon, len(gains))
+        for k in range(self._since, until):
+            K = gains[k].K.copy()
+            feedforward = gains[k].feedforward.copy()
             K[state.input_indices(sorted(off))] = 0.0
             for uav in off:
                 K[:, state.uav_slice(uav)] = 0.0
-            for uav, feedback in self._uncontrolled.items():
-                at = state.input_slice(uav)
-                K[at], feedforward[at] = feedback, self._on_reference(uav, k) - self._track.U[k, at]
+            for uav, gain in self._law.uncontrolled.items():
+                own = state.input_slice(uav)
+                K[own] = gain
+                feedforward[own] = self._on_reference(uav, k) - self._track.U[k, own]
             frozen(K, feedforward)
             gains[k] = replace(gains[k], K=K, feedforward=feedforward)
-        return Tracker(gains=gains, first=self._track.first)
+        return Tracker(gains=gains, key=digest(self._key, "meanwhile"), first=self._track.first)
 
     def advance(self, instant: int | None = None) -> None:
-        """Compute the share of an instant after the first, or what is missing."""
-        count = (
-            self._last + 1
-            if instant is None
-            else INSTANTS * (instant - self._track.first - self._since)
-        )
-        for k in range(self._last - len(self._found), max(self._last - count, self._since - 1), -1):
-            self._found.append(self._step(k))
+        """Compute the share of an instant after the first; without instant, all that is missing."""
+        count = self._last + 1
+        if instant is not None:
+            count = INSTANTS * (instant - self._track.first - self._since)
+
+        newest = self._last - len(self._computed)
+        down_to = max(self._last - count, self._since - 1)
+        for k in range(newest, down_to, -1):
+            self._computed.append(self._step(k))
 
     def result(self) -> Tracker:
         """Return the regulator; compute what is missing of it."""
         self.advance()
-        return Tracker(
-            gains=[*self._before[: self._since], *reversed(self._found)], first=self._track.first
-        )
+        gains = [*self._before[: self._since], *reversed(self._computed)]
+        return Tracker(gains=gains, key=self._key, first=self._track.first)
 
     def _on_reference(self, uav: int, k: int) -> Array:
+        """Return the inputs of a UAV's fail-safe on the reference, (4,)."""
         return self._fail_safe.inputs(uav, self._track.X[k], self._track.first + k)
 
     def _step(self, k: int) -> Gains:
-        model, track, regulator, cost, P = (
-            self._model,
-            self._track,
-            self._regulator,
-            self._cost,
-            self._P,
-        )
-        n, m, controlled = model.system.n, model.system.m, regulator.controlled
-        R = cost.R[controlled]
-        x, u = track.X[k], track.U[k].copy()
-        fixed = np.zeros((m, n))
-        for uav, feedback in self._uncontrolled.items():
-            fixed[state.input_slice(uav)], u[state.input_slice(uav)] = (
-                feedback,
-                self._on_reference(uav, k),
-            )
-        across = _across(x)
-        discrete = zero_order_hold(model.linearise(track.X_middle[k], track.U[k]), self._period_s)
-        at = model.linearise(x, track.U[k])
-        A, B = (discrete.A + discrete.B @ fixed) @ across, discrete.B[:, controlled]
-        ahead = track.X[min(k + 1, len(track.X) - 1)]
-        drift = _across(ahead) @ (model.integrate(x, u, self._period_s, _STEPS)[0] - ahead)
-        PB = P @ B
-        M = np.diag(cost.R)
-        M[np.ix_(controlled, controlled)] = inner = np.diag(R) + B.T @ PB
-        coupled, pushed = PB.T @ A, self._p + P @ drift
-        gains = np.linalg.solve(inner, np.column_stack([coupled, B.T @ pushed]))
-        K = fixed
-        K[controlled] -= gains[:, :-1]
-        feedforward = u - track.U[k]
-        feedforward[controlled] = -gains[:, -1]
-        A_closed = A - B @ gains[:, :-1]
+        """Go one step back from V(x) = x'Px + 2p'x, and return the gains at row k.
+
+        M = R + B'PB,  K = -M^-1 B'PA,  c_ff = -M^-1 B'(p + P d),
+        P <- C'QC + A'P(A + BK),  p <- (A + BK)'(p + P d)      Source: docs/equations.md (71)
+        """
+        controlled = self._regulator.controlled
+        step = self._difference(k)
+        A = step.A
+        B = step.B[:, controlled]
+
+        PB = self._P @ B
+        M_controlled = np.diag(self._law.cost.R[controlled]) + B.T @ PB
+        BPA = PB.T @ A
+        p_ahead = self._p + self._P @ step.drift
+        solved = np.linalg.solve(M_controlled, np.column_stack([BPA, B.T @ p_ahead]))
+        K_controlled = solved[:, :-1]
+        A_closed = A - B @ K_controlled
+
         if k == self._last:
-            K, feedforward = regulator.K, np.zeros(m)
+            # At rest the regulator about hover holds, with its P and p = 0.
+            K = self._regulator.K
+            feedforward = np.zeros(len(K))
         else:
-            weighted = (
-                np.vstack([np.sqrt(cost.Q)[:, None] * at.C, padded(self._terms.about(x), n)])
-                @ across
-            )
-            P = weighted.T @ weighted + A.T @ P @ A - coupled.T @ gains[:, :-1]
-            self._P, self._p = (P + P.T) / 2.0, A_closed.T @ pushed
+            K = step.K_fixed
+            K[controlled] -= K_controlled
+            feedforward = step.u_fixed - self._track.U[k]
+            feedforward[controlled] = -solved[:, -1]
+            P = step.weighted.T @ step.weighted + A.T @ self._P @ A - BPA.T @ K_controlled
+            self._P = (P + P.T) / 2.0
+            self._p = A_closed.T @ p_ahead
+
+        M = np.diag(self._law.cost.R)
+        M[np.ix_(controlled, controlled)] = M_controlled
         frozen(K, feedforward, M, A_closed)
-        return Gains(K=K, feedforward=feedforward, M=M, A_closed=A_closed, B=discrete.B)
+        return Gains(K=K, feedforward=feedforward, M=M, A_closed=A_closed, B=step.B)
+
+    def _difference(self, k: int) -> "_Difference":
+        """Return the difference equation about row k, with the fail-safe of UAVs without agents, (70)."""
+        track = self._track
+        law = self._law
+        model = law.model
+        period_s = law.crew.settings.sampling_period_s
+        x = track.X[k]
+
+        K_fixed = np.zeros((model.system.m, model.system.n))
+        u_fixed = track.U[k].copy()
+        for uav, gain in law.uncontrolled.items():
+            own = state.input_slice(uav)
+            K_fixed[own] = gain
+            u_fixed[own] = self._on_reference(uav, k)
+
+        # Pi keeps the rods' lengths; A, B are the hold about the middle of the period.
+        Pi = _projection(x)
+        middle = model.linearise(track.X_middle[k], track.U[k])
+        discrete = zero_order_hold(middle, period_s)
+        A = (discrete.A + discrete.B @ K_fixed) @ Pi
+
+        # d = Pi (model's step from the reference - reference)
+        x_ahead = track.X[min(k + 1, len(track.X) - 1)]
+        moved, _ = model.integrate(x, u_fixed, period_s, _STEPS)
+        drift = _projection(x_ahead) @ (moved - x_ahead)
+
+        C = model.linearise(x, track.U[k]).C
+        terms = padded(law.crew.user_costs.about(x), len(x))
+        weighted = np.vstack([np.sqrt(law.cost.Q)[:, None] * C, terms]) @ Pi
+        return _Difference(
+            A=A, B=discrete.B, drift=drift, weighted=weighted, K_fixed=K_fixed, u_fixed=u_fixed
+        )
 
 
-def _across(x: Array) -> Array:
-    """Return the projection onto deviations with the rods' lengths kept, (n, n)."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Difference:
+    """Difference equation of the deviation from the reference over one sampling period."""
+
+    A: Array  # state matrix with the feedback of UAVs without agents, (n, n)
+    B: Array  # input matrix, (n, m)
+    drift: Array  # difference between the model's step and the reference, (n,)
+    weighted: Array  # root of the stage cost, (outputs + terms, n)
+    K_fixed: Array  # feedback of UAVs without agents, (m, n)
+    u_fixed: Array  # reference inputs, those of UAVs without agents by the fail-safe, (m,)
+
+
+def _first_at_rest(track: Track) -> int:
+    """Return the row from which on a track rests."""
+    differs = (track.X[-1] != track.X).any(axis=1) | (track.U[-1] != track.U).any(axis=1)
+    return int(np.flatnonzero(differs).max(initial=-1)) + 1
+
+
+def _projection(x: Array) -> Array:
+    """Return the projection onto deviations with the rods' lengths kept, (n, n): I - e e' for each rod."""
     projection = np.eye(len(x))
     for i, e in enumerate(state.StateView(x).e_P):
         own = projection[state.uav_slice(i), state.uav_slice(i)]

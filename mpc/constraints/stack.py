@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -64,4 +65,4 @@ class Stack:
 def _slices(lengths: Sequence[int]) -> list[slice]:
     """Return slices of these lengths, each behind the one before."""
     ends = np.cumsum([0, *lengths]).tolist()
-    return [slice(begin, end) for begin, end in zip(ends[:-1], ends[1:], strict=True)]
+    return [slice(begin, end) for begin, end in pairwise(ends)]

@@ -97,9 +97,9 @@ def test_where_nothing_helps_the_control_law_stays(released: set[int]) -> None:
     """Without a hover, or one that can be stabilised, gain and cost are those of the whole team."""
     setup = paper_setup()
     controller = Controller(setup.model, setup.hover, CLOSED, [3])
-    before, cost = controller.regulation.regulator, controller.cost
+    before, cost = controller.regulation.current.regulator, controller.cost
     controller.fail(released or {DEAD}, released)
-    after = controller.regulation.regulator
+    after = controller.regulation.current.regulator
     assert before is not None
     assert after is not None
     np.testing.assert_array_equal(after.K, before.K)

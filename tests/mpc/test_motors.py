@@ -173,7 +173,7 @@ def test_motors_of_failed_uavs_are_left_out() -> None:
     setup = paper_setup()
     one = Controller(setup.model, setup.hover, changed(SETTINGS, motor_lag_s=0.05), (0,))
     one.fail([2], [2])
-    found = one.regulation.regulator
+    found = one.regulation.current.regulator
     assert found is not None
     gone = setup.system.n + input_indices([2])
     assert not found.K[:, gone].any()

@@ -28,6 +28,7 @@ from transport.model.state import input_indices
 from transport.mpc.cost import Cost
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.feedback import Regulator, preview, regulator
+from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
 from transport.mpc.settings import ControllerSettings, CostTerm, Weights
 
@@ -215,13 +216,14 @@ def test_beyond_the_maneuver_its_last_instant_counts() -> None:
         prediction="closed_loop", terminal="riccati", preview=True, weights=PAYLOAD,
         cost=(CostTerm(expression="e1[0] - 0.02", weight=0.5),),
     )  # fmt: skip
-    regulation = Regulation(Model(of.system), of.at, settings, of.X_ref)
-    ahead = regulation.feedforward(INSTANTS - 2, 6)
+    regulation = Regulation(Model(of.system), of.at, settings, Sampled(X=of.X_ref))
+    ahead = regulation.current.feedforward(INSTANTS - 2, 6)
     assert ahead.shape == (6, len(of.at.u))
     assert ahead[1].any()
     np.testing.assert_array_equal(ahead[1:], np.tile(ahead[1], (5, 1)))
     ends = [
-        regulation.cost_to_go(of.at.x, of.at.x, None, k) for k in (INSTANTS - 1, INSTANTS + 100)
+        regulation.current.cost_to_go(of.at.x, of.at.x, None, k)
+        for k in (INSTANTS - 1, INSTANTS + 100)
     ]
     assert ends[0] is not None
     assert ends[1] is not None

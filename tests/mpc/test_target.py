@@ -98,7 +98,10 @@ def test_the_controller_rests_at_the_target(
     settings = ControllerSettings(prediction=prediction)
     one = controller(setup, settings, owned)
     F = np.append([0.0, 0.0, 5.0], np.zeros(12))
-    x, u = setup.x + one.regulation.target.M_x @ F, setup.hover.u + one.regulation.target.M_u @ F
+    x, u = (
+        setup.x + one.regulation.current.target.M_x @ F,
+        setup.hover.u + one.regulation.current.target.M_u @ F,
+    )
     U = np.tile(u, (settings.horizon, 1))
     y_ref = np.tile(setup.model.outputs(setup.x), (settings.horizon + 1, 1))
     law = one.law(x, np.tile(setup.x, (settings.horizon, 1)), np.zeros_like(U), F)
@@ -119,9 +122,9 @@ def test_a_uav_on_its_own_is_no_means() -> None:
     setup = paper_setup()
     uncontrolled = FailSafe(setup.system, setup.hover.u).gain(3)
     one = controller(setup, ControllerSettings(prediction="closed_loop"), (0,))
-    together = one.regulation.target
+    together = one.regulation.current.target
     one.without([3])
-    at = one.regulation.target
+    at = one.regulation.current.target
     rest, pushed, _ = equations(setup)
     assert np.abs(rest @ np.vstack([at.M_x, at.M_u]) - pushed).max() < ROUNDING
     own = state.input_slice(3)
@@ -129,4 +132,4 @@ def test_a_uav_on_its_own_is_no_means() -> None:
     assert np.abs(at.M_u[own, 2]).max() < ROUNDING
     assert at.M_u[::4, 2].sum() == pytest.approx(1.0)
     one.without([])
-    np.testing.assert_array_equal(one.regulation.target.M_u, together.M_u)
+    np.testing.assert_array_equal(one.regulation.current.target.M_u, together.M_u)
