@@ -1,9 +1,7 @@
 """The control law of a team about its hover: regulator, steady state under forces and their preview."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,21 +10,15 @@ from transport.model.hover import Hover, failed_hover
 from transport.model.identity import digest
 from transport.model.linearisation import Model
 from transport.model.state import input_slice
-from transport.mpc import feedback
 from transport.mpc.cost import Cost
 from transport.mpc.expressions import UserCosts
 from transport.mpc.fail_safe import FailSafe
-from transport.mpc.feedback import Regulator, Target, at_rest
+from transport.mpc.feedback import FeedbackError
+from transport.mpc.preview import at_rest
+from transport.mpc.regulator import HoveringTeam, Regulator, Team, regulator
 from transport.mpc.settings import ControllerSettings
 from transport.mpc.shared import SharedResults
-
-
-class Team(NamedTuple):
-    """UAVs, 0-based, without an agent, without motors, and of these the released ones."""
-
-    gone: frozenset[int] = frozenset()
-    off: frozenset[int] = frozenset()
-    released: frozenset[int] = frozenset()
+from transport.mpc.steady_state import Target, target
 
 
 class Crew:
@@ -57,47 +49,38 @@ class HoverLaw:
 
     key: bytes  # digest of what the law follows from
     crew: Crew
-    team: Team
-    model: Model  # without the motors of UAVs off
-    hover: Hover
-    cost: Cost
-    uncontrolled: Mapping[int, Array]  # fail-safe gains of UAVs without an agent, (4, n)
+    hovering: HoveringTeam
     regulator: Regulator | None  # None if the settings need none
 
     @cached_property
     def target(self) -> Target:
         """Steady state under external forces. Source: docs/equations.md (40)."""
-        return feedback.target(
-            self.model,
-            self.hover,
-            self.cost,
-            self.uncontrolled,
-            self.team.off,
-            self.team.released,
-        )
+        return target(self.hovering)
 
     @cached_property
     def forced(self) -> tuple[Array, Array]:
         """Feedforward, (m, F), and slope of the cost-to-go, (n, F), per newton.
 
-        They answer to outputs that the target misses: p = A_closed' p + C'Q C M_x.
+        They answer to outputs that the target misses: p = A_closed' p + T'C'QC M_x.
         Source: docs/equations.md (40a).
         """
-        if self.regulator is None:
-            raise feedback.FeedbackError("expected a shared control law, got none")
         regulator = self.regulator
+        if regulator is None:
+            raise FeedbackError("expected a shared control law, got none")
+        hovering = self.hovering
         M_x = self.target.M_x
-        C = self.model.linearise(self.hover.x, self.hover.u).C
-        terms = self.crew.user_costs.about(self.hover.x)
-        missed = C.T @ (self.cost.Q[:, None] * (C @ M_x)) + terms.T @ (terms @ M_x)
+        C = hovering.model.linearise(hovering.hover.x, hovering.hover.u).C
+        terms = self.crew.user_costs.about(hovering.hover.x)
+        missed = C.T @ (hovering.cost.Q[:, None] * (C @ M_x)) + terms.T @ (terms @ M_x)
 
-        pull = padded(missed.T, len(regulator.T)).T
-        p = at_rest(regulator, regulator.T.T @ pull)
+        q = regulator.T.T @ padded(missed.T, len(regulator.T)).T
+        p = at_rest(regulator, q)
         feedforward = np.zeros_like(self.target.M_u)
         feedforward[regulator.controlled] = regulator.preview_gain @ p
         return feedforward, regulator.T @ p
 
 
+# Riccati solutions: in a process with several agents all have the same.
 _HOVER_LAWS: SharedResults[HoverLaw] = SharedResults()
 
 
@@ -112,39 +95,27 @@ def hover_law(crew: Crew, fail_safe: FailSafe, team: Team) -> HoverLaw:
 
 def _hover_law(key: bytes, crew: Crew, fail_safe: FailSafe, team: Team) -> HoverLaw:
     """Return the law of a team about hover, anew."""
+    hovering = _hovering(crew, fail_safe, team)
+    law = None
+    if crew.needs_regulator:
+        terms = crew.user_costs.about(hovering.hover.x)
+        settings = crew.settings
+        law = regulator(hovering, settings.sampling_period_s, settings.motor_lag_s, terms)
+    return HoverLaw(key=key, crew=crew, hovering=hovering, regulator=law)
+
+
+def _hovering(crew: Crew, fail_safe: FailSafe, team: Team) -> HoveringTeam:
+    """Return a team about its hover, with the thrusts of UAVs on the fail-safe as they are."""
     # A UAV without motors has no fail-safe.
     uncontrolled = {uav: fail_safe.gain(uav) for uav in team.gone - team.off}
+    system = crew.model.system
     model = crew.model
     hover = crew.hover
     if team.off:
-        system = crew.model.system
-        thrusts = fail_safe.u_hover
-        held = {uav: float(thrusts[input_slice(uav)][0]) for uav in uncontrolled}
+        thrusts = {}
+        for uav in uncontrolled:
+            thrusts[uav] = float(fail_safe.u_hover[input_slice(uav)][0])
         model = Model(system, team.off, team.released)
-        hover = failed_hover(system, team.off, team.released, held)
-
-    settings = crew.settings
-    cost = Cost(settings.weights, crew.model.system, hover, team.off, team.released)
-    regulator = None
-    if crew.needs_regulator:
-        regulator = feedback.regulator(
-            model,
-            hover,
-            cost,
-            settings.sampling_period_s,
-            uncontrolled,
-            crew.user_costs.about(hover.x),
-            team.off,
-            team.released,
-            settings.motor_lag_s,
-        )
-    return HoverLaw(
-        key=key,
-        crew=crew,
-        team=team,
-        model=model,
-        hover=hover,
-        cost=cost,
-        uncontrolled=uncontrolled,
-        regulator=regulator,
-    )
+        hover = failed_hover(system, team.off, team.released, thrusts)
+    cost = Cost(crew.settings.weights, system, hover, team.off, team.released)
+    return HoveringTeam(model=model, hover=hover, cost=cost, team=team, uncontrolled=uncontrolled)

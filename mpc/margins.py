@@ -17,7 +17,7 @@ from transport.model.linearisation import Linearisation, Model
 from transport.model.motors import lagged
 from transport.model.parameters import ParameterError, System
 from transport.mpc.controller import Controller
-from transport.mpc.feedback import tangent
+from transport.mpc.manifold import tangent
 
 GROWTH = 0.02  # fastest that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them
 _DECAY = 1e-3  # slowest that is one, 1/s: undamped modes have zero, and rounding moves them

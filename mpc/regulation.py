@@ -9,8 +9,9 @@ from transport.model.linearisation import Model
 from transport.mpc.expressions import UserCosts
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.feedback import FeedbackLaw
-from transport.mpc.hover_law import Crew, Team
+from transport.mpc.hover_law import Crew
 from transport.mpc.reference import Sampled
+from transport.mpc.regulator import Team
 from transport.mpc.settings import ControllerSettings
 from transport.mpc.team_law import (
     Followed,

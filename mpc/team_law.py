@@ -12,13 +12,15 @@ from transport.model.flat import Track
 from transport.model.hover import Hover
 from transport.model.identity import digest
 from transport.model.parameters import ParameterError
-from transport.mpc import feedback
 from transport.mpc.cost import Cost, CostToGo
 from transport.mpc.fail_safe import FailSafe
-from transport.mpc.feedback import FeedbackError, FeedbackLaw, Gains, Preview, Regulator, Target
-from transport.mpc.hover_law import Crew, HoverLaw, Team, hover_law
+from transport.mpc.feedback import FeedbackError, FeedbackLaw, Gains
+from transport.mpc.hover_law import Crew, HoverLaw, hover_law
+from transport.mpc.preview import Preview, preview
 from transport.mpc.reference import KEPT, Change, Sampled
+from transport.mpc.regulator import Regulator, Team
 from transport.mpc.shared import SharedResults
+from transport.mpc.steady_state import Target
 from transport.mpc.tracking import Recursion, Tracker
 
 
@@ -39,17 +41,17 @@ class TeamLaw:
     @property
     def team(self) -> Team:
         """The team that the law is for: fewer failures than asked for if these leave no law."""
-        return self.about_hover.team
+        return self.about_hover.hovering.team
 
     @property
     def hover(self) -> Hover:
         """The equilibrium of the team."""
-        return self.about_hover.hover
+        return self.about_hover.hovering.hover
 
     @property
     def cost(self) -> Cost:
         """The cost of the team."""
-        return self.about_hover.cost
+        return self.about_hover.hovering.cost
 
     @property
     def regulator(self) -> Regulator | None:
@@ -90,11 +92,11 @@ class TeamLaw:
         law = self.about_hover
         if law.regulator is None:
             raise FeedbackError("expected a shared control law, got open-loop prediction")
-        u_rest = law.hover.u
+        u_rest = self.hover.u
         error = self._error(x0, x_ref)
         feedforward = self.feedforward(start, len(x_ref))
         if forces is not None:
-            forces = law.model.at_rest(forces)
+            forces = law.hovering.model.at_rest(forces)
             u_rest = u_rest + law.target.M_u @ forces
             error = error - self._shift(forces)
             feedforward = feedforward + law.forced[0] @ forces
@@ -159,7 +161,7 @@ class TeamLaw:
             known = len(self.preview.slope)
             slope = self.preview.slope[rows(instant - self.preview.first, 1, known)][0]
         if forces is not None:
-            forces = law.model.at_rest(forces)
+            forces = law.hovering.model.at_rest(forces)
             error = error - self._shift(forces)
             slope = slope + law.forced[1] @ forces
         return CostToGo(root=law.regulator.root, error=error, slope=slope)
@@ -170,7 +172,7 @@ class TeamLaw:
         Zero without preview. Source: docs/equations.md (36c).
         """
         if self.preview is None:
-            return np.zeros((steps, self.about_hover.model.system.m))
+            return np.zeros((steps, self.about_hover.hovering.model.system.m))
         known = len(self.preview.slope)
         return self.preview.feedforward[rows(start - self.preview.first, steps, known)]
 
@@ -180,7 +182,7 @@ class TeamLaw:
         With motor lag the actual inputs deviate from hover.
         """
         if len(x0) > x_ref.shape[-1]:
-            u_hover = self.about_hover.hover.u
+            u_hover = self.hover.u
             actual = np.broadcast_to(u_hover, (*x_ref.shape[:-1], len(u_hover)))
             x_ref = np.concatenate([x_ref, actual], axis=-1)
         return x0 - x_ref
@@ -280,15 +282,16 @@ def led_law(law: TeamLaw, followed: Followed) -> TeamLaw:
     Gains and preview before the change stay as they were.
     """
     crew = law.about_hover.crew
-    changed = _law_of(crew, followed, law.about_hover.team)
+    changed = _law_of(crew, followed, law.team)
     part = None if followed.ahead is None else followed.ahead.track
     if part is None or law.regulator is None or law.tracker is None:
         return changed
 
     about_hover = law.about_hover
-    released = about_hover.team.released
+    released = about_hover.hovering.team.released
     if released:
-        system, hover = about_hover.model.system, about_hover.hover
+        hovering = about_hover.hovering
+        system, hover = hovering.model.system, hovering.hover
         part = flat.track(system, hover, part.paths, part.first, released)
     before = law.tracker
     key = digest(about_hover.key, part.key, before.key)
@@ -322,10 +325,10 @@ def _preview(law: HoverLaw, followed: Followed) -> Preview | None:
         costs = law.crew.user_costs
         states = len(regulator.T)
         values = np.array([costs.at(x)[0] for x in ahead.X])
-        pull = (np.sqrt(costs.weights) * values) @ padded(costs.about(law.hover.x), states)
+        pull = (np.sqrt(costs.weights) * values) @ padded(costs.about(law.hovering.hover.x), states)
         # The actual inputs of the reference are those of hover: their deviation is zero.
-        preview = feedback.preview(regulator, padded(ahead.X, states), pull, ahead.first)
-        return preview if before is None else continued(before, preview, KEPT)
+        response = preview(regulator, padded(ahead.X, states), pull, ahead.first)
+        return response if before is None else continued(before, response, KEPT)
 
     by_before = None if before is None else (before.feedforward, before.slope, before.first)
     return _PREVIEWS.get(digest(law.key, ahead.X, ahead.first, by_before), computed)

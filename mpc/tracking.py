@@ -66,7 +66,7 @@ class Recursion:
 
         # Cost-to-go x'Px + 2p'x of the instant after the newest one that is computed.
         self._P = law.regulator.T @ law.regulator.P @ law.regulator.T.T
-        self._p = np.zeros(law.model.system.n)
+        self._p = np.zeros(law.hovering.model.system.n)
         self._computed: list[Gains] = []  # from the end on
 
         self._before: Sequence[Gains] = []
@@ -89,7 +89,7 @@ class Recursion:
             K[state.input_indices(sorted(off))] = 0.0
             for uav in off:
                 K[:, state.uav_slice(uav)] = 0.0
-            for uav, gain in self._law.uncontrolled.items():
+            for uav, gain in self._law.hovering.uncontrolled.items():
                 own = state.input_slice(uav)
                 K[own] = gain
                 feedforward[own] = self._on_reference(uav, k) - self._track.U[k, own]
@@ -130,7 +130,7 @@ class Recursion:
         B = step.B[:, controlled]
 
         PB = self._P @ B
-        M_controlled = np.diag(self._law.cost.R[controlled]) + B.T @ PB
+        M_controlled = np.diag(self._law.hovering.cost.R[controlled]) + B.T @ PB
         BPA = PB.T @ A
         p_ahead = self._p + self._P @ step.drift
         solved = np.linalg.solve(M_controlled, np.column_stack([BPA, B.T @ p_ahead]))
@@ -150,7 +150,7 @@ class Recursion:
             self._P = (P + P.T) / 2.0
             self._p = A_closed.T @ p_ahead
 
-        M = np.diag(self._law.cost.R)
+        M = np.diag(self._law.hovering.cost.R)
         M[np.ix_(controlled, controlled)] = M_controlled
         frozen(K, feedforward, M, A_closed)
         return Gains(K=K, feedforward=feedforward, M=M, A_closed=A_closed, B=step.B)
@@ -159,13 +159,13 @@ class Recursion:
         """Return the difference equation about row k, with the fail-safe of UAVs without agents, (70)."""
         track = self._track
         law = self._law
-        model = law.model
+        model = law.hovering.model
         period_s = law.crew.settings.sampling_period_s
         x = track.X[k]
 
         K_fixed = np.zeros((model.system.m, model.system.n))
         u_fixed = track.U[k].copy()
-        for uav, gain in law.uncontrolled.items():
+        for uav, gain in law.hovering.uncontrolled.items():
             own = state.input_slice(uav)
             K_fixed[own] = gain
             u_fixed[own] = self._on_reference(uav, k)
@@ -183,7 +183,7 @@ class Recursion:
 
         C = model.linearise(x, track.U[k]).C
         terms = padded(law.crew.user_costs.about(x), len(x))
-        weighted = np.vstack([np.sqrt(law.cost.Q)[:, None] * C, terms]) @ Pi
+        weighted = np.vstack([np.sqrt(law.hovering.cost.Q)[:, None] * C, terms]) @ Pi
         return _Difference(
             A=A, B=discrete.B, drift=drift, weighted=weighted, K_fixed=K_fixed, u_fixed=u_fixed
         )

@@ -13,8 +13,9 @@ from transport.model.discretisation import zero_order_hold
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller
 from transport.mpc.cost import Cost
-from transport.mpc.feedback import FeedbackLaw, regulator
+from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.prediction import predict
+from transport.mpc.regulator import HoveringTeam, regulator
 from transport.mpc.settings import ControllerSettings, Weights
 
 PERIOD_S = 0.05
@@ -33,9 +34,8 @@ OPTIMUM_TOLERANCE = 1e-6
 def gain() -> Array:
     """The paper system's gain."""
     setup = paper_setup()
-    return regulator(
-        setup.model, setup.hover, Cost(Weights(), setup.system, setup.hover), PERIOD_S
-    ).K
+    cost = Cost(Weights(), setup.system, setup.hover)
+    return regulator(HoveringTeam(model=setup.model, hover=setup.hover, cost=cost), PERIOD_S).K
 
 
 def hover_model() -> tuple[Array, Array, Array]:

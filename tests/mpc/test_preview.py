@@ -27,9 +27,10 @@ from transport.model.parameters import System, table_1
 from transport.model.state import input_indices
 from transport.mpc.cost import Cost
 from transport.mpc.fail_safe import FailSafe
-from transport.mpc.feedback import Regulator, preview, regulator
+from transport.mpc.preview import preview
 from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
+from transport.mpc.regulator import HoveringTeam, Regulator, regulator
 from transport.mpc.settings import ControllerSettings, CostTerm, Weights
 
 # Relative to the largest value: two solutions of one linear problem whose Hessian has a condition
@@ -85,11 +86,12 @@ def problem(
         slope = model.C.T @ (cost.Q * np.random.default_rng(2).standard_normal(len(cost.Q)))
         pull = np.sin(np.arange(INSTANTS) / 5.0)[:, None] * slope * 0.05
         pull[-1] = 0.02 * slope if pulled == "lasting" else 0.0
+    hovering = HoveringTeam(model=Model(system), hover=at, cost=cost, uncontrolled=uncontrolled)
     return Problem(
         system=system,
         at=at,
         cost=cost,
-        law=regulator(Model(system), at, cost, PERIOD_S, uncontrolled),
+        law=regulator(hovering, PERIOD_S),
         model=Difference(model.A + model.B @ K, model.B[:, controlled], model.C),
         controlled=controlled,
         X_ref=X_ref,
@@ -185,7 +187,8 @@ def test_a_reference_at_rest_asks_for_nothing(rods: str) -> None:
         )  # the UAVs stand wider than their attachment points
         e /= np.linalg.norm(e, axis=1)[:, None]
     at = hover(system, e)
-    law = regulator(Model(system), at, Cost(PAYLOAD, system, at), PERIOD_S)
+    cost = Cost(PAYLOAD, system, at)
+    law = regulator(HoveringTeam(model=Model(system), hover=at, cost=cost), PERIOD_S)
     X_ref = np.tile(at.x, (20, 1))
     X_ref[:, state.R0] += [3.0, -4.0, -10.0]
     found = preview(law, X_ref, np.zeros_like(X_ref))

@@ -255,7 +255,9 @@ def test_equal_uavs_without_agents(gone: list[int]) -> None:
     """
     system = table_1()
     at, model = hover(system), Model(system)
-    regulation = Regulation(model, at, LQ, reference_states(system, at, "ramp", INSTANTS))
+    regulation = Regulation(
+        model, at, LQ, Sampled(X=reference_states(system, at, "ramp", INSTANTS))
+    )
     regulation.form(gone, (), ())
     found = regulation.current.regulator
     assert found is not None

@@ -11,8 +11,10 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.cost import Cost
 from transport.mpc.fail_safe import FailSafe
-from transport.mpc.feedback import Target, tangent, target
+from transport.mpc.manifold import tangent
+from transport.mpc.regulator import HoveringTeam
 from transport.mpc.settings import ControllerSettings, PredictionName, Weights
+from transport.mpc.steady_state import Target, target
 
 # Sums of a few dozen terms through a singular value decomposition of matrices with entries of up to
 # 35.
@@ -31,7 +33,8 @@ def setup_of(name: str) -> Setup:
 def found(name: str) -> Target:
     """The target of a system."""
     setup = setup_of(name)
-    return target(setup.model, setup.hover, Cost(WEIGHTS, setup.system, setup.hover))
+    cost = Cost(WEIGHTS, setup.system, setup.hover)
+    return target(HoveringTeam(model=setup.model, hover=setup.hover, cost=cost))
 
 
 def equations(setup: Setup) -> tuple[Array, Array, Array]:
