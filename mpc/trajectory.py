@@ -46,7 +46,9 @@ class Trajectory(Protocol):
     and of both, are those at steps 0..N_p - 1.
     """
 
-    decision: Decision
+    @property
+    def decision(self) -> Decision:
+        """The decision that changes the trajectory."""
 
     def own_inputs(self) -> Signals:
         """Return the owned inputs, s = m_own."""
@@ -95,7 +97,7 @@ class TimeInvariant:
 
         def impulse() -> Array:
             effect = self.prediction.effect[:n].reshape(n, -1)
-            return (slope @ effect).reshape(len(slope), *self.decision.shape)
+            return np.asarray((slope @ effect).reshape(len(slope), *self.decision.shape))
 
         values = value + self.prediction.dX_free[1:, :n] @ slope.T
         return self._signals(values, impulse)
@@ -106,9 +108,11 @@ class TimeInvariant:
         value, slope = expand(self.linear.model.y[:positions])
         by_state = slope @ self.linear.model.C[:positions]
         values = value + self.prediction.dX_free[1:] @ by_state.T
-        return self._signals(
-            values, lambda: np.asarray(np.tensordot(by_state, self.prediction.effect, 1))
-        )
+
+        def impulse() -> Array:
+            return np.asarray(np.tensordot(by_state, self.prediction.effect, 1))
+
+        return self._signals(values, impulse)
 
     def of_inputs(self, expand: Expansion) -> Signals:
         """Return functions of the inputs u0 + dU."""

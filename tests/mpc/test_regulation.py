@@ -317,3 +317,21 @@ def test_no_gain_exists_through_rounding_alone() -> None:
         regulation.form([gone], [2], [2])
         assert regulation.current.regulator is not None
         assert np.abs(regulation.current.regulator.K).max() < 3.0 * np.abs(whole.K).max()
+
+
+def test_a_reference_that_is_changed_in_place_is_another_one() -> None:
+    """Laws are shared by the numbers they follow from, (36c): not by the array that held them."""
+    system = table_1()
+    at, model = hover(system), Model(system)
+    X_ref = reference_states(system, at, "ramp", INSTANTS)
+    before = Regulation(model, at, LQ, Sampled(X=X_ref))
+    alike = Regulation(model, at, LQ, Sampled(X=X_ref.copy()))
+    assert alike.current.preview is before.current.preview, "equal numbers are computed once"
+
+    X_ref[INSTANTS // 2 :, state.R0] += [0.0, 0.0, 1.0]
+    after = Regulation(model, at, LQ, Sampled(X=X_ref))
+    alone = Regulation(Model(system), at, changed(LQ, relaxation=0.5), Sampled(X=X_ref.copy()))
+    steps = 0, INSTANTS
+    new = after.current.feedforward(*steps)
+    np.testing.assert_array_equal(new, alone.current.feedforward(*steps))
+    assert np.abs(new - before.current.feedforward(*steps)).max() > A_CORRECTION
