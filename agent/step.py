@@ -17,9 +17,9 @@ from transport.model.arrays import Array, ShapeError
 from transport.model.discretisation import Discrete
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, StepResult
+from transport.mpc.cost import CostToGo
 from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.prediction import Linear
-from transport.mpc.regulation import CostToGo
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, Message, Note, Plan, StepReport
 from transport.protocol.wire.node import Outbox
@@ -74,8 +74,7 @@ class Planner:
             setup.hover,
             setup.settings,
             self._owned,
-            setup.X_ref,
-            setup.track,
+            setup.reference.sampled,
             setup.obstacles,
         )
         self._team = TeamEstimate(setup, agent, self._controller)

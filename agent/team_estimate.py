@@ -14,8 +14,8 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import motor_off_state, released_state
 from transport.mpc.controller import Controller
+from transport.mpc.course import Course
 from transport.mpc.prediction import Prediction
-from transport.mpc.tracking import Course
 from transport.protocol.scenario.setup import Setup
 
 _NO_UAVS: frozenset[int] = frozenset()
@@ -73,10 +73,11 @@ class TeamEstimate:
     def follow(self, setup: Setup) -> None:
         """Take the reference from a run with a further target."""
         self._setup = setup
-        regulation = self._controller.regulation
-        if setup.ahead is not None and regulation.head(setup.X_ref, setup.ahead):
-            self.announced.law_since = setup.ahead.first
-        self.announced.fail_safe = regulation.fail_safe
+        reference = setup.reference.sampled
+        completed = self._controller.regulation.follow(reference)
+        if completed and reference.change is not None:
+            self.announced.law_since = reference.change.first
+        self.announced.fail_safe = self._controller.regulation.fail_safe
 
     @property
     def forces(self) -> Array | None:

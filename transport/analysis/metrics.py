@@ -16,7 +16,6 @@ from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import R0
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import with_targets
 from transport.protocol.wire import messages
 from transport.protocol.wire.names import agent_name
 
@@ -30,7 +29,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
 
     None for anything the log does not tell.
     """
-    setup = with_targets(setup, log.of(messages.Target))
+    setup = setup.after(log.of(messages.Target))
     series = series_of(setup, log)
     control = next(log.of(messages.Control), None)
     reports = list(log.of(messages.StepReport))

@@ -20,7 +20,6 @@ from transport.model.rotations import rotation
 from transport.protocol.scenario.faults import failures
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
-from transport.protocol.scenario.targets import with_targets
 from transport.protocol.wire.messages import (
     STAGES,
     Note,
@@ -87,7 +86,7 @@ def series_of(setup: Setup, log: RunLog) -> Series:
 
     Those of another number of UAVs are left out.
     """
-    setup = with_targets(setup, log.of(Target))
+    setup = setup.after(log.of(Target))
     plant_states = {
         entry.tick: entry for entry in log.of(PlantState) if entry.x.shape == setup.hover.x.shape
     }

@@ -21,7 +21,6 @@ from transport.model.state import StateView
 from transport.plant.actuators import FAIL_SAFE
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
-from transport.protocol.scenario.targets import with_targets
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import (
     Control,
@@ -87,7 +86,7 @@ class Watch:
             case PlantState():
                 self.plant_state = message
             case Target():
-                self.setup = with_targets(self.setup, [message])
+                self.setup = self.setup.after([message])
             case Roster():
                 members = frozenset(message.agents)
                 for agent in (self.members or frozenset()) - members:

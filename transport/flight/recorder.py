@@ -17,7 +17,7 @@ from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.network.bus import Bus, BusEvent, Interrupted, Left, Place
 from transport.protocol.network.session import BusError
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import check_target, with_targets
+from transport.protocol.scenario.targets import check_target
 from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import Header, decode, encode
 from transport.protocol.wire.errors import MessageError
@@ -210,7 +210,7 @@ class Recorder:
             case wire.Control():
                 self.control = message
             case wire.Target():
-                self.setup = with_targets(self.setup, [message])
+                self.setup = self.setup.after([message])
             case wire.Roster(version=version, reason=reason) if version > 1:
                 self._say(f"roster: {reason}")
             case wire.FaultNote():

@@ -14,6 +14,7 @@ from transport.agent.estimation.motion import Motion
 from transport.agent.estimation.states import StateEstimator
 from transport.model import motors, state
 from transport.model.arrays import Array
+from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Measurement, Plan
@@ -265,7 +266,7 @@ def led_flight(force_N: float = 0.0) -> LedFlight:
         "controller.preview=true",
     )
     run = setup(SHORT, *closed)
-    regulation = Regulation(run.model, run.hover, run.settings, run.X_ref)
+    regulation = Regulation(run.model, run.hover, run.settings, Sampled(X=run.X_ref))
     rng = np.random.default_rng(12)
     c = 0.1 * NOISE * rng.uniform(-1.0, 1.0, (TICKS + HELD, run.system.m))
 
