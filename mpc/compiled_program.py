@@ -69,7 +69,7 @@ class CompiledProgram:
         self._set_work_space()
 
     def is_newest(self, prediction: Prediction) -> bool:
-        """Return whether a prediction is the newest one of the kernels, whose numbers still hold."""
+        """Return whether a prediction is the newest of the kernels: its numbers still hold."""
         return prediction is self._newest
 
     def respond(

@@ -49,7 +49,7 @@ class StepResult:
 class Controller:
     """Model predictive control of the owned UAVs, given the announced inputs of the others.
 
-    The shared control law follows the reference; along a flat one the team keeps clear of obstacles.
+    The control law follows the reference; along a flat one the team keeps clear of obstacles.
     Raises: SettingsError, FeedbackError.
     """
 
@@ -324,7 +324,7 @@ class Controller:
         return replace(law, c=c)
 
     def without(self, uavs: Collection[int], since: int | None = None) -> None:
-        """Set the UAVs without an agent, 0-based, which follow the fail-safe; `since` as in `Regulation.form`."""
+        """Set the UAVs without an agent, 0-based; `since` as in `Regulation.form`."""
         self._gone = frozenset(uavs)
         # UAVs without agents obstruct the others: several agents correct the same distances, each
         # its share of them.
@@ -337,7 +337,7 @@ class Controller:
     def fail(
         self, off: Collection[int], released: Collection[int], since: int | None = None
     ) -> None:
-        """Set the UAVs without motors, 0-based, and those of them released from their rods: (50), (51)."""
+        """Set the UAVs without motors, 0-based, and of them the released ones: (50), (51)."""
         self._off = frozenset(off)
         self._released = frozenset(released)
         self.model = Model(self._whole.system, off, released) if off else self._whole

@@ -30,7 +30,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """Trajectory under the control law with the corrections that are optimal without constraints."""
+    """Trajectory under the law with the corrections that are optimal without constraints."""
 
     law: FeedbackLaw  # with these corrections
     linear: Linear  # of the step
@@ -49,7 +49,7 @@ class Course:
 
 
 class CourseProgram:
-    """QP about the trajectory of the law along a reference; the decision changes owned corrections."""
+    """QP about the trajectory of the law; the decision changes the owned corrections."""
 
     def __init__(self, decision: Decision, obstacles: Sequence[Obstacle] = ()) -> None:
         self._decision = decision
@@ -90,7 +90,7 @@ class CourseProgram:
     def program(self, course: Course) -> QP:
         """Return the QP of a course, without rows if it violates no constraint.
 
-        minimise sum_k dc_o(k)' M_oo(k) dc_o(k) + penalties of slacks. Source: docs/equations.md (74).
+        minimise sum_k dc_o(k)' M_oo(k) dc_o(k) + penalties of slacks, docs/equations.md (74).
         """
         m = self._decision.shape[1]
         size = self._decision.size

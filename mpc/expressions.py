@@ -187,7 +187,7 @@ def compile_constraints(
 def check_constraints(
     constraints: Sequence[Constraint], system: System, x: Array, u: Array
 ) -> None:
-    """Check that the user's constraints can be read, and are finite at the start, x, (n,), and u, (m,).
+    """Check that constraints can be read and are finite at the start, x, (n,), and u, (m,).
 
     Raises: SettingsError: the first that is not.
     """

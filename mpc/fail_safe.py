@@ -150,7 +150,7 @@ class FailSafe:
         return x[state.R0] + R0 @ (rho - rod), R0 @ (x[state.V0] + turning)
 
     def _wanted(self, uav: int, position: Array, velocity: Array) -> Array:
-        """Return roll, pitch and a zero, (3, ...), by deviations in the axes of the heading, (31a)."""
+        """Return roll, pitch and 0, (3, ...), by deviations in axes of the heading, (31a)."""
         stiffness = _FOLLOWING_RAD_S**2
         damping = 2.0 * _FOLLOWING_DAMPING * _FOLLOWING_RAD_S
         lift = self.u_hover[state.input_slice(uav)][0]
@@ -159,7 +159,7 @@ class FailSafe:
 
 
 def _attitude_gain(system: System, uav: int) -> Array:
-    """Return the feedback of a UAV's inputs on its own state that levels it, (4, 12): (31), (58)."""
+    """Return the feedback on a UAV's own state that levels it, (4, 12): (31), (58)."""
     level = np.diag([1.0, 1.0, 0.0])  # the heading is free
     inertia = system.uavs[uav].inertia
     gain = np.zeros((state.INPUTS, state.PER_UAV))

@@ -18,7 +18,7 @@ class FeedbackError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gains:
-    """The regulator at an instant of a reference, and the difference equation of the team about it."""
+    """The regulator at an instant of a reference, and the difference equation about it."""
 
     K: Array  # feedback gain, (m, n)
     feedforward: Array  # answer to the difference of the reference from the model's step, (m,)

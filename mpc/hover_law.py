@@ -1,4 +1,4 @@
-"""The control law of a team about its hover: regulator, steady state under forces and their preview."""
+"""The control law of a team about its hover: regulator and steady state under forces."""
 
 from dataclasses import dataclass
 from functools import cached_property

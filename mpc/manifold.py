@@ -1,4 +1,4 @@
-"""Tangent directions of the state manifold: rods keep their lengths, |e_i| = 1, e_i . Omega_i = 0."""
+"""Tangent directions of the state manifold |e_i| = 1, e_i . Omega_i = 0."""
 
 from collections.abc import Collection
 

@@ -19,7 +19,7 @@ from transport.model.parameters import ParameterError, System
 from transport.mpc.controller import Controller
 from transport.mpc.manifold import tangent
 
-# Fastest growth that counts as stable, 1/s: headings neither grow nor decay, and rounding moves them.
+# Fastest growth that counts as stable, 1/s: headings neither grow nor decay but by rounding.
 GROWTH = 0.02
 _DECAY = 1e-3  # slowest decay that is one, 1/s: undamped modes have zero, and rounding moves them
 _COARSE = 1.4  # factor of the search until the first unstable plant
@@ -63,7 +63,7 @@ class Mismatch:
 
 
 class Loop:
-    """The sampled loop of a team about hover, as a function of the plant, with a controller per agent.
+    """The sampled loop of a team about hover as a function of the plant, by its controllers.
 
     With `next_tick` inputs act one sampling period after the measurement; `age` are the periods
     until an agent knows another agent's state, >= 1. UAVs without an agent, by 0-based numbers,
@@ -162,7 +162,7 @@ class Loop:
         return np.vstack([moved, expected, now, *whole.past[:-1], *commands[:-1], *guesses])
 
     def _continuous(self, plant: Mismatch) -> tuple[Array, Array]:
-        """Return x' = F x + G u of the actual bodies, with the inner loop and the lag of their motors.
+        """Return x' = F x + G u of the actual bodies, with inner loop and lag of their motors.
 
         Raises: ParameterError: the bodies have no hover.
         """

@@ -99,7 +99,7 @@ def follow(
 
 
 def own_response(A: Array, B_own: Array, V: Array) -> Array:
-    """Return the response of states to deviations V of the owned inputs, (N_p, m_own): (N_p + 1, n)."""
+    """Return the response, (N_p + 1, n), to deviations V of owned inputs, (N_p, m_own)."""
     drive = V @ B_own.T
     if not native.AVAILABLE:
         return free_response(A, drive)
@@ -132,7 +132,7 @@ def free_response(A: Array, W: Array) -> Array:
 
 
 def stacked(effect: Array) -> Array:
-    """Return the prediction matrix of signals, (N_p s, N_p m): block (k, j) is effect(k - j), k >= j.
+    """Return the prediction matrix, (N_p s, N_p m): block (k, j) is effect(k - j), k >= j.
 
     Args:
         effect: Effect of a decision on the signals 1..N_p steps later, (s, N_p, m).

@@ -72,7 +72,7 @@ class Program:
         law: FeedbackLaw | None,
         along: Rollout | None = None,
     ) -> Prediction:
-        """Predict the team, as in `Controller.step`; exactly along a trajectory of the law, (35a)."""
+        """Predict the team as in `Controller.step`, exactly along a given trajectory, (35a)."""
         own = self.decision.own
         if self.compiled is None:
             prediction = predict(discrete, linear.u0, own, U, law)
@@ -117,7 +117,7 @@ class Program:
     def relaxed(
         self, prediction: Prediction, law: FeedbackLaw, z: Array, w: float
     ) -> tuple[Array, Array]:
-        """Return inputs and corrections by the scaled decision and the weight of new corrections, 0 if unsolved."""
+        """Return inputs and corrections of a solution z and its weight, 0 if unsolved."""
         if self.compiled is not None and self.compiled.follows(prediction, law):
             return self.compiled.relaxed(z, w)
         own = self.decision.own
@@ -133,7 +133,7 @@ class Program:
             terms, slopes = self._user_costs.at(linear.x0)
             slopes = np.ascontiguousarray(padded(slopes, self._n))
 
-        # The stage cost of the last state is part of a cost-to-go, which has the others' effort too.
+        # A cost-to-go contains the stage cost of the last state, and the others' effort.
         counts_others = end is not None and law is not None
         terminal = self.decision.settings.weights.terminal if end is None else 0.0
         return Objective(

@@ -1,4 +1,4 @@
-"""The quadratic program, its solvers (DAQP, Clarabel), and the optimality check that every solution must pass.
+"""The quadratic program, its solvers, and the check that every solution must pass.
 
 minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A z <= row_upper
 """
@@ -328,7 +328,7 @@ class _Sides:
         )
 
     def multipliers(self, duals: list[Array]) -> tuple[Array, Array]:
-        """Return multipliers of bounds and rows, positive at upper sides, from those of all sides."""
+        """Return multipliers of bounds and rows, positive at upper sides, from all sides'."""
         of_equal, of_upper, of_lower, of_row_upper, of_row_lower = duals
         bounds = np.zeros(len(self.upper))
         bounds[self.upper] += of_upper

@@ -30,7 +30,7 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sampled:
-    """What controllers follow at instants 0..K-1, one sampling period apart; the last one is held."""
+    """Reference at instants 0..K-1, one sampling period apart; the last one is held."""
 
     X: Array  # states, (K, n), SI
     Y: Array = field(default_factory=lambda: np.zeros((0, 0)))  # outputs, (K, 4 N + 9), SI
@@ -152,7 +152,7 @@ class Reference:
 
 
 def _replaced(whole: Array, part: Array, first: int) -> Array:
-    """Return rows of which some from `first` on are others, and those behind like the last of them."""
+    """Return rows with others from `first` on; those behind are like the last of them."""
     rows = whole.copy()
     after = first + len(part)
     rows[first:after] = part

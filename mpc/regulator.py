@@ -195,7 +195,7 @@ def _root(P: Array) -> Array:
 
 
 def _check_stable(A_closed: Array, period_s: float) -> None:
-    """Check the closed loop: the recursion may converge although no input reaches an unstable mode."""
+    """Check the closed loop: the recursion may converge with an unstable mode out of reach."""
     largest = float(np.abs(np.linalg.eigvals(A_closed)).max())
     if not largest < math.exp(_GROWTH * period_s):
         got = f"a closed loop whose largest eigenvalue is {largest:.3g}"

@@ -1,4 +1,4 @@
-"""Relaxed plans under the shared control law: new corrections mixed with the previous ones, (36a)."""
+"""Relaxed plans under the shared law: new corrections mixed with the previous ones, (36a)."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Trajectories that the nonlinear model takes under the control law, within the limits of inputs."""
+"""Trajectories of the nonlinear model under the control law, within limits of inputs."""
 
 from dataclasses import dataclass
 from typing import NamedTuple

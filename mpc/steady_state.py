@@ -25,7 +25,7 @@ class Target:
 
 
 def target(hovering: HoveringTeam) -> Target:
-    """Return the steady state with least output error, then least input effort, the rest as at hover.
+    """Return the steady state with least output error, then least effort, else as at hover.
 
     z = [xi, du] solves three problems, each within the solutions of the ones before:
 

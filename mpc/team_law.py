@@ -88,7 +88,7 @@ class TeamLaw:
     def _about_hover(
         self, x0: Array, x_ref: Array, c: Array, forces: Array | None, start: int
     ) -> FeedbackLaw:
-        """Return the law about hover: u = u_hover + M_u F + K (x - x_ref - M_x F) + c_ff, (35), (40)."""
+        """Return the law u = u_hover + M_u F + K (x - x_ref - M_x F) + c_ff, (35), (40)."""
         law = self.about_hover
         if law.regulator is None:
             raise FeedbackError("expected a shared control law, got open-loop prediction")
@@ -131,12 +131,12 @@ class TeamLaw:
         )
 
     def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
-        """Return the inputs at one instant without corrections, (m,); None with open-loop prediction."""
+        """Return the inputs at one instant without corrections, (m,); None in open loop."""
         law = self.over(x, x_ref[None], np.zeros((1, 0)), forces, instant)
         return None if law is None else law.uncorrected[0]
 
     def gain(self, instant: int) -> Array:
-        """Return the derivative of `inputs` at an instant by the state, (m, n), with motor lag (m, n + m)."""
+        """Return the derivative of `inputs` by the state, (m, n), with motor lag (m, n + m)."""
         if self.tracker is not None:
             return self.tracker.over(instant, 1)[0].K
         if self.about_hover.regulator is None:
@@ -146,7 +146,7 @@ class TeamLaw:
     def cost_to_go(
         self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0
     ) -> CostToGo | None:
-        """Return the cost after the horizon, if any; reference, (n,), and instant are those of step N_p.
+        """Return the cost after the horizon; reference, (n,), and instant are those of step N_p.
 
         Source: docs/equations.md (36d).
         """
@@ -218,13 +218,13 @@ class Followed:
 
     @staticmethod
     def after(crew: Crew, reference: Sampled, change: Change, law: TeamLaw) -> "Followed":
-        """Return a reference from its newest change on; before it the preview stays that of a law."""
+        """Return a reference from its newest change on; before, the preview of a law stays."""
         fail_safe = _fail_safe(crew, reference.X, reference.track)
         return Followed(fail_safe=fail_safe, ahead=change, preview_before=law.preview)
 
 
 def team_law(crew: Crew, followed: Followed, team: Team) -> TeamLaw:
-    """Return the law of a team from the first instant of a reference on: equations.md (45), (50), (51).
+    """Return the law of a team along the whole of a reference: equations.md (45), (50), (51).
 
     If the remaining UAVs cannot stabilise the payload, the law is that of the team with the lost
     agents, else without the failures, else of the whole team.

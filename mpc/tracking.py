@@ -80,7 +80,7 @@ class Recursion:
             self.ready += -(-missing // INSTANTS)
 
     def meanwhile(self, off: frozenset[int], horizon: int) -> Tracker:
-        """Return the regulator until this one is ready: the gains before, but not of and by UAVs off."""
+        """Return the regulator until this one is ready: the gains before, without UAVs off."""
         gains = list(self._before)
         until = min(self.ready - self._track.first + horizon, len(gains))
         for k in range(self._since, until):
@@ -156,7 +156,7 @@ class Recursion:
         return Gains(K=K, feedforward=feedforward, M=M, A_closed=A_closed, B=step.B)
 
     def _difference(self, k: int) -> "_Difference":
-        """Return the difference equation about row k, with the fail-safe of UAVs without agents, (70)."""
+        """Return the difference equation about row k, with the fail-safes in force, (70)."""
         track = self._track
         law = self._law
         model = law.hovering.model
@@ -208,7 +208,7 @@ def _first_at_rest(track: Track) -> int:
 
 
 def _projection(x: Array) -> Array:
-    """Return the projection onto deviations with the rods' lengths kept, (n, n): I - e e' for each rod."""
+    """Return the projection that keeps the rods' lengths, (n, n): I - e e' for each rod."""
     projection = np.eye(len(x))
     for i, e in enumerate(state.StateView(x).e_P):
         own = projection[state.uav_slice(i), state.uav_slice(i)]

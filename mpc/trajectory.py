@@ -1,4 +1,4 @@
-"""Trajectories over the horizon that a decision changes: the one form in which constraints see a prediction.
+"""Trajectories that a decision changes: the form in which constraints see a prediction.
 
 A signal s(k) of the team, such as a distance or a tension, is affine in the scaled decision z:
 
@@ -57,13 +57,13 @@ class Trajectory(Protocol):
         """Return some entries of the state."""
 
     def of_states(self, expand: Expansion) -> Signals:
-        """Return functions of the state, without the actual inputs of motors, expanded in x, (n,)."""
+        """Return functions of the state, expanded in x, (n,), without actual inputs."""
 
     def of_positions(self, expand: Expansion) -> Signals:
         """Return functions of the UAVs' positions, expanded in r = [r_1, .., r_N], (3 N,), m."""
 
     def of_inputs(self, expand: Expansion) -> Signals:
-        """Return functions of the inputs, expanded in u, (m,): the effect is that of the owned inputs."""
+        """Return functions of the inputs, expanded in u, (m,); only owned inputs count."""
 
     def of_states_and_inputs(self, expand: Expansion) -> Signals:
         """Return functions of state and inputs, expanded in [x, u], (n + m,)."""
@@ -97,7 +97,8 @@ class TimeInvariant:
 
         def impulse() -> Array:
             effect = self.prediction.effect[:n].reshape(n, -1)
-            return np.asarray((slope @ effect).reshape(len(slope), *self.decision.shape))
+            on_signals: Array = slope @ effect
+            return on_signals.reshape(len(slope), *self.decision.shape)
 
         values = value + self.prediction.dX_free[1:, :n] @ slope.T
         return self._signals(values, impulse)
@@ -110,7 +111,8 @@ class TimeInvariant:
         values = value + self.prediction.dX_free[1:] @ by_state.T
 
         def impulse() -> Array:
-            return np.asarray(np.tensordot(by_state, self.prediction.effect, 1))
+            on_signals: Array = np.tensordot(by_state, self.prediction.effect, 1)
+            return on_signals
 
         return self._signals(values, impulse)
 
@@ -118,12 +120,16 @@ class TimeInvariant:
         """Return functions of the inputs u0 + dU."""
         value, slope = expand(self.linear.u0)
         at_once = slope[:, self.decision.own] * self.decision.scale
-        steps = self.decision.shape[0]
         values = value + (self.prediction.U_all - self.linear.u0) @ slope.T
-        return Signals(values=values, by_decision=lambda: np.kron(np.eye(steps), at_once))
+
+        def effect() -> Array:
+            each_step = np.eye(self.decision.shape[0])
+            return np.asarray(np.kron(each_step, at_once), dtype=np.float64)
+
+        return Signals(values=values, by_decision=effect)
 
     def of_states_and_inputs(self, expand: Expansion) -> Signals:
-        """Return functions of state and inputs; the others' inputs respond to the state by the law."""
+        """Return functions of state and inputs; the others respond to the state by the law."""
         linear, prediction, own = self.linear, self.prediction, self.decision.own
         n = len(linear.x0)
         value, slope = expand(np.concatenate([linear.x0, linear.u0]))
@@ -179,7 +185,7 @@ class TimeVarying:
 
     @cached_property
     def effects(self) -> tuple[list[Array], list[Array]]:
-        """Effect of the scaled decision on states at steps 0..N_p, (n, size), and inputs, (m, size).
+        """Effect of the scaled decision on states at steps 0..N_p, (n, size), and on inputs.
 
         dx(k+1) = A_closed(k) dx(k) + B_own(k) dc(k),  du(k) = K(k) dx(k) + [dc(k) for owned inputs]
         """
@@ -262,7 +268,7 @@ class TimeVarying:
 
 
 def _expanded(expand: Expansion, points: Array) -> tuple[Array, list[Array]]:
-    """Return values, (steps, s), and slopes, one of each step, of an expansion at several points."""
+    """Return values, (steps, s), and slopes of an expansion at the points of all steps."""
     values = []
     slopes = []
     for point in points:

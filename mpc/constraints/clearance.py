@@ -1,4 +1,4 @@
-"""Distances of the owned UAVs and of the payload from obstacles, softened: docs/equations.md (74a)."""
+"""Softened distances of owned UAVs and payload from obstacles: docs/equations.md (74a)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,7 +50,7 @@ class Clearance:
         self.slack = np.repeat(np.eye(len(obstacles)), rows, axis=0)
 
     def block(self, trajectory: Trajectory) -> Block:
-        """Return the rows distance - margin + slack >= 0 at steps 1..N_p, the first obstacle's first."""
+        """Return the rows distance - margin + slack >= 0 at steps 1..N_p, by obstacle."""
         if not isinstance(trajectory, TimeVarying):
             raise TypeError("expected a trajectory along a reference: others have no obstacles")
         distances = self._distances(trajectory)

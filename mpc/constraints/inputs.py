@@ -11,7 +11,7 @@ from transport.mpc.trajectory import Signals, TimeInvariant, TimeVarying, Trajec
 
 
 class Rates:
-    """Largest change of the owned inputs from one step to the next; the first is a bound of `Decision`."""
+    """Largest change of owned inputs between steps; the first is a bound of `Decision`."""
 
     in_kernel: ClassVar = True
 
@@ -76,7 +76,7 @@ class Bounds:
 
 
 def within_limits(trajectory: TimeVarying, share: float) -> bool:
-    """Return whether bounds and rates hold along a trajectory, up to a share of the inputs' range."""
+    """Return whether bounds and rates hold, up to a share of the inputs' range."""
     decision = trajectory.decision
     inputs = trajectory.U[:, decision.own]
     changes = np.diff(np.vstack([trajectory.u0[decision.own], inputs]), axis=0)

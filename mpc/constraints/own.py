@@ -54,7 +54,7 @@ class OwnInputs:
         return _rows(signals, self._constraints.equality[self._kept], self.slack)
 
     def _expand(self, u: Array) -> tuple[Array, Array]:
-        """Return values and slopes of the constraints that are kept, at inputs of all UAVs, (m,)."""
+        """Return values and slopes of the kept constraints at inputs of all UAVs, (m,)."""
         value, slope = self._constraints.at(u)
         return value[self._kept], slope[self._kept]
 

@@ -25,7 +25,7 @@ Problems = Iterator[tuple[str, str]]  # field of a scenario; expected and got
 
 
 def off_ground(system: System, maneuver: Maneuver, ground_m: float | None) -> Problems:
-    """Yield take-offs that do not begin, landings that do not end on the ground, and phases that end below it."""
+    """Yield take-offs and landings that are not from or on the ground, and phases below it."""
     if ground_m is None:
         return  # without take-offs and landings: protocol.scenario.relations
     resting_m = resting_height(system, ground_m)
@@ -127,7 +127,7 @@ def _slower(factor: float | None) -> str:
 def blocked(
     reference: Reference, obstacles: Sequence[Obstacle], system: System, times_s: Array
 ) -> tuple[int, str] | None:
-    """Return the first obstacle whose margins the reference does not keep, from 1, and got and expected."""
+    """Return the number, from 1, of the first obstacle that is too near, and the problem."""
     names = bodies(system.N)
     for number, obstacle in enumerate(obstacles, start=1):
         clear_m = clearances(system, obstacle, reference.states(times_s))

@@ -133,7 +133,7 @@ class Setup:
             yield f"obstacle.{number}", f"{problem}; {_REMEDY}"
 
     def blocked(self, times_s: Array) -> tuple[int, str] | None:
-        """Return the first obstacle whose margins the reference does not keep, from 1, and got and expected."""
+        """Return the number, from 1, of the first obstacle that is too near, and the problem."""
         return blocked(self.reference, self.obstacles, self.system, times_s)
 
     @cached_property
@@ -148,7 +148,7 @@ class Setup:
 
     @property
     def track(self) -> Track | None:
-        """States and inputs along a flat reference at the sampling instants; None with one of hover."""
+        """States and inputs along a flat reference at the sampling instants; else None."""
         return self.reference.sampled.track
 
     @property
@@ -166,7 +166,7 @@ class Setup:
         return replace(self, reference=self.reference.with_target(target))
 
     def after(self, targets: Iterable[TargetMessage]) -> "Setup":
-        """Return the run with the targets that follow its own: each once, in the order of their numbers.
+        """Return the run with those targets that follow its own, each once, by their numbers.
 
         This is the only place where a process takes in targets of the coordinator.
         """

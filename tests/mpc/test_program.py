@@ -179,7 +179,9 @@ def test_what_is_known_of_the_step_before_changes_no_bit(rows: dict[str, Any]) -
             )
         for field in fields(Prediction):
             assert np.array_equal(getattr(kept, field.name), getattr(new, field.name)), field.name
-        assert one._program.compiled._problem.known == (not rows)
+        compiled = one._program.compiled
+        assert compiled is not None
+        assert compiled._problem.known == (not rows)
 
 
 @needs_kernels
