@@ -36,6 +36,7 @@ _ORDERLY_ENDS = {
     codes.EXIT_UNREACHABLE,
     codes.EXIT_OVERRUN,
     codes.EXIT_DIVERGED,
+    codes.EXIT_FAILED,
     codes.EXIT_INTERRUPTED,
 }
 _SIGNALS = {

@@ -285,7 +285,7 @@ def missing(log: RunLog) -> str:
     later += [
         end.tick
         for end in log.of(wire.Control)
-        if end.outcome == "completed" and end.sender == COORDINATOR
+        if end.outcome in ("completed", "failed") and end.sender == COORDINATOR
     ]
     gaps += [recorded + 1, max(later)] if max(later, default=-1) > recorded else []
     return (
