@@ -32,7 +32,7 @@ RunOption = Annotated[
     Option(
         "--run",
         metavar="RUN",
-        help="Run folder or name; by default the most recent active run in runs/.",
+        help="Run folder or name; by default the most recent active run, in runs/ or else anywhere.",
     ),
 ]
 ConnectOption = Annotated[
@@ -54,15 +54,28 @@ KeysOption = Annotated[
 
 
 def find_active(run: str | None, advice: str) -> tuple[Path, live.LiveRun]:
-    """Return folder and addresses of an active run, the most recent one by default; or end the command with advice."""
-    folders = [live.newest_folder(RUNS)] if run is None else [Path(run), RUNS / run]
-    found = next(
-        ((at, there) for at in folders if at is not None and (there := live.read(at)) is not None),
-        None,
-    )
-    if found is None:
-        fail(f"no active run in {f'{RUNS}/' if run is None else run}; {advice}")
-    return found
+    """Return folder and addresses of an active run; or end the command with advice.
+
+    By default that is the most recent one in runs/, or else of this user in any folder, which is
+    told on standard error.
+    """
+    if run is None:
+        newest = live.newest_folder(RUNS)
+        folders = [] if newest is None else [newest]
+        place = f"{RUNS}/ or elsewhere"
+    else:
+        folders = [Path(run), RUNS / run]
+        place = run
+
+    for folder in folders:
+        active_run = live.read(folder)
+        if active_run is None:
+            continue
+        if run is None and folder.parent != RUNS:
+            typer.echo(f"run: {folder}", err=True)
+        return folder, active_run
+
+    fail(f"no active run in {place}; {advice}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
