@@ -109,6 +109,8 @@ def export(
     if unknown:
         fail(f"--kind: expected one of {', '.join(KINDS)}, got {unknown[0]!r}")
     for option, target in scenes.items():
+        if target.suffix != ".mcap":  # players tell the format by it
+            fail(f"{option}: expected a file name that ends in .mcap, got {target}")
         if target.exists():
             fail(f"{option}: expected a file that does not exist yet, got {target}")
     if parquet:

@@ -62,20 +62,17 @@ def find_active(run: str | None, advice: str) -> tuple[Path, live.LiveRun]:
     if run is None:
         newest = live.newest_folder(RUNS)
         folders = [] if newest is None else [newest]
-        place = f"{RUNS}/ or elsewhere"
     else:
         folders = [Path(run), RUNS / run]
-        place = run
 
-    for folder in folders:
-        active_run = live.read(folder)
-        if active_run is None:
-            continue
-        if run is None and folder.parent != RUNS:
-            typer.echo(f"run: {folder}", err=True)
-        return folder, active_run
+    active = next((folder for folder in folders if live.read(folder) is not None), None)
+    addresses = None if active is None else live.read(active)
+    if active is None or addresses is None:
+        fail(f"no active run in {run or f'{RUNS}/ or elsewhere'}; {advice}")
 
-    fail(f"no active run in {place}; {advice}")
+    if run is None and active.parent != RUNS:
+        typer.echo(f"run: {active}", err=True)
+    return active, addresses
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,5 +1,6 @@
 """The command `transport replay`: one agent of a recorded run again, as recorded or with other settings."""
 
+from bdb import BdbQuit
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -89,11 +90,14 @@ def replay(
     comparison = Comparison(commands=RATE_NAMES if run.setup.system.commands_rates else INPUT_NAMES)
     # In real time the log does not record when the agent noticed a lost message.
     ignored = ("report.lost",) if setup.scenario.clock.mode == "realtime" else ()
-    for step in again.steps():
-        if end is not None and step.tick > end:
-            break
-        if step.tick >= begin:
-            comparison.add(step, ignored=ignored)
+    try:
+        for step in again.steps():
+            if end is not None and step.tick > end:
+                break
+            if step.tick >= begin:
+                comparison.add(step, ignored=ignored)
+    except BdbQuit:
+        fail(f"--pdb: the debugger was left at tick {stop_at}, before the end of the comparison")
     if not comparison.ticks:
         why = "; ".join(again.notes) or f"the log has no plan of agent {agent} between those ticks"
         fail(f"{run.folder}: nothing to compare: {why}")

@@ -2,11 +2,10 @@
 
 import math
 import os
-import shutil
 import signal
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,15 @@ from transport.flight import live
 from transport.flight.harness import Child, Harness, keys_setting, reserved_ports
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
-from transport.flight.run_files import RunError, checked, create, existing, own_keys, run_header
+from transport.flight.run_files import (
+    NewFolder,
+    RunError,
+    checked,
+    existing,
+    new_run_folder,
+    own_keys,
+    run_header,
+)
 from transport.flight.signals import collected_signals
 from transport.log.writer import LogWriter
 from transport.protocol.network.bus import Place
@@ -164,7 +171,8 @@ def simulate(
         places = mesh(scenario, [*names, RECORDER], [*ports, own_port])
         places = {name: place.checked(name, scenario) for name, place in places.items()}
         run = folder.name if Keys.allows(folder.name) else scenario.name
-        header = run_header(setup, run, len(names), create(folder, setup), classes)
+        made = stack.enter_context(new_run_folder(folder, setup))
+        header = run_header(setup, run, len(names), made.scenario_toml, classes)
         called = {name: [*place.listen, *place.connect][0] for name, place in places.items()}
         recording = places.pop(RECORDER)
         started_here = {name: place for name, place in places.items() if name not in external}
@@ -178,7 +186,7 @@ def simulate(
         for name in started_here:
             harness.start(name)
         place = Place(run=run, endpoints=recording, join_timeout_s=scenario.clock.join_timeout_s)
-        recorder = stack.enter_context(_recorded(place, folder, header, progress, harness))
+        recorder = stack.enter_context(_recorded(place, made, header, progress, harness))
         try:
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys))
             ready()  # the coordinator waits for the recorder
@@ -205,43 +213,47 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
         "engine": setup.scenario.plant.engine,
         "controller": setup.scenario.agents.controller,
     }
-    header = run_header(setup, place.run, len(names), create(folder, setup), classes)
-    with (
-        RunProgress(setup, console) as progress,
-        _recorded(place, folder, header, progress) as recorder,
-    ):
-        recorder.start(names)
-        _watch(recorder, progress)
+    with new_run_folder(folder, setup) as made:
+        header = run_header(setup, place.run, len(names), made.scenario_toml, classes)
+        with (
+            RunProgress(setup, console) as progress,
+            _recorded(place, made, header, progress) as recorder,
+        ):
+            recorder.start(names)
+            _watch(recorder, progress)
     return _finished(folder, recorder)
 
 
 @contextmanager
 def _recorded(
     place: Place,
-    folder: Path,
+    made: NewFolder,
     header: Mapping[str, str],
     progress: RunProgress,
     harness: Harness | None = None,
 ) -> Iterator[Recorder]:
     """Open log and recorder of a run.
 
-    Remove a folder without any message in the end, unless its processes tell why.
+    In the end the folder is kept if it has a message, or output of processes that tells why not;
+    not if the run was interrupted before its first tick.
     """
     recorder = None
+    is_interrupted = False
     try:
-        writer = LogWriter(
-            folder / "run.mcap", header, period_ns=progress.setup.period_ns, say=progress.say
-        )
+        log = made.path / "run.mcap"
+        writer = LogWriter(log, header, period_ns=progress.setup.period_ns, say=progress.say)
         with closing(writer):
             recorder = Recorder(progress.setup, place, writer, progress.say)
             with closing(recorder):
                 yield recorder
+    except KeyboardInterrupt:
+        is_interrupted = True
+        raise
     finally:
-        is_told = (
-            harness is not None and recorder is not None and (recorder.error or harness.ended())
-        )
-        if recorder is None or not (recorder.received or is_told):
-            shutil.rmtree(folder, ignore_errors=True)
+        if recorder is not None:
+            is_told = harness is not None and bool(recorder.error or harness.ended())
+            is_early = is_interrupted and recorder.started_s is None
+            made.is_kept = not is_early and (recorder.received > 0 or is_told)
 
 
 def _finished(folder: Path, recorder: Recorder) -> Finished:
@@ -305,7 +317,10 @@ def _ended_early(child: Child) -> RunError:
         if code < 0
         else f"ended with exit code {code}"
     )
-    last_line = child.log.read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
+    last_line = "its output is gone"
+    with suppress(OSError):  # the run folder was removed
+        output = child.log.read_text(encoding="utf-8", errors="replace")
+        last_line = output.strip().rpartition("\n")[2]
     # A child refuses the same options and scenario as this command would; any other end is that of
     # a peer.
     passed_on = code if code in (codes.EXIT_USAGE, codes.EXIT_SCENARIO) else codes.EXIT_UNREACHABLE
