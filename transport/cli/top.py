@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.text import Text
 from typer import Option
 
-from transport.cli.operate import RunOption, find_active
+from transport.cli.active import RunOption, find_active
 from transport.cli.options import run_folder
 from transport.cli.output import Format, fail, rows, show
 from transport.flight import live
