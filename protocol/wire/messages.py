@@ -124,7 +124,7 @@ class Message(
         return getattr(self, route.grows), -getattr(self, route.falls) if route.falls else 0
 
 
-Outcome = Literal["completed", "diverged", "aborted"]
+Outcome = Literal["completed", "failed", "diverged", "aborted"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
 FaultOrigin = Literal["script", "person", "unknown"]
 

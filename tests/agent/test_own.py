@@ -139,7 +139,9 @@ def test_a_wrong_step_is_a_failure(
     assert [note.tick for note in notes] == [1, 2, 3]
     for note in notes:
         assert note.problem.startswith(f"controller my_own:Mine: {text}")
-    assert simulate(run).outcome == "completed"
+    end_of_run = simulate(run)
+    assert end_of_run.outcome == "failed"
+    assert "agent1, agent2, agent3, agent4 failed" in end_of_run.reason
 
 
 def test_inputs_are_clipped_and_numbers_logged(
