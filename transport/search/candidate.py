@@ -34,12 +34,15 @@ class Candidate:
         tree = base.scenario.tree()
         agents = len(base.scenario.owned)
         silences = [event for event in self.events if isinstance(event, Silence)]
+
         for event in self.events:
             if not isinstance(event, Silence):
                 event.apply(tree)
+
         changes = changes_of_links(silences, agents, tree["links"]["loss"])
         tree["links"]["change"] = [*tree["links"]["change"], *changes]
         tree["faults"]["event"].sort(key=lambda fault: fault["at_s"])
+
         return validate(tree, str(Path(base.source)))
 
     def without(self, index: int) -> "Candidate":
