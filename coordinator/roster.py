@@ -13,7 +13,8 @@ from transport.protocol.scenario.faults import failures
 from transport.protocol.scenario.links import link_change, words_of
 from transport.protocol.scenario.schema import TargetSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import MOST, headed, planned, scripted, target_in_words
+from transport.protocol.scenario.target_planning import planned
+from transport.protocol.scenario.targets import MOST, headed, scripted, target_in_words
 from transport.protocol.wire.messages import (
     MAX_TEXT,
     LinkChange,

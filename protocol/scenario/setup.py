@@ -16,18 +16,22 @@ from transport.model.flat import FlatReference, Track
 from transport.model.hover import Hover, failed_hover, hover, with_released
 from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver, Phase, Reference, Target
-from transport.model.obstacles import Obstacle, Solid, bodies, clearances
+from transport.model.obstacles import Obstacle, Solid
 from transport.model.parameters import ParameterError, Payload, System, Uav, resting_height
 from transport.mpc.expressions import UserCosts, compile_constraints
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.regulation import KEPT, Ahead, Regulation
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.budget import ticks_of
+from transport.protocol.scenario.clearance import first_blocked
 from transport.protocol.scenario.errors import ScenarioError, building
 from transport.protocol.scenario.faults import Fault, failures, scripted
+from transport.protocol.scenario.feasibility import exceeded, least_slowing
 from transport.protocol.scenario.links import Link
+from transport.protocol.scenario.path_instants import maneuver_instants
 from transport.protocol.scenario.schema import ObstacleSection, Scenario, UavSection
-from transport.protocol.scenario.targets import ON_GROUND_M, check_scripted, exceeded, least_slowing
+from transport.protocol.scenario.target_planning import ON_GROUND_M
+from transport.protocol.scenario.targets import check_scripted
 from transport.protocol.wire.node import RunShape
 
 Problems = Iterator[tuple[str, str]]  # field of a scenario; expected and got
@@ -195,6 +199,10 @@ class Setup:
         instants = np.arange(self.ticks + self.settings.horizon + 2, dtype=np.float64)
         return self.settings.sampling_period_s * instants
 
+    def _checked_s(self) -> Array:
+        """Return the sampling instants, and those between them at which limits and obstacles are checked, s."""
+        return np.union1d(self._instants_s(), maneuver_instants(self.maneuver))
+
     @cached_property
     def sensors(self) -> SensorSheet:
         """Data sheet of the vehicles' own sensors, which the filters of the agents know."""
@@ -293,7 +301,8 @@ class Setup:
         ]
         key = "maneuver.profile"
         try:
-            path = self.maneuver.jets(self._instants_s())
+            checked_s = self._checked_s()
+            path = self.maneuver.jets(checked_s)
             for count in range(len(releases) + 1):
                 key, since = (
                     ("faults.event", releases[count - 1][0]) if count else ("maneuver.phase", 0)
@@ -303,7 +312,8 @@ class Setup:
                     with_released(self.system, gone),
                     failed_hover(self.system, gone, gone) if gone else self.hover,
                 )
-                if wrong := exceeded(path[:, since:], *team, self.settings, gone):
+                since_s = since * self.settings.sampling_period_s
+                if wrong := exceeded(path[:, checked_s >= since_s], *team, self.settings, gone):
                     # After slowing, the release may be anywhere on the path.
                     factor = least_slowing(path, *team, self.settings, gone)
                     remedy = (
@@ -316,24 +326,12 @@ class Setup:
             yield key, str(error)
 
     def _off_obstacles(self) -> Problems:
-        """Yield the obstacle whose margins the reference does not keep at the sampling instants."""
-        if blocked := self.blocked(self._instants_s()):
+        """Yield the obstacle whose margins the reference does not keep, at the sampling instants or between them."""
+        states_at = self.reference.states
+        blocked = first_blocked(self.system, self.obstacles, states_at, self._checked_s())
+        if blocked is not None:
             remedy = "slowing does not help: move the path or the obstacle, or lean the rods (maneuver.phase.formation)"
             yield f"obstacle.{blocked[0]}", f"{blocked[1]}; {remedy}"
-
-    def blocked(self, times_s: Array) -> tuple[int, str] | None:
-        """Return the first obstacle whose margins the reference does not keep, from 1, and got and expected."""
-        for number, obstacle in enumerate(self.obstacles, start=1):
-            clear_m = clearances(self.system, obstacle, self.reference.states(times_s))
-            margins_m = obstacle.margins(self.system.N)
-            row, body = np.unravel_index(np.argmin(clear_m - margins_m), clear_m.shape)
-            if clear_m[row, body] < margins_m[body]:
-                between = (
-                    f"{bodies(self.system.N)[body]} and the {obstacle.name} along the reference"
-                )
-                got = f"{max(float(clear_m[row, body]), 0.0):.3g} m at {times_s[row]:g} s"
-                return number, f"expected {margins_m[body]:g} m between {between}, got {got}"
-        return None
 
     def _off_hover(self) -> Problems:
         """Yield limits on thrust, tension or the distance of UAVs that hover exceeds."""

@@ -18,7 +18,8 @@ from transport.mpc.controller import Controller
 from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
 from transport.protocol.scenario.schema import TargetSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import headed, planned, with_targets
+from transport.protocol.scenario.target_planning import planned
+from transport.protocol.scenario.targets import headed, with_targets
 from transport.protocol.wire.messages import Measurement, Message, Request, Roster, Target
 from transport.protocol.wire.node import Outbox
 
