@@ -19,6 +19,10 @@ T = TypeVar("T")
 S = TypeVar("S", bound=BaseModel)
 
 
+# Keys whose name has changed, by their old one.
+RENAMED = {"samples": "samples_s"}
+
+
 class ScenarioError(TransportError, ValueError):
     """An invalid scenario: `file or option.
 
@@ -85,7 +89,12 @@ def option(setting: str) -> str:
 
 
 def hint(name: str, known: Collection[str]) -> str:
-    """Return the known name that a mistyped one may stand for, or all."""
+    """Return the new name of a renamed key, the known name that a mistyped one may stand for, or all."""
+    section, _, key = name.rpartition(".")
+    renamed = f"{section}.{RENAMED.get(key, key)}".lstrip(".")
+    if renamed in known and renamed != name:
+        return f"it is now {renamed!r}"
+
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known) or 'none'}"
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from transport.protocol.scenario.bounded_files import TooLargeError, read_text
 from transport.protocol.scenario.budget import check_budget
 from transport.protocol.scenario.errors import (
     PythonSetting,
@@ -61,12 +62,14 @@ def read_scenario(
 def read_tree(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file. Raises: ScenarioError: it cannot be read."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(read_text(path))
     except OSError as error:
         problem = (
             "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read ({error})"
         )
         raise ScenarioError(str(path), "", problem) from error
+    except TooLargeError as error:
+        raise ScenarioError(str(path), "", f"cannot be read ({error})") from error
     except (
         ValueError,
         RecursionError,
@@ -80,6 +83,7 @@ def with_settings(
     """Return the scenario in a tree of plain data, which is changed, with settings on top as in `read_scenario`."""
     for setting in settings:
         _apply(tree, setting)
+    _pace(tree, [key_of(setting) for setting in settings])
     try:
         scenario = validate(tree, source)
         if not allow_large:
@@ -97,6 +101,15 @@ def validate(tree: dict[str, Any], source: str) -> Scenario:
     scenario = validated(Scenario, tree, source, Path(source).parent)
     check_relations(scenario, source)
     return scenario
+
+
+def _pace(tree: dict[str, Any], changed: Sequence[str]) -> None:
+    """Set the speed of real time where a change asks for real time alone: the tree's 0 is that of lockstep."""
+    clock = tree.get("clock")
+    if "clock.mode" not in changed or "clock.speed" in changed or not isinstance(clock, dict):
+        return
+    if clock.get("mode") == "realtime" and clock.get("speed", 0.0) == 0.0:
+        clock["speed"] = 1.0
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:

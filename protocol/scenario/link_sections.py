@@ -18,6 +18,9 @@ from transport.protocol.wire.names import PLANT
 
 Probability = Annotated[float, Interval(ge=0.0, le=1.0)]
 
+# Longest delay in seconds that is taken for one without question: measured delays in ms are mostly larger.
+LONGEST_SAMPLE_S = 10.0
+
 _PROCESS = "agent1, agent2, ..., plant"
 
 
@@ -57,12 +60,14 @@ class LinkSection(Section):
         Literal["uniform", "normal", "exponential", "lognormal", "empirical"],
         Key(label="delay distribution", option="--distribution"),
     ] = "uniform"
-    """distribution of the random part of the delay; empirical draws whole delays from `samples`"""
-    samples: Annotated[
+    """distribution of the random part of the delay; empirical draws whole delays from `samples_s`"""
+    samples_s: Annotated[
         list[NotNegative] | None, BeforeValidator(_read), Key(type="file, or list of numbers >= 0")
     ] = None
     """measured delays for empirical, or a file of them, separated by blanks or commas, relative to the scenario's
     folder (in `--set`: to the current one), which becomes part of the scenario when that is read"""
+    longest_sample_s: Annotated[Positive | None, Key(type="number > 0")] = None
+    """largest delay that `samples_s` may have. If omitted, 10 s: longer ones are mostly milliseconds"""
     loss: Annotated[
         Probability, Key(label="loss of plans", shown="%", option="--loss", short="loss")
     ] = 0.0
@@ -87,8 +92,19 @@ class LinkSection(Section):
 
     @model_validator(mode="after")
     def _has_samples(self) -> Self:
-        if self.distribution == "empirical" and not self.samples:
-            raise ValueError("samples: expected measured delays, got nothing")
+        if self.distribution == "empirical" and not self.samples_s:
+            raise ValueError("samples_s: expected measured delays, got nothing")
+        return self
+
+    @model_validator(mode="after")
+    def _has_samples_in_seconds(self) -> Self:
+        """Refuse delays whose magnitude is that of another unit, unless they are said to be meant."""
+        longest_s = max(self.samples_s or [0.0])
+        limit_s = self.longest_sample_s or LONGEST_SAMPLE_S
+        if longest_s > limit_s:
+            expected = f"samples_s: expected delays in seconds, at most {limit_s:g}"
+            remedy = f"divide milliseconds by 1000; if seconds are meant, set longest_sample_s = {longest_s:g}"
+            raise ValueError(f"{expected}, got {longest_s:g}; {remedy}")
         return self
 
     @property
@@ -112,6 +128,12 @@ class LinkOverrideSection(LinkSection):
     """sender; if omitted: any agent"""
     to: Annotated[str | None, Key(type=_PROCESS)] = None
     """receiver; if omitted: any agent"""
+
+    @model_validator(mode="after")
+    def _has_two_ends(self) -> Self:
+        if self.to is not None and self.from_ == self.to:
+            raise ValueError(f"to: expected another process than the sender, got {self.to!r} twice")
+        return self
 
     def covers(self, sender: str, receiver: str) -> bool:
         """Return whether it applies to the link from one process to another; the plant has to be named."""

@@ -166,7 +166,7 @@ class Link:
     def _delay(self, section: LinkSection, uniform: Array) -> float:
         """Return one delay, s, from two uniform numbers."""
         if section.distribution == "empirical":
-            samples_s = section.samples or [0.0]
+            samples_s = section.samples_s or [0.0]
             return samples_s[int(uniform[0] * len(samples_s))]
         if section.jitter_s == 0.0:
             return section.delay_s

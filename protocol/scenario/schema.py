@@ -26,6 +26,7 @@ from transport.mpc.settings import (
 from transport.protocol.scenario.files import TableError, way_of
 from transport.protocol.scenario.link_sections import LinksSection
 from transport.protocol.scenario.own_class import or_class
+from transport.protocol.scenario.path_instants import WayPointError, check_way_points
 from transport.protocol.scenario.plant_sections import PlantSection
 from transport.protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS, MAX_POINTS
 from transport.protocol.wire.names import MAX_UAVS
@@ -44,7 +45,21 @@ Relaxation = Annotated[
     Annotated[float, Interval(gt=0.0, le=1.0)] | Literal["auto"],
     Key(type="number > 0, <= 1, or auto", label="relaxation", short="relaxation"),
 ]
-_WAIT_S = (1e-3, 1e6)
+LONGEST_WAIT_S = 1e6  # of wall time, for a process
+_WAIT_S = (1e-3, LONGEST_WAIT_S)
+
+
+def _with_table(phase: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the fields of a phase with the rows of its file, relative to a folder, in place of its name.
+
+    Raises: TableError: it cannot be read, or a field contradicts it.
+    """
+    for key in ("duration_s", "displacement_m", "way"):
+        if key in phase:
+            raise TableError(f"expected no {key} next to `file`, which defines it")
+
+    rest = {key: value for key, value in phase.items() if key != "file"}
+    return {**rest, "way": way_of(folder / phase["file"])}
 
 
 class PayloadSection(Section):
@@ -105,7 +120,7 @@ class PhaseSection(Section):
     size_m: Annotated[Vector, Key(within=(0.0, 1e5))] = (0.0, 0.0, 0.0)
     """a, b, c of a circle, (a sin A, b (1 - cos A), c sin A), or an eight, (a sin A, b sin 2 A, c sin A), with the
     angle A from 0 to 2 pi `laps`"""
-    laps: Positive = 1.0
+    laps: Annotated[Positive, Key(within=(1e-3, 1e4))] = 1.0
     """of a circle or eight"""
     points_m: Annotated[list[Vector] | None, Key(type="list of lists of 3 numbers", unit="m")] = (
         None
@@ -128,34 +143,47 @@ class PhaseSection(Section):
     def _timed(cls, value: Any, info: ValidationInfo) -> Any:
         """Read the file; fill in duration and displacement of a table and a curve where their fields are valid."""
         if isinstance(value, dict) and isinstance(value.get("file"), str):
-            for key in ("duration_s", "displacement_m", "way"):
-                if key in value:
-                    raise TableError(f"expected no {key} next to `file`, which defines it")
-            way = way_of(Path(info.context or "") / value["file"])
-            value = {key: given for key, given in value.items() if key != "file"} | {"way": way}
+            value = _with_table(value, Path(info.context or ""))
         try:
             if value.get("way"):
                 duration_s, *displacement_m = value["way"][-1]
                 return {"duration_s": duration_s, "displacement_m": displacement_m, **value}
-            given = cls.model_construct(**value)
-            if (curve := given.curve(2.0 * given.ramp_s)) is not None:
-                if given.times_s is not None:
-                    value = {**value, "duration_s": float(given.times_s[-1])}
-                elif given.speed_mps is not None:
-                    value = {
-                        **value,
-                        "duration_s": float(curve.fastest() / given.speed_mps + given.ramp_s),
-                    }
-                duration_s = value.get("duration_s", 2.0 * given.ramp_s)
-                end_m = (
-                    replace(curve, duration_s=duration_s)
-                    .path(np.array([duration_s]), 1)[0, 0]
-                    .tolist()
-                )
-                value = {"displacement_m": end_m, **value}
+            return cls._with_ends_of_curve(value)
+        except WayPointError:
+            raise
         except (TypeError, ValueError, AttributeError, IndexError):
-            pass  # a wrong field is refused by its own check
-        return value
+            return value  # a wrong field is refused by its own check
+
+    @classmethod
+    def _with_ends_of_curve(cls, value: dict[str, Any]) -> dict[str, Any]:
+        """Return the fields of a phase with duration and displacement of its curve, if it has one.
+
+        Raises: WayPointError: no spline passes its points. Other exceptions of invalid fields.
+        """
+        given = cls.model_construct(**value)
+        curve = given.curve(2.0 * given.ramp_s)
+        if curve is None:
+            return value
+        if curve.kind == "spline" and given.times_s is None:
+            check_way_points(curve)
+
+        duration_s = value.get("duration_s", curve.duration_s)
+        if given.times_s is not None:
+            duration_s = float(given.times_s[-1])
+        elif given.speed_mps is not None:
+            duration_s = float(curve.fastest() / given.speed_mps + given.ramp_s)
+        value = {**value, "duration_s": duration_s} if given.defines_duration else value
+
+        timed = replace(curve, duration_s=duration_s)
+        if curve.kind == "spline":
+            check_way_points(timed)
+        end_m = timed.path(np.array([duration_s]), 1)[0, 0].tolist()
+        return {"displacement_m": end_m, **value}
+
+    @property
+    def defines_duration(self) -> bool:
+        """Whether times of way points or a largest speed decide over the duration."""
+        return self.times_s is not None or self.speed_mps is not None
 
     def curve(self, duration_s: float | None = None) -> Curve | None:
         """Return the curve of a circle, eight or spline, over its own duration by default; None for other kinds."""
@@ -325,7 +353,8 @@ class ClockSection(Section):
     mode: Literal["lockstep", "realtime"] = "lockstep"
     """a tick opens when all agents have answered the one before, or at its deadline"""
     speed: Annotated[NotNegative, Key(within=(1e-4, 1e4))] = 0.0
-    """scenario seconds per second. 0: as fast as possible, in lockstep only; real time needs a number > 0"""
+    """scenario seconds per second. 0: as fast as possible, in lockstep only. The default of real time is 1, also where
+    `--set clock.mode=realtime` alone changes a scenario of speed 0"""
     actuation: Literal["immediate", "next_tick"] | None = None
     """a plan acts from its own tick on, or from the next; real time needs next_tick, lockstep prefers immediate"""
     barrier_timeout_s: Annotated[Positive, Key(within=_WAIT_S)] = 5.0
@@ -340,6 +369,14 @@ class ClockSection(Section):
     """with abort: number of plans that may miss their deadline"""
     overrun_limit_s: Annotated[Positive | None, Key(within=(1e-9, 1e6))] = None
     """with abort: largest delay of a plan after its deadline, and of the opening of a tick; wall time"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _paced(cls, value: Any) -> Any:
+        """Fill in the speed of real time, whose default cannot be that of lockstep."""
+        if isinstance(value, dict) and value.get("mode") == "realtime":
+            return {"speed": 1.0, **value}
+        return value
 
     @property
     def next_tick(self) -> bool:
