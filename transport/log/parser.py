@@ -2,17 +2,22 @@
 
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from io import SEEK_END, BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
+from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
+from zstandard import frame_content_size
+
+from transport.protocol.scenario.bounded_files import MOST_RECORD, check_size
 
 _RECORD = struct.Struct("<BQ")  # opcode, length of the body
 
@@ -70,21 +75,37 @@ class Parser:
         if opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.metadata.setdefault(metadata.name, metadata.metadata)
-        return (
-            breakup_chunk(Chunk.read(stream), validate_crc=True) if opcode == Opcode.CHUNK else []
-        )
+        return _in_chunk(Chunk.read(stream)) if opcode == Opcode.CHUNK else []
 
     def _summary(self) -> Any:
         """Return the summary of a file with a proper end; otherwise None."""
         try:
             with self._path.open("rb") as file:
-                return make_reader(file).get_summary()
+                return SeekingReader(file, record_size_limit=MOST_RECORD).get_summary()
         except Exception:  # noqa: BLE001  # no end, or a damaged one
             return None
 
 
+def _in_chunk(chunk: Chunk) -> list[Any]:
+    """Return the records of a chunk.
+
+    Raises: TooLargeError: it is larger than any that a recorder writes, as it says or once it is decompressed.
+    """
+    check_size(chunk.uncompressed_size, MOST_RECORD)
+    if chunk.compression == "zstd":
+        check_size(frame_content_size(chunk.data), MOST_RECORD)
+    elif chunk.compression == "lz4":
+        data = LZ4FrameDecompressor().decompress(chunk.data, max_length=MOST_RECORD + 1)
+        check_size(len(data), MOST_RECORD)
+        chunk = replace(chunk, compression="", data=data)
+    return breakup_chunk(chunk, validate_crc=True)
+
+
 def records(file: BinaryIO, offset: int) -> Iterator[tuple[int, int, bytes]]:
-    """Yield opcode, offset of the body and body of the whole records from an offset on."""
+    """Yield opcode, offset of the body and body of the whole records from an offset on.
+
+    Raises: McapError: a record is larger than any that a recorder writes.
+    """
     size = file.seek(0, SEEK_END)
     while offset + _RECORD.size <= size:
         file.seek(offset)
@@ -94,5 +115,8 @@ def records(file: BinaryIO, offset: int) -> Iterator[tuple[int, int, bytes]]:
             opcode == 0 or length > size - offset
         ):  # file systems leave zeros behind an unfinished file
             return
+        if length > MOST_RECORD:
+            expected = f"record at byte {offset}: expected at most {MOST_RECORD} bytes"
+            raise McapError(f"{expected}, got {length}")
         yield opcode, offset, file.read(length)
         offset += length
