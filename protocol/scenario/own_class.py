@@ -5,21 +5,24 @@ Found, made, called, and recorded with a version.
 
 import hashlib
 import importlib
+import os
 import re
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import module_from_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from pydantic import AfterValidator
 
 from transport.model.arrays import Array
 
+_PROGRAM = "transport."  # beginning of the names of the program's modules
 _LONGEST_TEXT = 400  # of an error that is passed on, characters: it travels in messages, with the name of the class
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 _DIGESTS: dict[str, str] = {}  # hashes of the files of imported modules, as they were imported
@@ -144,12 +147,12 @@ def real_array(given: object) -> Array:
 
 @contextmanager
 def told(what: str) -> Iterator[None]:
-    """Turn exceptions of a class into OwnClassError, with file and line.
+    """Turn exceptions of a class, and its attempts to end the process, into OwnClassError, with file and line.
 
     Its output goes to standard error.
     """
     try:
-        with redirect_stdout(sys.stderr):
+        with redirect_stdout(sys.stderr), _no_exit():
             yield
     except KeyboardInterrupt:
         raise
@@ -162,3 +165,28 @@ def told(what: str) -> Iterator[None]:
                 line += f" ({Path(frame.filename).name}:{frame.lineno})"
                 break
         raise OwnClassError(f"{what} raised {line}") from error
+
+
+@contextmanager
+def _no_exit() -> Iterator[None]:
+    """Turn `os._exit` by code of this thread into SystemExit.
+
+    A command that ended so would look like a success, with no word of the class. Forked children, other threads and
+    the program's own handlers of signals end as they ask to; `os.abort`, signals and C code end the process, which its
+    parent reports.
+    """
+    real = os._exit
+    process = os.getpid()
+    thread = threading.get_ident()
+
+    def exit_or_raise(status: int) -> NoReturn:
+        is_own = sys._getframe(1).f_globals.get("__name__", "").startswith(_PROGRAM)
+        if os.getpid() == process and threading.get_ident() == thread and not is_own:
+            raise SystemExit(f"os._exit({status})")
+        real(status)
+
+    os._exit = exit_or_raise
+    try:
+        yield
+    finally:
+        os._exit = real

@@ -2,6 +2,7 @@
 
 import shlex
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import tomli_w
@@ -12,6 +13,7 @@ from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, S
 from transport.cli.output import Format, blame, fail, show
 from transport.flight.run_files import checked
 from transport.interface.scenario import Scenario
+from transport.model.state import INPUTS
 from transport.protocol.scenario.budget import estimate
 from transport.protocol.scenario.team import FEWEST, MOST, given
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
@@ -62,10 +64,8 @@ def new(
     with blame("--from"):
         ready = Scenario(template, allow_large=True)
     made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
-    tree, sizes = (
-        given(made.validated),
-        f"{len(made.setup.agents)} agents, hover thrust {made.setup.hover.u[0]:.2f} N",
-    )
+    setup = made.setup
+    tree = given(made.validated)
     text = tomli_w.dumps(tree)
     show(
         output,
@@ -75,9 +75,16 @@ def new(
     if out is not None:
         with blame("--out"):
             out.write_text(text, encoding="utf-8")
-        typer.echo(
-            f"{uavs} UAVs, {sizes}; run it with: transport run {shlex.quote(str(out))}", err=True
-        )
+        sizes = f"{uavs} UAVs, {len(setup.agents)} agents, {hover_thrusts(setup.hover.u[::INPUTS])}"
+        typer.echo(f"{sizes}; run it with: transport run {shlex.quote(str(out))}", err=True)
+
+
+def hover_thrusts(thrusts_N: Iterable[float]) -> str:
+    """Return the hover thrusts of UAV1, UAV2, ... in words; once if all are the same."""
+    texts = [f"{thrust_N:.2f}" for thrust_N in thrusts_N]
+    if len(set(texts)) == 1:
+        return f"hover thrust {texts[0]} N"
+    return f"hover thrusts {', '.join(texts)} N"
 
 
 def validate(
@@ -99,9 +106,8 @@ def validate(
         return
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
     own = ", ".join(f"{what} {name}" for what, name in classes.items())
-    typer.echo(
-        f"valid: {sizes}, hover thrust {setup.hover.u[0]:.2f} N, digest {digest}, {own}", err=True
-    )
+    thrusts = hover_thrusts(setup.hover.u[::INPUTS])
+    typer.echo(f"valid: {sizes}, {thrusts}, digest {digest}, {own}", err=True)
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
 
 
