@@ -12,6 +12,7 @@ from transport.model.parameters import ParameterError
 from transport.mpc.feedback import FeedbackError
 from transport.mpc.settings import SettingsError
 from transport.protocol.scenario.keys import names_of, out_of_range, section_in
+from transport.protocol.scenario.origins import Origin, source_of
 from transport.protocol.wire.errors import MessageError, TransportError
 from transport.protocol.wire.exit_codes import EXIT_SCENARIO
 
@@ -34,7 +35,13 @@ class ScenarioError(TransportError, ValueError):
     def __init__(self, source: str, field: str, problem: str) -> None:
         text = ": ".join(part for part in (source, field, problem) if part)
         super().__init__(" ".join(text.splitlines()))
-        self.field, self.problem = field, problem
+        self.source = source
+        self.field = field
+        self.problem = problem
+
+    def traced(self, origins: Sequence[Origin]) -> "ScenarioError":
+        """Return the same error with the source that gave the field, of a scenario merged from several."""
+        return ScenarioError(source_of(self.field, self.source, origins), self.field, self.problem)
 
     def blaming(self, settings: Sequence[str]) -> "ScenarioError":
         """Return the same error, with the settings in place of the file if they gave the field or part of it."""

@@ -15,7 +15,8 @@ from transport.flight.run_files import checked
 from transport.interface.scenario import Scenario
 from transport.model.state import INPUTS
 from transport.protocol.scenario.budget import estimate
-from transport.protocol.scenario.team import FEWEST, MOST, given
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.team import FEWEST, MOST, Team, given
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
 
 
@@ -63,7 +64,10 @@ def new(
         fail(f"--out: expected a file that does not exist yet, got {out}")
     with blame("--from"):
         ready = Scenario(template, allow_large=True)
-    made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
+    try:
+        made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
+    except ScenarioError as error:
+        raise _by_option(error, load_kg, name) from error
     setup = made.setup
     tree = given(made.validated)
     text = tomli_w.dumps(tree)
@@ -77,6 +81,16 @@ def new(
             out.write_text(text, encoding="utf-8")
         sizes = f"{uavs} UAVs, {len(setup.agents)} agents, {hover_thrusts(setup.hover.u[::INPUTS])}"
         typer.echo(f"{sizes}; run it with: transport run {shlex.quote(str(out))}", err=True)
+
+
+def _by_option(error: ScenarioError, load_kg: float | None, name: str | None) -> ScenarioError:
+    """Return an error of a new scenario with the option that gave the refused value, if one did."""
+    team = Team(uavs=FEWEST, load_kg=load_kg, name=name)
+    if load_kg is not None and error.source == team.load_in_words:
+        return ScenarioError(f"--load {load_kg:g}", error.field, error.problem)
+    if name is not None and error.source == team.name_in_words:
+        return ScenarioError(f"--name {name}", error.field, error.problem)
+    return error
 
 
 def hover_thrusts(thrusts_N: Iterable[float]) -> str:
