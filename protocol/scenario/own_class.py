@@ -3,18 +3,19 @@
 Found, made, called, and recorded with a version.
 """
 
+import contextlib
 import hashlib
 import importlib
 import os
 import re
 import sys
-import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import module_from_spec
 from pathlib import Path
+from types import FrameType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -169,24 +170,42 @@ def told(what: str) -> Iterator[None]:
 
 @contextmanager
 def _no_exit() -> Iterator[None]:
-    """Turn `os._exit` by code of this thread into SystemExit.
+    """Turn `os._exit` by the code that is called within it into SystemExit.
 
-    A command that ended so would look like a success, with no word of the class. Forked children, other threads and
-    the program's own handlers of signals end as they ask to; `os.abort`, signals and C code end the process, which its
-    parent reports.
+    A command that ended so would look like a success, with no word of the class. Other threads,
+    forked children and the program's own handlers of signals end as they ask to; `os.abort`, signals
+    and C code end the process, which its parent reports.
     """
-    real = os._exit
+    end = os._exit
     process = os.getpid()
-    thread = threading.get_ident()
+    caller = _caller()
 
-    def exit_or_raise(status: int) -> NoReturn:
-        is_own = sys._getframe(1).f_globals.get("__name__", "").startswith(_PROGRAM)
-        if os.getpid() == process and threading.get_ident() == thread and not is_own:
+    def end_or_raise(status: int) -> NoReturn:
+        frame = sys._getframe(1)
+        is_of_program = frame.f_globals.get("__name__", "").startswith(_PROGRAM)
+        if os.getpid() == process and not is_of_program and _is_within(frame, caller):
             raise SystemExit(f"os._exit({status})")
-        real(status)
+        end(status)
 
-    os._exit = exit_or_raise
+    os._exit = end_or_raise
     try:
         yield
     finally:
-        os._exit = real
+        os._exit = end
+
+
+def _caller() -> FrameType | None:
+    """Return the frame of the function that called this module."""
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None and frame.f_code.co_filename in (__file__, contextlib.__file__):
+        frame = frame.f_back
+    return frame
+
+
+def _is_within(frame: FrameType | None, caller: FrameType | None) -> bool:
+    """Return whether a frame was called, directly or not, by another one: both are of one thread."""
+    while frame is not None:
+        if frame is caller:
+            return True
+        frame = frame.f_back
+    return False

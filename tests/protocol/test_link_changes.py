@@ -10,7 +10,8 @@ import pytest
 
 from tests.support.runs import setup
 from transport.protocol.scenario.errors import RequestError
-from transport.protocol.scenario.links import Link, LinkChanges, link_change
+from transport.protocol.scenario.link_changes import LinkChanges, link_change
+from transport.protocol.scenario.links import Link
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import LinkChange
 

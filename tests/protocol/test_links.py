@@ -11,13 +11,14 @@ import pytest
 from tests.support.runs import setup
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.file import ScenarioError, validate
+from transport.protocol.scenario.link_changes import link_change
 from transport.protocol.scenario.link_sections import (
     GilbertElliottSection,
     LinkSection,
     LinksSection,
     PartitionSection,
 )
-from transport.protocol.scenario.links import Link, link_change
+from transport.protocol.scenario.links import Link
 from transport.protocol.scenario.setup import Setup
 
 PERIOD_S = 0.05

@@ -19,7 +19,7 @@ from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.regulation import Ahead, Regulation
 from transport.mpc.tracking import rollout
 from transport.plant.actuators import FAIL_SAFE
-from transport.protocol.scenario.links import words_of
+from transport.protocol.scenario.link_changes import words_of
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
 from transport.protocol.scenario.targets import target_in_words, with_targets
