@@ -54,20 +54,23 @@ class LinkSection(Section):
     jitter_s: Annotated[
         NotNegative, Key(label="jitter of plans", shown="ms", option="--jitter", short="jitter_s")
     ] = 0.0
-    """scale of the random part of the delay: width (uniform, centred on `delay_s`), standard deviation (normal,
-    lognormal), mean (exponential); delays below 0 become 0"""
+    """scale of the random part of the delay: width (uniform, centred on `delay_s`), standard
+    deviation (normal, lognormal), mean (exponential); delays below 0 become 0"""
     distribution: Annotated[
         Literal["uniform", "normal", "exponential", "lognormal", "empirical"],
         Key(label="delay distribution", option="--distribution"),
     ] = "uniform"
-    """distribution of the random part of the delay; empirical draws whole delays from `samples_s`"""
+    """distribution of the random part of the delay; empirical draws whole delays from
+    `samples_s`"""
     samples_s: Annotated[
         list[NotNegative] | None, BeforeValidator(_read), Key(type="file, or list of numbers >= 0")
     ] = None
-    """measured delays for empirical, or a file of them, separated by blanks or commas, relative to the scenario's
-    folder (in `--set`: to the current one), which becomes part of the scenario when that is read"""
+    """measured delays for empirical, or a file of them, separated by blanks or commas, relative to
+    the scenario's folder (in `--set`: to the current one), which becomes part of the scenario when
+    that is read"""
     longest_sample_s: Annotated[Positive | None, Key(type="number > 0")] = None
-    """largest delay that `samples_s` may have. If omitted, 10 s: longer ones are mostly milliseconds"""
+    """largest delay that `samples_s` may have. If omitted, 10 s: longer ones are mostly
+    milliseconds"""
     loss: Annotated[
         Probability, Key(label="loss of plans", shown="%", option="--loss", short="loss")
     ] = 0.0
@@ -88,7 +91,8 @@ class LinkSection(Section):
     rate_hz: Annotated[
         Positive | None, Key(label="plans per second on a link", option="--rate")
     ] = None
-    """messages per second of scenario time that the link carries, evenly spread: half of 1 / T_s drops every other"""
+    """messages per second of scenario time that the link carries, evenly spread: half of 1 / T_s
+    drops every other"""
 
     @model_validator(mode="after")
     def _has_samples(self) -> Self:
@@ -145,7 +149,8 @@ class LinkChangeSection(LinkOverrideSection):
     """Change of links during a run: the keys given apply to messages sent from `at_s` on, the others stay."""
 
     at_s: NotNegative
-    """time of the change: it applies to messages of the first tick not before it, and of later ticks"""
+    """time of the change: it applies to messages of the first tick not before it, and of later
+    ticks"""
 
     @model_serializer(mode="wrap")
     def _given(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -158,8 +163,8 @@ class PartitionSection(Section):
     """Interval in which no message passes between the named processes and the other agents."""
 
     between: Annotated[list[str], Field(min_length=1), Key(type=f"list of {_PROCESS}")]
-    """processes of one side: no message passes between them and those not in the list; the links to the plant change
-    only if it is in the list"""
+    """processes of one side: no message passes between them and those not in the list; the links to
+    the plant change only if it is in the list"""
     start_s: NotNegative
     """first time of sending"""
     end_s: Annotated[Positive, Key(type="number > `start_s`, s", unit="")]

@@ -23,10 +23,11 @@ class MujocoSection(Section):
     """Bodies and integration of the engine "mujoco"."""
 
     step_s: Annotated[float, Interval(gt=0.0, le=0.01)] = 0.005
-    """longest integration step; a period is divided into equal steps. Contacts need steps of at most 0.01 s"""
+    """longest integration step; a period is divided into equal steps. Contacts need steps of at
+    most 0.01 s"""
     rod_mass_kg: Annotated[float, Interval(ge=1e-4, le=100.0)] = 0.001
-    """mass of each rod, unknown to the controllers; with the default the payload's path is that of massless rods within
-    a millimetre"""
+    """mass of each rod, unknown to the controllers; with the default the payload's path is that of
+    massless rods within a millimetre"""
     suspension: Literal["rods", "cables"] = "rods"
     """rods, or cables, which have no mass, pull at their full length and never push"""
 
@@ -39,7 +40,8 @@ class RotorsSection(Section):
     drag_to_thrust_m: Positive
     """drag moment of a rotor over its thrust"""
     thrust_N: Range
-    """smallest and largest thrust of one rotor; a quarter of the hover thrust of each UAV must lie between them"""
+    """smallest and largest thrust of one rotor; a quarter of the hover thrust of each UAV must lie
+    between them"""
 
 
 class MotorsSection(Section):
@@ -50,8 +52,8 @@ class MotorsSection(Section):
     falling_lag_s: Annotated[
         Positive | None, Key(label="motor lag of falling thrust", shown="ms")
     ] = None
-    """time constant of a rotor whose thrust falls, `lag_s` is then that of rising thrust; default: `lag_s`. Needs
-    `lag_s` > 0 and `[plant.motors.rotors]`"""
+    """time constant of a rotor whose thrust falls, `lag_s` is then that of rising thrust; default:
+    `lag_s`. Needs `lag_s` > 0 and `[plant.motors.rotors]`"""
     thrust_step_N: Annotated[NotNegative, Key(label="thrust step")] = 0.0
     """the thrust of a UAV is rounded to multiples of this step; 0: any thrust"""
     rotors: RotorsSection | None = None
@@ -138,13 +140,14 @@ class PlantSection(Section):
     """the controllers' own equations, MuJoCo ([engines.md](engines.md) compares them), or [your own
     class](bring-your-own.md#your-own-engine)"""
     ground_m: float | None = None
-    """z of a level ground, inertial frame (z down), for engines with contacts, so not rods. The payload is a box that
-    reaches to its attachment points, a UAV a sphere of 0.1 m"""
+    """z of a level ground, inertial frame (z down), for engines with contacts, so not rods. The
+    payload is a box that reaches to its attachment points, a UAV a sphere of 0.1 m"""
     mujoco: MujocoSection = MujocoSection()
     step_s: Annotated[Positive, Key(label="integration step", shown="ms")] = 0.01
     """longest integration step of rods; a period is divided into equal steps"""
     tolerance: Annotated[float, Interval(ge=1e-12, le=10.0), Key(unit="SI")] = 1e-9
-    """local error above which an integration step of rods is halved, [equations.md](equations.md) (13c)"""
+    """local error above which an integration step of rods is halved, [equations.md](equations.md)
+    (13c)"""
     max_attitude_deg: Annotated[float, Interval(gt=0.0, lt=90.0)] = 80.0
     """roll or pitch of the payload or a UAV beyond which the run counts as diverged"""
     max_error_m: Positive = 20.0
@@ -152,15 +155,17 @@ class PlantSection(Section):
     payload_mass_factor: Annotated[
         MassFactor, Key(label="actual over assumed payload mass", short="payload_mass_factor")
     ] = 1.0
-    """actual mass and inertia of the payload over those of `[system.payload]`, which the controller assumes"""
+    """actual mass and inertia of the payload over those of `[system.payload]`, which the controller
+    assumes"""
     uav_mass_factor: Annotated[MassFactor, Key(label="actual over assumed UAV mass")] = 1.0
     """actual mass and inertia of every UAV over those that the controller assumes"""
     inner_loop: Literal["model", "betaflight"] = "model"
-    """moments from commanded body rates, with `controller.inputs=rates`: by the loop that controllers predict with, or
-    the flight firmware Betaflight, a process for each UAV ([engines.md](engines.md#flight-firmware))"""
+    """moments from commanded body rates, with `controller.inputs=rates`: by the loop that
+    controllers predict with, or the flight firmware Betaflight, a process for each UAV
+    ([engines.md](engines.md#flight-firmware))"""
     motors: MotorsSection = MotorsSection()
     wind: WindSection = WindSection()
     sensors: Literal["state", "vehicle"] = "state"
-    """measurements of an agent: the states of payload, own UAVs and rods; or what an autopilot has of each own UAV
-    ([equations.md](equations.md#estimation-without-a-payload-sensor))"""
+    """measurements of an agent: the states of payload, own UAVs and rods; or what an autopilot has
+    of each own UAV ([equations.md](equations.md#estimation-without-a-payload-sensor))"""
     noise: NoiseSection = NoiseSection()

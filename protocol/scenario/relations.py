@@ -7,8 +7,9 @@ from operator import attrgetter
 
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.faults import OF_UAVS
+from transport.protocol.scenario.maneuver_sections import PhaseSection
 from transport.protocol.scenario.plant_sections import MujocoSection
-from transport.protocol.scenario.schema import FaultSection, PhaseSection, Scenario
+from transport.protocol.scenario.schema import FaultSection, Scenario
 from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
 
 # Least lag of motors, in sampling periods: the discretisation takes exponentials of its reciprocal.

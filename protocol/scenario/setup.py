@@ -28,8 +28,9 @@ from transport.protocol.scenario.errors import ScenarioError, building
 from transport.protocol.scenario.faults import Fault, failures, scripted
 from transport.protocol.scenario.feasibility import exceeded, least_slowing
 from transport.protocol.scenario.links import Link
+from transport.protocol.scenario.maneuver_sections import ObstacleSection
 from transport.protocol.scenario.path_instants import maneuver_instants
-from transport.protocol.scenario.schema import ObstacleSection, Scenario, UavSection
+from transport.protocol.scenario.schema import Scenario, UavSection
 from transport.protocol.scenario.target_planning import ON_GROUND_M
 from transport.protocol.scenario.targets import check_scripted
 from transport.protocol.wire.node import RunShape

@@ -12,6 +12,7 @@ from transport.model.parameters import resting_height
 from transport.protocol.scenario.clearance import first_blocked
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.feasibility import exceeded, least_slowing
+from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.path_instants import (
     WayPointError,
     check_way_points,
@@ -19,7 +20,6 @@ from transport.protocol.scenario.path_instants import (
     maneuver_instants,
 )
 from transport.protocol.scenario.planned_run import PlannedRun
-from transport.protocol.scenario.schema import TargetSection
 
 SPEED_MPS = 1.0  # largest speed where none is given
 

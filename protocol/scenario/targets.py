@@ -7,8 +7,8 @@ from typing import TypeVar
 
 from transport.model.maneuver import Target
 from transport.protocol.scenario.errors import RequestError
+from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.planned_run import PlannedRun
-from transport.protocol.scenario.schema import TargetSection
 from transport.protocol.scenario.target_planning import planned, spline, straight
 from transport.protocol.wire import messages
 from transport.protocol.wire.errors import MessageError

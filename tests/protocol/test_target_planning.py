@@ -9,7 +9,7 @@ from tests.support import runs
 from tests.support.coordinator_clock import ready
 from tests.support.nodes import CoordinatorNode
 from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
-from transport.protocol.scenario.schema import TargetSection
+from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.target_planning import planned
 from transport.protocol.scenario.targets import MOST
 from transport.protocol.wire.messages import Request

@@ -23,7 +23,8 @@ from transport.protocol.scenario.files import points_of
 from transport.protocol.scenario.keys import key_of, meanings
 from transport.protocol.scenario.link_changes import PERFECT, link_change
 from transport.protocol.scenario.link_sections import LinkSection
-from transport.protocol.scenario.schema import Scenario, TargetSection
+from transport.protocol.scenario.maneuver_sections import TargetSection
+from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.keys import Keys
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
 
