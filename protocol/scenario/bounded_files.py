@@ -1,4 +1,4 @@
-"""Bounded reading of files: no file, device or compressed record takes more memory than its kind needs."""
+"""Bounded reading: no file, device or compressed record takes more memory than its kind needs."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ class TooLargeError(ValueError):
 def read_bytes(path: Path, most: int) -> bytes:
     """Return the content of a file of a limited size.
 
-    The limit holds for what is read, whatever the file says of its size: devices and pipes have none.
+    The limit holds for what is read, not for the size of the file: devices and pipes have none.
 
     Raises: OSError: it cannot be read. TooLargeError: it is larger.
     """
@@ -31,7 +31,8 @@ def read_bytes(path: Path, most: int) -> bytes:
 def read_text(path: Path, most: int = MOST_TEXT) -> str:
     """Return the text of a UTF-8 file of a limited size, without a byte order mark.
 
-    Raises: OSError: it cannot be read. UnicodeDecodeError: it is no such text. TooLargeError: it is larger.
+    Raises: OSError: it cannot be read. UnicodeDecodeError: it is no such text. TooLargeError: it is
+        larger.
     """
     return read_bytes(path, most).decode("utf-8").removeprefix(_BYTE_ORDER_MARK)
 

@@ -10,8 +10,8 @@ from transport.model.parameters import System
 from transport.model.rotations import rotation
 from transport.model.state import THETA0, StateView
 
-# An interval of the path is halved until the team moves by less than this within it, m. Between two such instants
-# a clearance is less than half of it smaller than at one of them.
+# An interval of the path is halved until the team moves by less than this within it, m. Between two
+# such instants a clearance is less than half of it smaller than at one of them.
 _RESOLUTION_M = 0.01
 
 
@@ -21,10 +21,10 @@ def first_blocked(
     states_at: Callable[[Array], Array],
     times_s: Array,
 ) -> tuple[int, str] | None:
-    """Return the first obstacle, from 1, whose margins a path does not keep, with expected and got; None if none.
+    """Return the first obstacle, from 1, whose margins a path violates, with expected and got.
 
-    The path is given by the states of the team, (k, n), at times, (k,), s. `times_s` are the rising instants to begin
-    with; more are added where an obstacle is near.
+    The path is given by the states of the team, (k, n), at times, (k,), s. `times_s` are the rising
+    instants to begin with; more are added where an obstacle is near. None if all margins are kept.
     """
     for number, obstacle in enumerate(obstacles, start=1):
         times, clear_m = _nearest(system, obstacle, states_at, times_s)
@@ -42,15 +42,15 @@ def first_blocked(
 def _nearest(
     system: System, obstacle: Obstacle, states_at: Callable[[Array], Array], times_s: Array
 ) -> tuple[Array, Array]:
-    """Return times, (k,), s, and clearances at them, (k, 2 N + 1), m, with further instants near the obstacle."""
+    """Return instants, (k,), s, dense near the obstacle, and clearances then, (k, 2 N + 1), m."""
     margins_m = obstacle.margins(system.N)
     x = states_at(times_s)
     times = times_s
     clear_m = clearances(system, obstacle, x)
 
     while len(times) > 1:
-        # A distance changes by no more than its body moves (it is 1-Lipschitz), so between two instants with
-        # clearances a and b and a way w it is at least (a + b - w) / 2.
+        # A distance changes by no more than its body moves (it is 1-Lipschitz), so between two
+        # instants with clearances a and b and a way w it is at least (a + b - w) / 2.
         moved_m = _moved(system, x)
         over_m = (clear_m - margins_m).min(axis=1)
         least_m = (over_m[1:] + over_m[:-1] - moved_m) / 2.0
@@ -70,7 +70,7 @@ def _nearest(
 
 
 def _moved(system: System, x: Array) -> Array:
-    """Return the largest way of a UAV or an attachment point between successive states, (k - 1,), m."""
+    """Return the largest way of any UAV or attachment point between states, (k - 1,), m."""
     view = StateView(x)
     rho = np.array([uav.rho for uav in system.uavs])
     lengths_m = np.array([uav.rod_length for uav in system.uavs])

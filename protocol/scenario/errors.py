@@ -1,4 +1,4 @@
-"""Errors of scenarios: one line with source, field, expected and got, also from pydantic's problems."""
+"""Errors of scenarios: one line with source, field, expected and got."""
 
 import difflib
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -46,7 +46,7 @@ class ScenarioError(TransportError, ValueError):
         return ScenarioError(source_of(self.field, self.source, origins), self.field, self.problem)
 
     def blaming(self, settings: Sequence[str]) -> "ScenarioError":
-        """Return the same error with the settings as source if they gave the field or part of it."""
+        """Return the same error with settings as source if they gave the field or part of it."""
         given = [setting for setting in settings if _overlap(key_of(setting), self.field)]
         if not given:
             return self
@@ -64,7 +64,7 @@ class RequestError(TransportError, MessageError):
 
 
 class PythonSetting(str):
-    """A setting given in Python: it has its value, and errors name no option of the command line."""
+    """A setting given in Python: it has its value, and errors name no command-line option."""
 
     value: Any
 
@@ -142,7 +142,7 @@ def _overlap(key: str, field: str) -> bool:
 def _keys_of(
     problem: Mapping[str, Any], section: type[BaseModel]
 ) -> tuple[list[str], type[BaseModel]]:
-    """Return the keys that lead to one of pydantic's problems, and the innermost section around it."""
+    """Return the keys that lead to one of pydantic's problems, and the innermost section."""
     place = problem["loc"]
     keys: list[str] = []
     for part in place:

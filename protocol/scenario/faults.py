@@ -1,4 +1,7 @@
-"""Scripted faults: of processes, which end or stop themselves and are restarted by their parent, and of UAVs."""
+"""Scripted faults of processes and of UAVs.
+
+A process ends or stops itself, and its parent restarts or continues it.
+"""
 
 import math
 from collections.abc import Sequence

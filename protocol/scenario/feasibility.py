@@ -1,4 +1,4 @@
-"""Limits of a team along a path that it has to fly, and the least slowing with which it keeps them."""
+"""Limits of a team along a path, and the least slowing of the path with which it keeps them."""
 
 import math
 from collections.abc import Collection, Iterator
@@ -24,7 +24,7 @@ _AT_ONCE = 4096
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extreme:
-    """The value of a quantity that is furthest towards its bound on a path, or furthest beyond it."""
+    """The value of a quantity on a path that is furthest towards its bound, or beyond it."""
 
     quantity: str  # in words, with "at most" or "at least"
     unit: str  # with a blank before it; empty for none
@@ -38,7 +38,7 @@ class Extreme:
         return self.value <= self.bound if self.is_upper else self.value >= self.bound
 
     def joined(self, other: "Extreme") -> "Extreme":
-        """Return the further one of two extremes of the same quantity; one that is no number is further."""
+        """Return the further one of two extremes of a quantity, or the one that is not a number."""
         if math.isnan(self.value) or math.isnan(other.value):
             return self if math.isnan(self.value) else other
         is_further = other.value > self.value if self.is_upper else other.value < self.value
@@ -59,8 +59,9 @@ def exceeded(
 ) -> str | None:
     """Return the first limit that the team exceeds along a path, in words; None if it keeps all.
 
-    The path is given by its jets at k instants, (7, k, 3), or (7, k, 5) with a formation. The instants must be dense
-    (`path_instants`): nothing is known between them. UAVs, 0-based, were released before it.
+    The path is given by its jets at k instants, (7, k, 3), or (7, k, 5) with a formation. The
+    instants must be dense (`path_instants`): nothing is known between them. UAVs, 0-based, were
+    released before it.
     Source: docs/equations.md (69).
     """
     left = [uav for uav in range(system.N) if uav not in released]
@@ -92,7 +93,7 @@ def least_slowing(
     settings: ControllerSettings,
     released: Collection[int] = (),
 ) -> float | None:
-    """Return the least factor on all durations with which the team keeps all limits; None if none does."""
+    """Return the least factor on all durations with which the limits are kept; None without one."""
 
     def is_kept(factor: float) -> bool:
         return exceeded(slowed(path, factor), system, hover, settings, released) is None
@@ -115,7 +116,7 @@ def least_slowing(
 
 
 def _aside(path: Array, system: System) -> float:
-    """Return the largest distance of a UAV from above its attachment in a formation, in lengths of its rod."""
+    """Return the largest horizontal offset of a UAV from its attachment, over its rod length."""
     rho = np.array([uav.rho for uav in system.uavs])
     lengths_m = np.array([uav.rod_length for uav in system.uavs])
     stretch = path[0, :, None, 3:] - 1.0

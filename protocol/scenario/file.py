@@ -108,7 +108,7 @@ def validate(tree: dict[str, Any], source: str) -> Scenario:
 
 
 def _pace(tree: dict[str, Any], changed: Collection[str]) -> None:
-    """Set speed 1 where a change asks for real time alone: the 0 of the tree is that of lockstep."""
+    """Set speed 1 where a change asks for real time alone: the tree's 0 is that of lockstep."""
     clock = tree.get("clock")
     if "clock.mode" not in changed or "clock.speed" in changed or not isinstance(clock, dict):
         return

@@ -1,4 +1,7 @@
-"""Files that a scenario names, tables of paths and of measured delays, which become part of it when it is read."""
+"""Files that a scenario names: tables of paths and of measured delays.
+
+Their content becomes part of the scenario when it is read.
+"""
 
 import math
 import re
@@ -22,7 +25,10 @@ class TableError(TransportError, ValueError):
 
 
 def anchored(value: Any, key: str) -> Any:
-    """Return a part of a scenario's tree whose files are relative to the current folder, with their absolute paths."""
+    """Return a part of a scenario's tree with absolute paths.
+
+    Its files are relative to the current folder.
+    """
     if isinstance(value, list):
         return [anchored(entry, key) for entry in value]
     if isinstance(value, dict):
@@ -71,7 +77,7 @@ def points_of(path: Path) -> tuple[list[list[float]], list[float] | None]:
 
 
 def _table(path: Path, *headings: str) -> tuple[list[str], list[list[float]]]:
-    """Return the columns of a CSV file, those of one of the headings, and its rows of numbers, at least one."""
+    """Return the columns of a CSV file, one of the headings, and its rows, at least one."""
     first, *lines = _lines(path) or [""]
     heading = first.replace(" ", "")
     if heading not in headings:

@@ -69,7 +69,7 @@ def unit_of(name: str, field: FieldInfo) -> str:
 
 
 def section_in(annotation: Any) -> type[BaseModel] | None:
-    """Return the class of the section, or of the sections in a list, of a field; None for a value."""
+    """Return the class of a field's section, or of the sections in its list; None for a value."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
 
@@ -78,14 +78,18 @@ def section_in(annotation: Any) -> type[BaseModel] | None:
 
 
 def names_of(section: type[BaseModel]) -> dict[str, str]:
-    """Return the fields of a section by their keys, which differ where a key is a word of Python."""
+    """Return the fields of a section by their keys, different where a key is a Python keyword."""
     return {field.alias or name: name for name, field in section.model_fields.items()}
 
 
 def walk(
     section: type[BaseModel] = Scenario, path: str = ""
 ) -> Iterator[tuple[str, str, type[BaseModel], FieldInfo]]:
-    """Yield every key and section: path of the section around it, name, that section's class, field."""
+    """Yield every key and section below a section.
+
+    Each has the dotted path and the class of the section around it, and its own name and field, in
+    the order path, name, class, field.
+    """
     for key, name in names_of(section).items():
         field = section.model_fields[name]
         yield path, key, section, field
@@ -138,7 +142,7 @@ def _docstrings(section: type[BaseModel]) -> dict[str, str]:
 def out_of_range(
     value: object, place: str = "", within: tuple[float, float] = (0.0, inf)
 ) -> Iterator[tuple[str, str]]:
-    """Yield field, and expected and got, of each given number in a section or list out of its range."""
+    """Yield field, and expected with got, of each number of a section or list out of its range."""
     if isinstance(value, BaseModel):
         yield from _section_out_of_range(value, place)
     elif isinstance(value, list | tuple):

@@ -63,7 +63,7 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
 
 
 def words_of(change: LinkChange) -> str:
-    """Return the change in a message of the coordinator in words; the text of an invalid one as it is."""
+    """Return the change in a coordinator's message in words; an invalid one as it is."""
     try:
         settings = link_change(change.source, change.target, change.settings).settings()
     except RequestError:

@@ -1,4 +1,4 @@
-"""Sections of the links: impairments, exceptions for single links, partitions, changes during a run."""
+"""Sections of the links: impairments, exceptions, partitions, changes during a run."""
 
 from typing import Annotated, Any, Literal, Self
 
@@ -18,14 +18,14 @@ from transport.protocol.wire.names import PLANT
 
 Probability = Annotated[float, Interval(ge=0.0, le=1.0)]
 
-# Longest delay in seconds that is taken for one without question: measured delays in ms are mostly larger.
+# Longest delay in seconds that is taken for one without question: delays in ms are mostly larger.
 LONGEST_SAMPLE_S = 10.0
 
 _PROCESS = "agent1, agent2, ..., plant"
 
 
 def _read(value: Any, info: ValidationInfo) -> Any:
-    """Return the content of a file of a scenario, which has a folder; a change during a run has none."""
+    """Return the content of a scenario's file; a change during a run has no folder and no file."""
     return (
         delays_of(info.context / value)
         if isinstance(value, str) and info.context is not None
@@ -34,7 +34,7 @@ def _read(value: Any, info: ValidationInfo) -> Any:
 
 
 class GilbertElliottSection(Section):
-    """Bursts of loss: a chain between a good state without and a bad state with loss, one step per tick."""
+    """Bursts of loss: a chain of a good state and a bad one with loss, one step per tick."""
 
     enter: Probability
     """probability per tick of going bad"""
@@ -45,7 +45,7 @@ class GilbertElliottSection(Section):
 
 
 class LinkSection(Section):
-    """Impairments of a link, in scenario time, independent for each message but for bursts; none by default."""
+    """Impairments of a link, in scenario time; apart from bursts independent for each message."""
 
     delay_s: Annotated[
         NotNegative, Key(label="delay of plans", shown="ms", option="--delay", short="delay_s")
@@ -102,13 +102,13 @@ class LinkSection(Section):
 
     @model_validator(mode="after")
     def _has_samples_in_seconds(self) -> Self:
-        """Refuse delays whose magnitude is that of another unit, unless they are said to be meant."""
+        """Refuse delays with the magnitude of another unit, unless they are said to be meant."""
         longest_s = max(self.samples_s or [0.0])
         limit_s = self.longest_sample_s or LONGEST_SAMPLE_S
         if longest_s > limit_s:
             expected = f"samples_s: expected delays in seconds, at most {limit_s:g}"
-            remedy = f"divide milliseconds by 1000; if seconds are meant, set longest_sample_s = {longest_s:g}"
-            raise ValueError(f"{expected}, got {longest_s:g}; {remedy}")
+            remedy = "divide milliseconds by 1000; if seconds are meant, set longest_sample_s"
+            raise ValueError(f"{expected}, got {longest_s:g}; {remedy} = {longest_s:g}")
         return self
 
     @property
@@ -140,13 +140,13 @@ class LinkOverrideSection(LinkSection):
         return self
 
     def covers(self, sender: str, receiver: str) -> bool:
-        """Return whether it applies to the link from one process to another; the plant has to be named."""
+        """Return whether it applies to a link; to one of the plant only if it names the plant."""
         ends = ((self.from_, sender), (self.to, receiver))
         return all(name == end if name is not None else end != PLANT for name, end in ends)
 
 
 class LinkChangeSection(LinkOverrideSection):
-    """Change of links during a run: the keys given apply to messages sent from `at_s` on, the others stay."""
+    """Change of links during a run: its keys apply to messages sent from `at_s` on."""
 
     at_s: NotNegative
     """time of the change: it applies to messages of the first tick not before it, and of later
@@ -172,7 +172,7 @@ class PartitionSection(Section):
 
 
 class LinksSection(LinkSection):
-    """The links between agents; measurement and actuation are those from and to the plant, ideal by default."""
+    """The links between agents, and, ideal by default, those from and to the plant."""
 
     measurement: LinkSection = LinkSection()
     actuation: LinkSection = LinkSection()

@@ -205,7 +205,7 @@ class Link:
         return any(cut.start_s <= sent_s < cut.end_s for cut in self._partitions)
 
     def _exceeds_rate(self, section: LinkSection, tick: int) -> bool:
-        """Return whether the message of a tick is one that the rate of the link leaves no room for."""
+        """Return whether the rate of the link leaves no room for the message of a tick."""
         if section.rate_hz is None or tick == 0:
             return False
 
@@ -222,7 +222,7 @@ class Link:
         return bursts is not None and is_bad and draw.burst < bursts.loss
 
     def _is_bad(self, tick: int) -> bool:
-        """Return whether the Gilbert-Elliott chain is in the bad state; it starts in the good one."""
+        """Return whether the Gilbert-Elliott chain is bad at a tick, starting in the good state."""
         for k in range(len(self._was_bad), tick + 1):
             was_bad = k > 0 and self._was_bad[-1]
             bursts = self.impairments(k).gilbert_elliott
@@ -255,7 +255,7 @@ def _section_of(links: LinksSection, sender: str, receiver: str) -> LinkSection:
 
 
 def _separates(cut: PartitionSection, sender: str, receiver: str) -> bool:
-    """Return whether a partition separates two processes; it concerns the plant only if it names it."""
+    """Return whether a partition separates two processes; the plant only if it is named."""
     is_of_plant = PLANT in (sender, receiver)
     if is_of_plant and PLANT not in cut.between:
         return False

@@ -17,7 +17,7 @@ from transport.protocol.wire.messages import MAX_POINTS
 
 
 class PhaseSection(Section):
-    """One piece of the payload's path; a table or a curve defines displacement and, mostly, duration."""
+    """One piece of the payload's path; tables and curves define displacement and duration."""
 
     name: str
     """name of the phase in progress display and figures"""
@@ -66,7 +66,7 @@ class PhaseSection(Section):
     @model_validator(mode="before")
     @classmethod
     def _timed(cls, value: Any, info: ValidationInfo) -> Any:
-        """Read the file; fill in duration and displacement of a table or curve with valid fields."""
+        """Read the file; fill in duration and displacement of a valid table or curve."""
         if isinstance(value, dict) and isinstance(value.get("file"), str):
             value = _with_table(value, Path(info.context or ""))
         try:
@@ -210,7 +210,7 @@ class ObstacleSection(Section):
 
 
 def _with_table(phase: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the fields of a phase with the rows of its file, relative to a folder, in place of its name.
+    """Return the fields of a phase with the rows of its file, relative to a folder.
 
     Raises: TableError: it cannot be read, or a field contradicts it.
     """

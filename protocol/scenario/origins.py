@@ -1,4 +1,4 @@
-"""Sources of the values of a scenario that was merged from several, so that an error names the right one."""
+"""Sources of the values of a merged scenario, so that an error names the right one."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class Origin:
 
 
 def source_of(field: str, source: str, origins: Sequence[Origin]) -> str:
-    """Return the source of a field: of the most specific origin, else the given one with those of parts."""
+    """Return the most specific source of a field, else the given one with those of parts."""
     whole = [origin for origin in origins if origin.gave(field)]
     if whole:
         return max(whole, key=lambda origin: len(origin.key)).source

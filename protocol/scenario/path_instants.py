@@ -1,7 +1,7 @@
-"""Instants at which limits and obstacles are checked along a path: dense on every piece of it, however short.
+"""Instants at which limits and obstacles are checked along a path: dense on every piece of it.
 
-Pieces end where the motion changes its formula: at ramps, way points, and changes of the formation. The number of
-instants depends on the pieces alone, neither on the sampling period nor on the duration.
+Pieces end where the motion changes its formula: at ramps, way points, and changes of the formation.
+The number of instants depends on the pieces alone, neither on the sampling period nor on durations.
 """
 
 import math
@@ -14,11 +14,11 @@ from transport.model.arrays import Array
 from transport.model.curves import Curve
 from transport.model.maneuver import HANDOVER, Maneuver, Phase
 
-# Intervals of a piece, on which positions are polynomials of degree 7 to 13 in time: an extreme between two
-# instants exceeds theirs by less than 0.3 %.
+# Intervals of a piece, on which positions are polynomials of degree 7 to 13 in time: an extreme
+# between two instants exceeds theirs by less than 0.3 %.
 _PER_PIECE = 64
 
-# Intervals of one lap of a circle or eight, whose coordinates have one and two periods in it, and of all laps.
+# Intervals of a lap of a circle or eight, one or two periods of a coordinate, and of all laps.
 _PER_LAP = 128
 _MOST_OF_LAPS = 100_003
 
@@ -52,7 +52,7 @@ def curve_instants(curve: Curve) -> Array:
 def check_way_points(curve: Curve) -> None:
     """Check that a spline passes its way points one after the other, each away from the one before.
 
-    Raises: WayPointError: two of them are the same, or too close to each other in space or time for float64.
+    Raises: WayPointError: two are the same, or too close in space or time for float64.
     """
     times_s = curve.times_s
     if times_s is not None and any(b <= a for a, b in pairwise(times_s)):
@@ -126,7 +126,7 @@ def _way_point_shares(curve: Curve) -> Array:
 
 
 def _times_of(curve: Curve, shares: Array, ends_s: Iterable[float]) -> Array:
-    """Return the times at which a curve has covered shares s of its shape, by interpolation on its ramps, s."""
+    """Return the times at which a curve has covered shares of its shape, by interpolation, s."""
     dense_s = _divided(ends_s)
     covered = curve.covered(dense_s, 1)[0]
     return np.asarray(np.interp(shares, covered, dense_s))

@@ -13,7 +13,7 @@ from transport.protocol.scenario.schema import Scenario
 
 
 class PlannedRun(Protocol):
-    """A run, `transport.protocol.scenario.setup.Setup`, whose scenario is checked with these functions."""
+    """A run, such as `setup.Setup`, for which targets are timed."""
 
     @property
     def scenario(self) -> Scenario:

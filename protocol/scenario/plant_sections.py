@@ -33,7 +33,7 @@ class MujocoSection(Section):
 
 
 class RotorsSection(Section):
-    """Four equal rotors of every UAV, on arms at 45 deg to its axes, and the limits of their thrusts."""
+    """Four equal rotors of every UAV, on arms at 45 deg to its axes, and their limits."""
 
     arm_m: Positive
     """distance of each rotor from the centre of the UAV; arms at 45 deg to its axes"""
@@ -77,7 +77,7 @@ class WindSection(Section):
 
 
 class BiasSection(Section):
-    """Constant errors of each vehicle's sensors, with `plant.sensors` vehicle: standard deviations of their draws."""
+    """Standard deviations of constant sensor errors, with `plant.sensors` vehicle."""
 
     position_m: Annotated[NotNegative, Key(within=_NOISE)] = 0.0
     """standard deviation of the bias of positions"""
@@ -92,7 +92,7 @@ class BiasSection(Section):
 
 
 class DelaySection(Section):
-    """Ages of a vehicle's measurements, with `plant.sensors` vehicle, rounded to whole sampling periods."""
+    """Ages of a vehicle's measurements, with `plant.sensors` vehicle, in whole sampling periods."""
 
     position_s: Annotated[
         float, Interval(ge=0.0, le=1.0), Key(label="delay of positions", shown="ms")
@@ -109,7 +109,7 @@ class DelaySection(Section):
 
 
 class NoiseSection(Section):
-    """Errors of the measurements: white noise; with `plant.sensors` vehicle also bias and delay, of each UAV."""
+    """Errors of the measurements: white noise; with `plant.sensors` vehicle also bias and delay."""
 
     position_m: Annotated[
         NotNegative, Key(within=_NOISE, label="noise of payload position", shown="mm")
@@ -132,7 +132,7 @@ class NoiseSection(Section):
 
 
 class PlantSection(Section):
-    """Ground truth: its integration, its difference from the controller's model, limits beyond which a run diverged."""
+    """Ground truth: integration, differences from the controller's model, limits of divergence."""
 
     engine: Annotated[
         str, or_class("rods", "mujoco"), Key(type="rods, mujoco, package.module:Class")

@@ -185,7 +185,7 @@ class ClockSection(Section):
 
     @property
     def next_tick(self) -> bool:
-        """Return whether inputs act one tick after their state, as on hardware; always so in real time."""
+        """Return whether inputs act one tick after their state, as on hardware and in real time."""
         return self.mode == "realtime" if self.actuation is None else self.actuation == "next_tick"
 
 
@@ -211,7 +211,7 @@ class FaultsSection(Section):
 
 
 class NetworkSection(Section):
-    """Addresses of the processes: coordinator at the base port, plant, agents above that; not in the digest."""
+    """Addresses of processes: coordinator at the base port, plant, agents. Not in the digest."""
 
     host: Annotated[
         str, Field(pattern=r"^[A-Za-z0-9_:%-]{1,63}(\.[A-Za-z0-9_:%-]{1,63}){0,9}$")
@@ -266,10 +266,10 @@ class Scenario(Section):
         return tuple(tuple(sorted(group)) for group in self.agents.owned)
 
     def tree(self) -> dict[str, Any]:
-        """Return the scenario as plain data with every default, for writing back and for the digest."""
+        """Return the scenario as plain data with every default, to write it, and for the digest."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)
 
     def digest(self) -> str:
-        """Return the fingerprint of everything but the network addresses, equal in all processes of a run."""
+        """Return the fingerprint of everything but network addresses, equal in all processes."""
         tree = {key: value for key, value in self.tree().items() if key != "network"}
         return hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest()[:12]

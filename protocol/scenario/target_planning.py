@@ -50,8 +50,8 @@ class Window:
 def planned(setup: PlannedRun, section: TargetSection, tick: int) -> dict[str, Any]:
     """Return the numbers of the message for a target from a tick on.
 
-    The least duration is compared with the rest of the run before anything is sampled: the work depends on the
-    number of way points alone, whatever the distances, speeds and times.
+    The least duration is compared with the rest of the run before anything is sampled, and the work
+    depends on the number of way points alone, whatever the distances, speeds and times.
 
     Raises: RequestError: it cannot be flown.
     """
@@ -90,7 +90,7 @@ def planned(setup: PlannedRun, section: TargetSection, tick: int) -> dict[str, A
 def spline(
     further_I: Array, duration_s: float, ramp_s: float, times_s: list[float] | None
 ) -> Curve:
-    """Return the curve through points relative to the target, (k, 3), m, at their times or at one speed."""
+    """Return the curve through points relative to the target, (k, 3), m, at times or a speed."""
     return Curve(
         kind="spline",
         duration_s=duration_s,
@@ -122,7 +122,10 @@ def _least_approach_s(setup: PlannedRun, section: TargetSection, window: Window)
 
 
 def _least_way_s(section: TargetSection) -> float:
-    """Return the least duration of the way through further points, s: a spline is no shorter than their distances."""
+    """Return the least duration of the way through further points, s.
+
+    A spline is no shorter than the distances between its points.
+    """
     if section.times_s is not None:
         return section.times_s[-1] - section.times_s[0]
     if len(section.points_m) == 1:
@@ -164,7 +167,7 @@ def _approach_path(setup: PlannedRun, approach: Curve, point_I: Array, window: W
     """Return the jets of the path during an approach, (7, k, 3), or (7, k, 5) with a formation."""
     instants_s = curve_instants(approach)
     if setup.scenario.maneuver.reference == "hover":
-        # The reference of the controllers has no accelerations: those from rest are the target's own.
+        # The controllers' reference has no accelerations: those from rest are the target's own.
         here_I = setup.maneuver.path(np.array([window.since_s]))[0][0]
         return np.asarray(approach.covered(instants_s, ORDERS)[..., None] * (point_I - here_I))
 
@@ -173,7 +176,7 @@ def _approach_path(setup: PlannedRun, approach: Curve, point_I: Array, window: W
 
 
 def _way(setup: PlannedRun, section: TargetSection) -> Curve:
-    """Return the curve through the way points after the first, at the times or largest speed given, or feasible."""
+    """Return the curve through further way points, as fast as given, or as feasible."""
     way = _way_as_given(section)
     path = way.path(curve_instants(way))
     problem = exceeded(path, setup.system, setup.hover, setup.settings)
@@ -210,7 +213,10 @@ def _way_as_given(section: TargetSection) -> Curve:
 
 
 def _check_places(setup: PlannedRun, points_I: Array, since_s: float) -> None:
-    """Check that points are above the ground (without one z = 0, or as low as it has been), and the payload flies."""
+    """Check that points are above the ground, and that the payload flies.
+
+    Without a ground the lowest place is z = 0, or as low as the payload has been.
+    """
     ground_m = setup.scenario.plant.ground_m
     start_I, here_I = setup.maneuver.path(np.array([0.0, since_s]))[0]
     lowest_m = max(0.0, start_I[2], here_I[2])
@@ -231,7 +237,7 @@ def _check_places(setup: PlannedRun, points_I: Array, since_s: float) -> None:
 
 
 def _check_obstacles(setup: PlannedRun, target: Target) -> None:
-    """Check that the way to a target and through its way points keeps the margins of all obstacles."""
+    """Check that the way to a target and through its points keeps the margins of obstacles."""
     if not setup.obstacles:
         return
 

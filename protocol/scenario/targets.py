@@ -1,4 +1,4 @@
-"""Targets given during a run: messages of the coordinator, which decides the timing once, and a new reference each."""
+"""Targets given during a run: messages of the coordinator, each of which makes a new reference."""
 
 import math
 from collections.abc import Iterable
@@ -60,7 +60,7 @@ def with_targets(setup: Run, recorded: Iterable[messages.Target]) -> Run:
 
 
 def check_target(setup: PlannedRun, message: messages.Target) -> None:
-    """Raise MessageError for a target that is neither the next one of a run nor one that is repeated."""
+    """Raise MessageError for a target that is neither the next one of a run nor a repeated one."""
     count = len(setup.maneuver.targets)
     if message.number > count + 1:
         raise MessageError("future", f"target {message.number} after {count}")

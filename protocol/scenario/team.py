@@ -1,4 +1,7 @@
-"""A team of any size: UAVs in a ring over a payload of the paper's shape; all other values are those of a scenario."""
+"""A team of any size: UAVs in a ring over a payload of the paper's shape.
+
+All other values are those of a scenario.
+"""
 
 import math
 from collections.abc import Iterable
@@ -89,7 +92,7 @@ class Team:
         return tuple(origins)
 
     def blamed(self, error: ScenarioError) -> ScenarioError:
-        """Return an error of the scenario made for this team, with the source of the value that is refused."""
+        """Return an error of this team's scenario with the source of the refused value."""
         is_of_hover = error.field in _LIMITS_OF_HOVER and "hover" in error.problem
         if is_of_hover and self.load_kg is not None:
             return ScenarioError(self.load_in_words, error.field, error.problem)
@@ -124,10 +127,10 @@ def ring(
     airframe: AirframeSection | None = None,
     load_kg: float | None = None,
 ) -> dict[str, Any]:
-    """Return the section `system` of N UAVs, 2 or more, in a ring over a payload of the paper's shape.
+    """Return the section `system` of N UAVs, 2 or more, in a ring.
 
-    By default UAVs, their distance and the load of each, half its mass, are the paper's: four are Table I.
-    Source: docs/scenario.md.
+    By default UAVs, their distance and the load of each, half its mass, are the paper's: four are
+    Table I. Source: docs/scenario.md.
     """
     paper = table_1()
     uav = paper.uavs[0]
@@ -162,9 +165,9 @@ def ring(
 
 
 def resized(template: Scenario, team: Team, source: str) -> Scenario:
-    """Return a scenario for a team in a ring, with the keys of its vehicle and otherwise of the template.
+    """Return a scenario for a team, with the keys of its vehicle and otherwise of the template.
 
-    Errors name the vehicle's file, the load, or `source`, that of the template, whichever gave the refused value.
+    Errors name the source of the refused value: vehicle, load, name, or `source` of the template.
 
     Raises: ScenarioError: the template names agents that are gone, or a value is invalid.
     """
@@ -193,7 +196,7 @@ def given(scenario: Scenario) -> dict[str, Any]:
 
 
 def _owned(template: Scenario, team: Team) -> list[list[int]]:
-    """Return the UAVs of each agent, by default as many as those of the template's first agent, or all."""
+    """Return the UAVs of each agent, by default as many as of the template's first agent."""
     is_centralized = len(template.owned) == 1
     usual = team.uavs if is_centralized else len(template.owned[0])
     group = usual if team.group is None else team.group
@@ -203,7 +206,10 @@ def _owned(template: Scenario, team: Team) -> list[list[int]]:
 
 
 def _on_circle(number: int, N: int, radius_m: float, z_m: float) -> list[float]:
-    """Return the attachment point of a UAV, from 1: the first is to the right of the x axis, then counter-clockwise."""
+    """Return the attachment point of a UAV, from 1.
+
+    The first is to the right of the x axis, the others follow counter-clockwise.
+    """
     angle_rad = math.pi / N * (3 - 2 * number)
     return [radius_m * math.cos(angle_rad), radius_m * math.sin(angle_rad), z_m]
 

@@ -55,8 +55,8 @@ def new(
 ) -> None:
     """Write a scenario for a team of any size.
 
-    UAVs in a ring. By default they are the paper's, 0.5 m apart, with 0.75 kg of payload for each. A vehicle brings its
-    mass, inertia, rod, limits, motors and inner loop: docs/vehicles.md.
+    UAVs in a ring. By default they are the paper's, 0.5 m apart, with 0.75 kg of payload for each.
+    A vehicle brings its mass, inertia, rod, limits, motors and inner loop: docs/vehicles.md.
 
     Example: transport scenario new --uavs 4 --vehicle x500 --load 3.0 --out four.toml
     """
@@ -139,11 +139,11 @@ def margins(
 ) -> None:
     """Compute how much model error a hover tolerates.
 
-    Analyses the sampled loop about hover: actuator lag, delay and gain, masses, inertias and rods up to which the hover
-    is stable, the others as known. Factors are relative to the known value. Takes seconds. With --without the
-    team that is left holds the payload if all deviations decay.
+    Analyses the sampled loop about hover: actuator lag, delay and gain, masses, inertias and rods
+    up to which the hover is stable, the others as known. Factors are relative to the known value.
+    Takes seconds. With --without the team that is left holds the payload if all deviations decay.
 
-    Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure margins.png
+    Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure m.png
     """
     from transport.interface.figure import Margins  # loads matplotlib
     from transport.report.margins import hover_margins
@@ -169,8 +169,9 @@ def doctor(
 ) -> None:
     """Check that this machine can run a scenario.
 
-    Checks ports, network, step time, kernels, punctuality and cores. Each result is ok, warn (runs work, but slower or
-    less punctually) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.
+    Checks ports, network, step time, kernels, punctuality and cores. Each result is ok, warn (runs
+    work, but slower or less punctually) or fail (runs do not work), with advice. Takes a few
+    seconds and changes nothing.
 
     Exit codes: 0 no check failed, 9 a check failed, 3 scenario.
 
