@@ -26,11 +26,9 @@ _PROCESS = "agent1, agent2, ..., plant"
 
 def _read(value: Any, info: ValidationInfo) -> Any:
     """Return the content of a scenario's file; a change during a run has no folder and no file."""
-    return (
-        delays_of(info.context / value)
-        if isinstance(value, str) and info.context is not None
-        else value
-    )
+    if isinstance(value, str) and info.context is not None:
+        return delays_of(info.context / value)
+    return value
 
 
 class GilbertElliottSection(Section):
@@ -114,9 +112,8 @@ class LinkSection(Section):
     @property
     def perfect(self) -> bool:
         """Return whether every message arrives at once, once."""
-        return all(
-            getattr(self, key) == field.default for key, field in LinkSection.model_fields.items()
-        )
+        fields = LinkSection.model_fields
+        return all(getattr(self, key) == field.default for key, field in fields.items())
 
     def settings(self) -> dict[str, Any]:
         """Return the keys of a link that were given, as plain data."""
@@ -141,8 +138,12 @@ class LinkOverrideSection(LinkSection):
 
     def covers(self, sender: str, receiver: str) -> bool:
         """Return whether it applies to a link; to one of the plant only if it names the plant."""
-        ends = ((self.from_, sender), (self.to, receiver))
-        return all(name == end if name is not None else end != PLANT for name, end in ends)
+        return _is_end(self.from_, sender) and _is_end(self.to, receiver)
+
+
+def _is_end(name: str | None, process: str) -> bool:
+    """Return whether a process is a named end of a link, or any agent if no name is given."""
+    return process == name if name is not None else process != PLANT
 
 
 class LinkChangeSection(LinkOverrideSection):
@@ -155,7 +156,9 @@ class LinkChangeSection(LinkOverrideSection):
     @model_serializer(mode="wrap")
     def _given(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Return only the keys given: a default written out would be a change."""
-        given = {*self.model_fields_set, *({"from"} if "from_" in self.model_fields_set else ())}
+        given = set(self.model_fields_set)
+        if "from_" in given:
+            given.add("from")
         return {key: value for key, value in dump(self).items() if key in given}
 
 

@@ -1,21 +1,13 @@
-"""Impairments of the network, which act at the receiver, in scenario time.
+"""Impairments of the network, which act at the receiver, in scenario time."""
 
-Random numbers come from a counter keyed by seed, link and tick: they do not depend on the order of
-arrivals.
-"""
-
-import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-from numpy.random import Generator, Philox
-
 from transport.model.arrays import Array
+from transport.protocol.scenario.draws import Draw, draw_key, generator
 from transport.protocol.scenario.keys import UNITS
 from transport.protocol.scenario.link_sections import (
     GilbertElliottSection,
@@ -27,8 +19,6 @@ from transport.protocol.scenario.link_sections import (
 from transport.protocol.wire.messages import Measurement, Plan
 from transport.protocol.wire.names import PLANT
 
-Key = npt.NDArray[np.uint64]
-
 # Stream of the burst chain at each tick; those of the message and the negotiation are 0, 1, ...
 _CHAIN = 2**32
 
@@ -36,60 +26,6 @@ _CHAIN = 2**32
 _SLACK = 1e-9
 
 _LONGEST_S = UNITS["_s"].most  # of a delay: that of a key in seconds
-
-
-def draw_key(*purpose: object) -> Key:
-    """Return the key of an independent stream of random numbers, for a seed and a purpose, (2,)."""
-    digest = hashlib.sha256("/".join(map(str, purpose)).encode()).digest()
-    return np.frombuffer(digest[:16], dtype="<u8")
-
-
-def generator(key: Key, tick: int, stream: int = 0) -> Generator:
-    """Return the generator that belongs to a key, a tick and one of the streams of that tick."""
-    counter = np.array([0, 0, stream, tick], dtype=np.uint64)
-    return Generator(Philox(key=key, counter=counter))
-
-
-@dataclass(frozen=True, slots=True)
-class Draw:
-    """Uniform random numbers of one message, from 0 to 1.
-
-    The order is that in which they are drawn; a further one goes to the end.
-    """
-
-    COUNT = 8
-
-    numbers: Array  # (COUNT,)
-
-    @property
-    def loss(self) -> float:
-        """Number that decides over an independent loss."""
-        return float(self.numbers[0])
-
-    @property
-    def burst(self) -> float:
-        """Number that decides over a loss in a burst."""
-        return float(self.numbers[1])
-
-    @property
-    def jitter(self) -> Array:
-        """Numbers of the random part of the delay, (2,)."""
-        return self.numbers[2:4]
-
-    @property
-    def duplicate(self) -> float:
-        """Number that decides over a second arrival."""
-        return float(self.numbers[4])
-
-    @property
-    def echo_jitter(self) -> Array:
-        """Numbers of the delay of the second arrival, (2,)."""
-        return self.numbers[5:7]
-
-    @property
-    def reorder(self) -> float:
-        """Number that decides over holding the message back."""
-        return float(self.numbers[7])
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,9 @@ from transport.protocol.wire.names import MAX_UAVS
 
 
 def _inertia(value: list[Any]) -> list[Any]:
-    if [len(row) if isinstance(row, list) else 1 for row in value] not in ([1, 1, 1], [3, 3, 3]):
+    """Check that an inertia has three principal moments or three rows of three numbers."""
+    widths = [len(row) if isinstance(row, list) else 1 for row in value]
+    if widths not in ([1, 1, 1], [3, 3, 3]):
         raise ValueError(f"expected 3 principal moments or 3 rows of 3 numbers, got {value}")
     return value
 

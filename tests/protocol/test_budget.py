@@ -1,7 +1,4 @@
-"""Budgets: estimates against the sizes of real controllers, messages and logs.
-
-Limits that are refused, and raised.
-"""
+"""Budgets: estimates agree with the sizes of controllers, messages and logs, and limits hold."""
 
 from pathlib import Path
 

@@ -1,7 +1,4 @@
-"""Changes of links during a run.
-
-Each applied once, in the order of time, by the receiver of the link.
-"""
+"""Changes of links during a run are applied once, in the order of time, by the receiver."""
 
 import json
 from typing import Any

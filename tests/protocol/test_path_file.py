@@ -109,9 +109,9 @@ GARBAGE = [
 
 @pytest.mark.parametrize(("text", "problem"), GARBAGE)
 def test_garbage_is_refused_with_row_and_reason(text: str, problem: str, tmp_path: Path) -> None:
-    """An invalid path is refused on reading.
+    """An invalid path is refused on reading, in one line.
 
-    Scenario, key, file, row, expected and got, in one line.
+    It has scenario, key, file, row, column, expected and got.
     """
     path = written(tmp_path, text)
     with pytest.raises(ScenarioError) as caught:

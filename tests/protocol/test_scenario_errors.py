@@ -336,9 +336,9 @@ def refusal(path: Path, *settings: str) -> str:
 
 @pytest.mark.parametrize(("settings", "problem"), WRONG, ids=lambda value: str(value)[:50])
 def test_wrong_scenario(settings: str | tuple[str, ...], problem: str) -> None:
-    """An invalid value is refused before anything starts.
+    """An invalid value is refused before anything starts, in one line.
 
-    One line with setting or file, field, expected and got.
+    It has setting or file, field, expected and got.
     """
     given = [settings] if isinstance(settings, str) else list(settings)
     text = refusal(PAPER, *given)

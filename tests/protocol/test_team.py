@@ -60,7 +60,7 @@ def test_neighbours_are_as_far_apart_as_the_papers(uavs: int) -> None:
 
 @pytest.mark.parametrize("uavs", SIZES)
 def test_the_payload_keeps_its_shape(uavs: int) -> None:
-    """0.75 kg for each UAV.
+    """A payload has 0.75 kg for each UAV, and the shape of the paper's.
 
     Inertia over mass grows with the square of the lengths, heights included.
     """
