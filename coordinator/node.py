@@ -15,7 +15,7 @@ from transport.coordinator.failed_steps import FailedSteps
 from transport.coordinator.roster import TeamRoster, names
 from transport.protocol.admission.plausibility import check_tick
 from transport.protocol.scenario.errors import RequestError, requested
-from transport.protocol.scenario.schema import TargetSection
+from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.exit_codes import (

@@ -10,10 +10,11 @@ from typing import Any
 
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.faults import failures
-from transport.protocol.scenario.links import link_change, words_of
-from transport.protocol.scenario.schema import TargetSection
+from transport.protocol.scenario.link_changes import link_change, words_of
+from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import MOST, planned, scripted, target_in_words
+from transport.protocol.scenario.target_planning import planned
+from transport.protocol.scenario.targets import MOST, scripted, target_in_words
 from transport.protocol.wire.messages import (
     MAX_TEXT,
     LinkChange,

@@ -15,7 +15,7 @@ from transport.model.hover import with_released
 from transport.model.linearisation import Model
 from transport.model.parameters import Payload, System, Uav
 from transport.model.state import SENSED, StateView
-from transport.protocol.scenario.links import draw_key, generator
+from transport.protocol.scenario.draws import draw_key, generator
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.names import PLANT
 

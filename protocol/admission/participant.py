@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from transport.protocol.admission.arrivals import Arrivals
-from transport.protocol.scenario.links import LinkChanges
+from transport.protocol.scenario.link_changes import LinkChanges
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.targets import check_target
 from transport.protocol.wire.errors import MessageError

@@ -19,9 +19,10 @@ from transport.protocol.network.session import BusError, ask
 from transport.protocol.scenario.errors import requested
 from transport.protocol.scenario.files import points_of
 from transport.protocol.scenario.keys import key_of, meanings
+from transport.protocol.scenario.link_changes import PERFECT, link_change
 from transport.protocol.scenario.link_sections import LinkSection
-from transport.protocol.scenario.links import PERFECT, link_change
-from transport.protocol.scenario.schema import Scenario, TargetSection
+from transport.protocol.scenario.maneuver_sections import TargetSection
+from transport.protocol.scenario.schema import Scenario
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
 
 # Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus, description. Two only grow.

@@ -18,7 +18,7 @@ from transport.flight import registry
 from transport.model.arrays import Array
 from transport.protocol.network.security import Security
 from transport.protocol.network.session import ask
-from transport.protocol.scenario.links import PERFECT
+from transport.protocol.scenario.link_changes import PERFECT
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.keys import ROUTER
 from transport.protocol.wire.messages import agent_name
