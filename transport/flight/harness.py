@@ -45,6 +45,14 @@ class Child:
         """Exit code, negative for a signal; None while the process runs."""
         return self.wait(0.0)
 
+    @property
+    def is_stopped(self) -> bool:
+        """Whether the process has been stopped by SIGSTOP and not continued."""
+        try:
+            return self.code is None and self.process.status() == psutil.STATUS_STOPPED
+        except psutil.NoSuchProcess:
+            return False
+
     def wait(self, timeout_s: float) -> int | None:
         """Wait for the end; return the exit code, None if the process still runs."""
         try:

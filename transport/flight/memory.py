@@ -14,10 +14,11 @@ from transport.agent.node import AgentNode
 from transport.coordinator.node import CoordinatorNode
 from transport.flight.signals import check_interrupt
 from transport.plant.node import PlantNode
-from transport.protocol.scenario.faults import due
+from transport.protocol.scenario.faults import Fault, due
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.keys import Keys, matches
 from transport.protocol.wire.messages import Control, Message, Presence
+from transport.protocol.wire.names import COORDINATOR, PLANT
 from transport.protocol.wire.node import Node
 
 # Runs in several threads take turns: the number of BLAS threads, which decides the order of sums,
@@ -38,6 +39,19 @@ def simulate(
     """
     with _TURN, threadpoolctl.threadpool_limits(1):
         return InMemoryRun(setup, record, stopwatch).run()
+
+
+def _without_waits(faults: Sequence[Fault]) -> list[Fault]:
+    """Return the faults without the stops of coordinator and plant that end.
+
+    No scenario time passes while one of these is stopped, so such a stop changes nothing.
+    """
+    continued = {
+        fault.target
+        for fault in faults
+        if fault.do == "continue" and fault.target in (COORDINATOR, PLANT)
+    }
+    return [fault for fault in faults if fault.target not in continued or fault.do == "kill"]
 
 
 class InMemoryRun:
@@ -61,6 +75,7 @@ class InMemoryRun:
         self._now_ns = 0
         self._incarnations = {node.name: 0 for node in agents}
         returns = [fault for fault in setup.faults if fault.do in ("continue", "start")]
+        self._faults = _without_waits(setup.faults)
         self._returns = [fault for fault in returns if fault.target in self._incarnations]
 
     def run(self) -> Control:
@@ -107,7 +122,7 @@ class InMemoryRun:
 
     def _fails(self, name: str, message: Message) -> bool:
         """Apply a scripted fault at a message; return whether the process ended or froze."""
-        fault = due(self._setup.faults, name, message)
+        fault = due(self._faults, name, message)
         if fault is None or name not in self.nodes:
             return False
         node = self.nodes.pop(name)

@@ -22,7 +22,7 @@ from transport.protocol.wire import messages as wire
 from transport.protocol.wire.codec import Header, decode, encode
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.keys import RECORDER, Keys
-from transport.protocol.wire.names import COORDINATOR
+from transport.protocol.wire.names import COORDINATOR, agent_name
 from transport.protocol.wire.node import Outbox, lost
 
 # Kinds of messages that the recorder reads; of the others it reads the header.
@@ -61,6 +61,7 @@ class Recorder:
         self.error: str | None = None  # why recording ended early
         self.received = 0  # messages in the log
         self.tick = -1  # the newest open one
+        self.members: Set[str] = frozenset()  # agents on the newest roster
         self.requests: queue.SimpleQueue[wire.Request] = (
             queue.SimpleQueue()
         )  # to the parent of the run's processes
@@ -211,8 +212,10 @@ class Recorder:
                 self.control = message
             case wire.Target():
                 self.setup = with_targets(self.setup, [message])
-            case wire.Roster(version=version, reason=reason) if version > 1:
-                self._say(f"roster: {reason}")
+            case wire.Roster():
+                self.members = frozenset(map(agent_name, message.agents))
+                if message.version > 1:
+                    self._say(f"roster: {message.reason}")
             case wire.FaultNote():
                 self._say(f"fault: {message.target} {message.what}")
 
