@@ -1,6 +1,5 @@
 """Contract between parent and child process: environment, start signal, end."""
 
-import ctypes
 import os
 import signal
 import sys
@@ -43,6 +42,8 @@ def wake_with_its_end() -> None:
     Otherwise it would never notice. Linux only.
     """
     if os.environ.get(PARENT_PIPE):
+        import ctypes  # 10 ms that a command without a parent saves
+
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT, 0, 0, 0)
 

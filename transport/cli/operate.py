@@ -16,6 +16,7 @@ from transport.cli.options import RUNS, FormatOption, ScenarioOption, SetOption,
 from transport.cli.output import Format, blame, facts, fail, show
 from transport.flight import live
 from transport.flight.live import request
+from transport.flight.signals import take_interrupt
 from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
 from transport.protocol.network.session import BusError, ask
 from transport.protocol.scenario.errors import requested
@@ -185,6 +186,7 @@ def metrics(
     try:
         threading.Event().wait()
     except KeyboardInterrupt:
+        take_interrupt()
         server.shutdown()
         thread.join()
 

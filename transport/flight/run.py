@@ -186,7 +186,9 @@ def _watch(
 
     Forward Ctrl-C; refuse processes started here that end too early.
     """
-    interrupted, ended_s, goes_on = 0, math.inf, True
+    is_interrupted = False
+    ended_s = math.inf
+    goes_on = True
     with collected_signals() as signals:
         while goes_on:  # once more after the end
             goes_on = recorder.join(_POLL_S)
@@ -194,15 +196,15 @@ def _watch(
             progress.show(recorder.plant_state, recorder.started_s)
             if faults is not None:
                 faults.work()
-            if len(signals) > interrupted:
-                interrupted = len(signals)
-                if interrupted > 1 or recorder.started_s is None:
-                    raise KeyboardInterrupt(signals[-1])
+            if (name := signals.next()) is not None:
+                if is_interrupted or recorder.started_s is None:
+                    raise KeyboardInterrupt(name)
+                is_interrupted = True
                 if harness is None:
-                    recorder.stop(signals[-1])
+                    recorder.stop(name)
                     continue
-                progress.say(f"{signals[-1]}: ending the run; once more to end it at once")
-                harness.child(COORDINATOR).signal(signal.Signals[signals[-1]])
+                progress.say(f"{name}: ending the run; once more to end it at once")
+                harness.child(COORDINATOR).signal(signal.Signals[name])
             if harness is None or recorder.control is not None or recorder.started_s is not None:
                 continue
             for child in harness.ended():
