@@ -156,7 +156,7 @@ class Harness:
         # The parent has checked the scenario's size.
         arguments = [*role, "--allow-large", *(text for option in options for text in option)]
         log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
-        log.parent.mkdir(exist_ok=True)
+        log.parent.mkdir(parents=True, exist_ok=True)
         self.children.append(start_child(name, arguments, log, incarnation))
 
 

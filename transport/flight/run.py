@@ -2,7 +2,6 @@
 
 import math
 import os
-import shutil
 import signal
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -17,7 +16,14 @@ from transport.flight.fault_script import FaultScript
 from transport.flight.harness import Child, Harness, keys_setting, reserved_ports
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
-from transport.flight.run_files import RunError, checked, create, existing, own_keys, run_header
+from transport.flight.run_files import (
+    RunError,
+    RunFolder,
+    checked,
+    existing,
+    own_keys,
+    run_header,
+)
 from transport.flight.signals import collected_signals
 from transport.log.writer import LogWriter
 from transport.protocol.network.bus import Place
@@ -79,7 +85,8 @@ def simulate(
         places = mesh(scenario, [*names, RECORDER], [*ports, own_port])
         places = {name: place.checked(name, scenario) for name, place in places.items()}
         run = folder.name if Keys.allows(folder.name) else scenario.name
-        header = run_header(setup, run, len(names), create(folder, setup), classes)
+        run_folder = stack.enter_context(RunFolder(folder, setup))
+        header = run_header(setup, run, len(names), run_folder.scenario_toml, classes)
         called = {name: [*place.listen, *place.connect][0] for name, place in places.items()}
         recording = places.pop(RECORDER)
         started_here = {name: place for name, place in places.items() if name not in external}
@@ -93,7 +100,7 @@ def simulate(
         for name in started_here:
             harness.start(name)
         place = Place(run=run, endpoints=recording, join_timeout_s=scenario.clock.join_timeout_s)
-        recorder = stack.enter_context(_recorded(place, folder, header, progress, harness))
+        recorder = stack.enter_context(_recorded(place, run_folder, header, progress, harness))
         try:
             live.write(folder, live.LiveRun(run, called, os.getpid(), keys))
             ready()  # the coordinator waits for the recorder
@@ -120,11 +127,11 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
         "engine": setup.scenario.plant.engine,
         "controller": setup.scenario.agents.controller,
     }
-    header = run_header(setup, place.run, len(names), create(folder, setup), classes)
-    with (
-        RunProgress(setup, console) as progress,
-        _recorded(place, folder, header, progress) as recorder,
-    ):
+    with ExitStack() as stack:
+        run_folder = stack.enter_context(RunFolder(folder, setup))
+        header = run_header(setup, place.run, len(names), run_folder.scenario_toml, classes)
+        progress = stack.enter_context(RunProgress(setup, console))
+        recorder = stack.enter_context(_recorded(place, run_folder, header, progress))
         recorder.start(names)
         _watch(recorder, progress)
     return _finished(folder, recorder)
@@ -133,30 +140,32 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
 @contextmanager
 def _recorded(
     place: Place,
-    folder: Path,
+    folder: RunFolder,
     header: Mapping[str, str],
     progress: RunProgress,
     harness: Harness | None = None,
 ) -> Iterator[Recorder]:
-    """Open log and recorder of a run.
+    """Open log and recorder of a run; decide in the end whether its folder is kept.
 
-    Remove a folder without any message in the end, unless its processes tell why.
+    It is kept if it has messages, or the logs of processes that tell why there are none; after an
+    interrupt only if the run has begun.
     """
-    recorder = None
-    try:
-        writer = LogWriter(
-            folder / "run.mcap", header, period_ns=progress.setup.period_ns, say=progress.say
-        )
-        with closing(writer):
-            recorder = Recorder(progress.setup, place, writer, progress.say)
+    log = folder.path / "run.mcap"
+    writer = LogWriter(log, header, period_ns=progress.setup.period_ns, say=progress.say)
+    is_interrupted = False
+    with closing(writer):
+        recorder = Recorder(progress.setup, place, writer, progress.say)
+        try:
             with closing(recorder):
                 yield recorder
-    finally:
-        is_told = (
-            harness is not None and recorder is not None and (recorder.error or harness.ended())
-        )
-        if recorder is None or not (recorder.received or is_told):
-            shutil.rmtree(folder, ignore_errors=True)
+        except KeyboardInterrupt:
+            is_interrupted = True
+            raise
+        finally:
+            is_told = harness is not None and bool(recorder.error or harness.ended())
+            is_recorded = recorder.received > 0 or is_told
+            is_begun = recorder.started_s is not None
+            folder.is_kept = is_begun if is_interrupted else is_recorded
 
 
 def _finished(folder: Path, recorder: Recorder) -> Finished:
@@ -170,7 +179,11 @@ def _finished(folder: Path, recorder: Recorder) -> Finished:
         return Finished(
             folder, codes.EXIT_INTERRUPTED, "recording interrupted; the run may continue without it"
         )
-    if lost := recorder.writer.lost:
+    lost = recorder.writer.lost
+    log = folder / "run.mcap"
+    if not lost and not log.exists():
+        lost = f"{log}: the log was removed during the run"
+    if lost:
         text = f"{lost}; the run {control.outcome} {control.reason}".rstrip()
         raise RunError(text, control.exit_code or codes.EXIT_UNRECORDED)
     return Finished(folder, control.exit_code, control.reason)

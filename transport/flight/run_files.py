@@ -4,17 +4,19 @@ import os
 import platform
 import re
 import secrets
+import shutil
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Self
 
 import psutil
 import tomli_w
 
 from transport.agent.own import checked_controller
-from transport.log.run_log import point_latest
+from transport.log.run_log import LATEST, point_latest
 from transport.model import native
 from transport.plant.engines import checked_engine
 from transport.protocol.network.security import SHARED
@@ -51,22 +53,70 @@ def existing(folder: Path) -> RunError:
     return RunError(f"expected a folder that does not exist yet, got {folder}", EXIT_USAGE)
 
 
-def create(folder: Path, setup: Setup) -> str:
-    """Create the run folder with the resolved scenario; return its text, or raise RunError."""
-    text = tomli_w.dumps(setup.scenario.tree())
-    try:
-        str(folder).encode()  # Zenoh and TOML take UTF-8 only
-        folder.mkdir(parents=True)
-        (folder / "scenario.toml").write_text(text, encoding="utf-8")
-    except FileExistsError as error:
-        raise existing(folder) from error
-    except (OSError, ValueError) as error:
+class RunFolder:
+    """The folder of a new run, as a context: it is removed at the end unless it `is_kept`.
+
+    Attributes:
+        path: The folder; the context creates it.
+        scenario_toml: Text of the resolved scenario in it.
+        is_kept: Whether anything was recorded in it that a user may want to see.
+    """
+
+    def __init__(self, path: Path, setup: Setup) -> None:
+        self.path = path
+        self.scenario_toml = tomli_w.dumps(setup.scenario.tree())
+        self.is_kept = False
+
+    def __enter__(self) -> Self:
+        try:
+            self._create()
+        except BaseException:
+            self._remove()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if not self.is_kept:
+            self._remove()
+
+    def _create(self) -> None:
+        try:
+            str(self.path).encode()  # Zenoh and TOML take UTF-8 only
+            self.path.mkdir(parents=True)
+        except FileExistsError as error:
+            self.is_kept = True  # of another run
+            raise existing(self.path) from error
+        except (OSError, ValueError) as error:
+            raise self._unusable(error) from error
+        try:
+            (self.path / "scenario.toml").write_text(self.scenario_toml, encoding="utf-8")
+        except OSError as error:
+            raise self._unusable(error) from error
+        point_latest(self.path)
+
+    def _unusable(self, error: OSError | ValueError) -> RunError:
         reason = getattr(error, "strerror", None) or error
-        raise RunError(
-            f"cannot create the folder {str(folder)!r} ({reason})", EXIT_USAGE
-        ) from error
-    point_latest(folder)
-    return text
+        return RunError(f"cannot create the folder {str(self.path)!r} ({reason})", EXIT_USAGE)
+
+    def _remove(self) -> None:
+        """Remove the folder, and point the link to the most recent run at the one before."""
+        if self.is_kept:
+            return
+        shutil.rmtree(self.path, ignore_errors=True)
+        link = self.path.parent / LATEST
+        with suppress(OSError, ValueError):
+            if link.is_symlink() and not link.exists():
+                link.unlink()
+                logs = [log for log in self.path.parent.glob("*/run.mcap") if log.is_file()]
+                if logs:
+                    point_latest(max(logs, key=lambda log: log.stat().st_mtime).parent)
+
+
+def create(folder: Path, setup: Setup) -> str:
+    """Create a run folder with the resolved scenario, and return its text. Raises: RunError."""
+    with RunFolder(folder, setup) as created:
+        created.is_kept = True
+    return created.scenario_toml
 
 
 @contextmanager
