@@ -103,16 +103,20 @@ def execute(seed: int, number: int, folder: Path, stop: threading.Event) -> Resu
 
 def _problems(folder: Path, code: int) -> Iterator[tuple[str, str]]:
     """Yield what is wrong after a command has ended, by kind."""
-    # Before the first line of the command the interpreter or the system ends it. The viewer and the
-    # exporter end in order: code 0.
+    text = (folder / "output.txt").read_text(errors="replace")
+    is_traceback = "Traceback (most recent call last)" in text
+    is_ours = f"{os.sep}transport{os.sep}" in text
+    # Before the first line of the command the system ends it, or the interpreter in its own start.
+    # The viewer and the exporter end in order: code 0.
     expected = {EXIT_INTERRUPTED, 0, *(-number for number in _SIGNALS)}
+    if is_traceback and not is_ours:
+        expected.add(1)
     if code not in expected:
         yield "wrong exit code", f"{code}, expected one of {sorted(expected)}"
     left = end_orphans(folder)
     if left:
         yield "orphan", left
-    text = (folder / "output.txt").read_text(errors="replace")
-    if "Traceback (most recent call last)" in text and f"{os.sep}transport{os.sep}" in text:
+    if is_traceback and is_ours:
         yield "traceback", text.strip().splitlines()[-1]
     run = folder / "run"
     if run.exists() and not _has_begun(run):

@@ -78,3 +78,15 @@ def test_a_file_with_the_name_of_an_imported_package_is_refused(tmp_path: Path) 
     assert done.returncode == 3
     assert f"{tmp_path / 'numpy.py'} has the name of the imported package" in done.stderr
     assert "rename it" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_deleted_current_folder(tmp_path: Path) -> None:
+    """A run with an absolute folder is completed when the current folder has been deleted."""
+    gone, out = tmp_path / "gone", tmp_path / "out"
+    gone.mkdir()
+    words = ["run", "paper", *settings(SHORT), "--out", str(out), "--no-figures"]
+    program = f"import os, sys; os.rmdir({str(gone)!r}); os.execv(sys.executable, sys.argv[1:])"
+    done = python(gone, "-c", program, sys.executable, "-P", "-m", "transport", *words)
+    assert done.returncode == 0, done.stderr
+    assert (out / "summary.json").exists()

@@ -89,7 +89,7 @@ class ForkServer:
         request = {
             "arguments": list(arguments),
             "environment": environment,
-            "folder": str(Path.cwd()),
+            "folder": _current_folder(),
         }
         with self._turn:
             try:
@@ -120,6 +120,14 @@ class ForkServer:
             self._process.kill()
             self._process.wait()
             _adopt_orphans(False)
+
+
+def _current_folder() -> str:
+    """Return the current folder; the root if it was deleted, and with it all relative paths."""
+    try:
+        return str(Path.cwd())
+    except FileNotFoundError:
+        return os.sep
 
 
 def _adopt_orphans(adopt: bool) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import psutil
@@ -32,7 +32,8 @@ class LiveRun:
 
     run: str  # its name
     endpoints: Mapping[str, str]  # endpoints of its processes, by name
-    pid: int  # process id of their parent
+    # Process id of their parent; the system has no larger ones.
+    pid: Annotated[int, msgspec.Meta(ge=1, le=2**31 - 1)]
     keys: str = ""  # folder of their keys; empty without keys
 
     def ask(
@@ -67,17 +68,27 @@ def read(folder: Path) -> LiveRun | None:
         run = msgspec.json.decode((folder / _FILE).read_bytes(), type=LiveRun)
     except (OSError, msgspec.MsgspecError):
         return None
-    return run if psutil.pid_exists(run.pid) else None
+    return run if _is_running(run.pid) else None
+
+
+def _is_running(pid: int) -> bool:
+    """Return whether a process runs; one that has ended may wait for its parent to notice."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.Error:
+        return False
 
 
 def newest_folder(parent: Path) -> Path | None:
-    """Return the folder of the most recent active run below a folder."""
-    found = [
-        path
-        for path in parent.glob(f"*/{_FILE}")
-        if not path.parent.is_symlink() and read(path.parent)
-    ]
-    return max(found, key=lambda path: path.stat().st_mtime).parent if found else None
+    """Return the folder of the most recent active run below a folder, None if there is none."""
+    begun_s: dict[Path, float] = {}
+    for file in parent.glob(f"*/{_FILE}"):
+        folder = file.parent
+        if folder.is_symlink() or read(folder) is None:
+            continue
+        with suppress(OSError):  # it may vanish at any moment
+            begun_s[folder] = file.stat().st_mtime
+    return max(begun_s, key=begun_s.__getitem__, default=None)
 
 
 def request(
