@@ -20,6 +20,7 @@ from transport.protocol.network.session import (
     log_errors,
     open_session,
 )
+from transport.protocol.network.steady_clock import SteadyClock
 from transport.protocol.wire.codec import VERSION
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.keys import RECORDER, Keys
@@ -88,6 +89,7 @@ class Bus:
         self.before_wait: Callable[[], None] = lambda: (
             None
         )  # called when no message of a bundle is left to be read
+        self._clock = SteadyClock()
         self.alive: dict[str, int] = {}  # incarnations of the processes that are up, by name
         self.gate = gate  # has the bundle that the last event came in
         self.name, self.incarnation, self._digest, self._place = (
@@ -344,7 +346,7 @@ class Bus:
         return None
 
     def _put(self, item: _Item) -> None:
-        self._inbox.put((time.time_ns(), item))
+        self._inbox.put((self._clock.now_ns(), item))
 
     def _event(self, item: _Item) -> BusEvent | None:
         if isinstance(item, Interrupted | Request):  # a request came while this process joined

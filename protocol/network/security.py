@@ -77,7 +77,7 @@ class Security:
             self.folder / file for file in (AUTHORITY, f"{name}.pem", f"{name}.key")
         )
         try:
-            _shake_hands(authority, certificate, key)
+            named = _shake_hands(authority, certificate, key)
         except FileNotFoundError as error:
             expected = f"the files {certificate} and {key.name}, got only one or none"
             raise SecurityError(
@@ -89,6 +89,9 @@ class Security:
             raise SecurityError(
                 f"network.keys: {certificate}: {expected}, got {problem}"
             ) from error
+        if named != name:  # the rights are those of the name in the certificate
+            expected = f"expected a certificate of {name}, got one of {named or 'no name'}"
+            raise SecurityError(f"network.keys: {certificate}: {expected}")
         configuration["transport"]["link"]["protocols"] = ["tls"]
         configuration["transport"]["link"]["tls"] = {
             "root_ca_certificate": str(authority),
@@ -135,12 +138,14 @@ def exposed(endpoints: Sequence[str]) -> str | None:
     return None
 
 
-def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
+def _shake_hands(authority: Path, certificate: Path, key: Path) -> str:
     """Check a certificate as a peer would, by a handshake with itself.
 
-    Raises: ssl.SSLError, OSError.
+    Returns: The common name in the certificate, empty without one. Raises: ssl.SSLError, OSError.
     """
-    there, back, ends = ssl.MemoryBIO(), ssl.MemoryBIO(), []
+    there = ssl.MemoryBIO()
+    back = ssl.MemoryBIO()
+    ends = []
     for protocol, incoming, outgoing in (
         (ssl.PROTOCOL_TLS_CLIENT, back, there),
         (ssl.PROTOCOL_TLS_SERVER, there, back),
@@ -157,6 +162,11 @@ def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
     for end in ends * 4:  # messages in either direction, at most
         with suppress(ssl.SSLWantReadError):
             end.do_handshake()
+
+    shown = ends[0].getpeercert() or {}
+    subject: Any = shown.get("subject", ())
+    names = [value for part in subject for kind, value in part if kind == "commonName"]
+    return names[0] if names else ""
 
 
 def _rights(keys: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:

@@ -16,6 +16,7 @@ from transport.protocol.admission.gate import Gate, Sample
 from transport.protocol.admission.plausibility import check_plausible
 from transport.protocol.network.bus import Bus, BusEvent, Interrupted, Left, Place
 from transport.protocol.network.session import BusError
+from transport.protocol.network.steady_clock import SteadyClock
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.targets import check_target, with_targets
 from transport.protocol.wire import messages as wire
@@ -76,6 +77,7 @@ class Recorder:
         self._bus = Bus(
             RECORDER, place, setup.scenario.digest(), self.gate, serves=True, gather_s=gather_s
         )
+        self._clock = SteadyClock()
         self._out = Outbox(RECORDER, place.incarnation)
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._expected: Set[str] = frozenset()
@@ -223,5 +225,5 @@ class Recorder:
         self, topic: str, data: bytes, header: Header | wire.Message, at_ns: int | None
     ) -> None:
         with self._writing:
-            self.writer.add(topic, data, header, time.time_ns() if at_ns is None else at_ns)
+            self.writer.add(topic, data, header, self._clock.now_ns() if at_ns is None else at_ns)
         self.received += 1
