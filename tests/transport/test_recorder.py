@@ -15,7 +15,7 @@ from transport.flight.recorder import Recorder
 from transport.log.run_log import read_log
 from transport.log.writer import LogWriter
 from transport.protocol.admission.gate import Gate
-from transport.protocol.network.bus import BusEvent, Place
+from transport.protocol.network.bus import Arrival, Place
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.keys import Keys
@@ -31,7 +31,6 @@ class ScriptedBus:
 
     # None: nothing comes for a long time; a function is called in its turn.
     script: tuple[tuple[str, bytes] | Presence | Callable[[], None] | None, ...] = ()
-    arrived_ns = 0
 
     def __init__(self, _name: str, _place: Place, _digest: str, gate: Gate, **_: object) -> None:
         self._gate, self._left = gate, deque(self.script)
@@ -40,7 +39,7 @@ class ScriptedBus:
     def join(self, *_: object) -> None:
         """All processes have joined."""
 
-    def next(self, timeout_s: float | None) -> BusEvent | None:
+    def next(self, timeout_s: float | None) -> Arrival | None:
         """The next event that gets through, or None when the time is up before."""
         while self._left:
             item = self._left.popleft()
@@ -55,9 +54,9 @@ class ScriptedBus:
                 self.alive |= {item.name: 0}
                 if not item.alive:
                     del self.alive[item.name]
-                return item
-            for message in self._gate.accept(*item):
-                return message
+                return Arrival(item, 0)
+            for accepted in self._gate.accept(*item):
+                return Arrival(accepted.message, 0, accepted.bundle)
         return None
 
     def close(self) -> None:

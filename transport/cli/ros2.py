@@ -46,9 +46,10 @@ def ros2(
 ) -> None:
     """Publish an active run for ROS 2 over rmw_zenoh.
 
-    Poses, twists, plans, transforms and markers of payload and UAVs, at every tick, until the run ends or is killed. The command
-    reads the log of the run as it grows: no process of the run waits for it or knows it. A geometry_msgs/PoseStamped
-    on /target, in the frame inertial or map, sends the payload to its position, as transport target does.
+    Poses, twists, plans, transforms and markers of payload and UAVs, at every tick, until the run ends or is killed.
+    The command reads the log of the run as it grows: no process of the run waits for it or knows it. A
+    geometry_msgs/PoseStamped on /target, in the frame inertial or map, sends the payload to its position, as transport
+    target does.
 
     Exit codes: 0 the run has ended; 2 no such run; 4 no router; 130 Ctrl-C.
 

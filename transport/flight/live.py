@@ -74,9 +74,10 @@ def read(folder: Path) -> LiveRun | None:
 def _is_running(pid: int) -> bool:
     """Return whether a process runs; one that has ended may wait for its parent to notice."""
     try:
-        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+        status: str = psutil.Process(pid).status()
     except psutil.Error:
         return False
+    return status != str(psutil.STATUS_ZOMBIE)
 
 
 def newest_folder(parent: Path) -> Path | None:

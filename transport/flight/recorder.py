@@ -14,7 +14,7 @@ from transport.log.run_log import channel_of
 from transport.log.writer import LogWriter
 from transport.protocol.admission.gate import Gate, Sample
 from transport.protocol.admission.plausibility import check_plausible
-from transport.protocol.network.bus import Bus, BusEvent, Interrupted, Left, Place
+from transport.protocol.network.bus import Arrival, Bus, BusOptions, Interrupted, Left, Place
 from transport.protocol.network.session import BusError
 from transport.protocol.network.steady_clock import SteadyClock
 from transport.protocol.scenario.setup import Setup
@@ -74,9 +74,8 @@ class Recorder:
         self.gate = Gate(RECORDER, self._keys, setup.shape, self._check_moment, _UNREAD)
         self._newest = deque[bytes](maxlen=_KEPT)
         gather_s = _GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S
-        self._bus = Bus(
-            RECORDER, place, setup.scenario.digest(), self.gate, serves=True, gather_s=gather_s
-        )
+        options = BusOptions(serves=True, gather_s=gather_s)
+        self._bus = Bus(RECORDER, place, setup.scenario.digest(), self.gate, options)
         self._clock = SteadyClock()
         self._out = Outbox(RECORDER, place.incarnation)
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
@@ -152,9 +151,11 @@ class Recorder:
                 )
             elif COORDINATOR not in self._bus.alive:
                 timeout_s = _OVERTAKEN_S
-            match event := self._next(timeout_s):
-                case None:
-                    break
+            arrival = self._next(timeout_s)
+            if arrival is None:
+                break
+            event = arrival.event
+            match event:
                 case Interrupted():
                     return
                 case Left(name=name):
@@ -166,18 +167,19 @@ class Recorder:
                 case wire.Request():
                     self.requests.put(event)
                 case _:
-                    self.receive(event, self._bus.arrived_ns)
+                    self.receive(event, arrival.arrived_ns)
             for notice in self.gate.notices(self._out.incarnation, time.monotonic_ns()):
                 self._take(notice)
         if self.control is None:  # the coordinator cannot tell the end of the run
             state = self.plant_state
             self._take(lost(self._out, state.tick if state else 0, f"{COORDINATOR} is gone"))
 
-    def _next(self, timeout_s: float | None) -> BusEvent | None:
+    def _next(self, timeout_s: float | None) -> Arrival | None:
         """Return the next event, or None after the timeout; flush the log in a pause."""
         if timeout_s is None and not self.writer.is_up_to_date:
-            if (event := self._bus.next(_PAUSE_S)) is not None:
-                return event
+            arrival = self._bus.next(_PAUSE_S)
+            if arrival is not None:
+                return arrival
             with self._writing:
                 self.writer.flush()
         return self._bus.next(timeout_s)
