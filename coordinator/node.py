@@ -329,7 +329,7 @@ class CoordinatorNode:
         return [*changes, opened]
 
     def _tick_message(self, tick: int, now_ns: int) -> Tick:
-        """Return the message that opens a tick: the roster in force and the plans of the tick before.
+        """Return the message that opens a tick: roster in force, answers to the tick before.
 
         In lockstep its bundle carries these plans (`protocol.network.exchange`).
         """

@@ -141,7 +141,7 @@ class PlantNode(Participant):
         return [self._measurement(tick, agent) for agent in sorted(self._membership.incarnations)]
 
     def _measurement(self, tick: Tick, agent: int) -> Measurement:
-        """Return the measurement of an agent, 1-based: its UAVs and, unless by sensors, the payload."""
+        """Return the measurement of an agent, 1-based: UAVs and, unless by sensors, payload."""
         owned = list(self._setup.owned[agent - 1])
         if self._sensors is not None:
             payload = np.zeros(0)
@@ -250,7 +250,7 @@ class PlantNode(Participant):
         return Integrated(x=x, error=error, mean=mean, tensions=tensions)
 
     def _actual_inputs(self, k: int, after: Integrated) -> list[Message]:
-        """Return the actual inputs of a period where they are not the commands, or cables tell more."""
+        """Return the actual inputs of a period if they are not the commands, or with cables."""
         are_commands = self._motors.ideal and self._inner_loop is None
         if are_commands and not len(after.tensions):
             return []

@@ -153,7 +153,7 @@ class Gate:
             yield Accepted(message)
 
     def announce(self, name: str, incarnation: int) -> None:
-        """Refuse messages of other incarnations of a process: the token of this one has appeared."""
+        """Refuse messages of other incarnations of a process, as the token of this one is there."""
         self._incarnations[name] = max(incarnation, self._incarnations.get(name, 0))
 
     def notices(self, incarnation: int, now_ns: int | None = None) -> list[Rejected]:

@@ -29,7 +29,7 @@ _NONE = Roster(sender=COORDINATOR, incarnation=0, sequence=0, tick=0, version=0,
 
 
 class Membership:
-    """The newest roster and the plans that are ahead of it, also of an agent, `own`, that is off it.
+    """The newest roster and the plans ahead of it, also of an agent, `own`, that is off it.
 
     Attributes:
         version: Version of the newest roster.

@@ -69,7 +69,7 @@ def _check_ids(message: Message, field: str, run: RunShape) -> None:
 
 
 def _check_plan(plan: Plan, run: RunShape) -> None:
-    """Refuse a plan with another start than its run's, too many iterations, or impossible inputs."""
+    """Refuse a plan with a wrong start, too many iterations, or impossible inputs."""
     ahead = plan.start_tick - plan.tick
     if ahead != run.delay:
         text = f"plan of tick {plan.tick} that starts at tick {plan.start_tick}"

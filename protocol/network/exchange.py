@@ -105,7 +105,7 @@ class _PlantExchange(Exchange):
 
 
 class _CoordinatorExchange(Exchange):
-    """Relays the answers of a tick with the next one; at once if all are here and none follows yet."""
+    """Relays the answers of a tick with the next one; at once if all are here before it opens."""
 
     bundled = (wire.Tick,)
 

@@ -45,7 +45,7 @@ def python(module: str) -> list[str]:
 
 
 def wake_with_its_end() -> None:
-    """Let the death of a parent continue this process if it is stopped, so that it ends. Linux only."""
+    """Let the death of a parent continue this process if it is stopped. Linux only."""
     if os.environ.get(PARENT_PIPE):
         import ctypes  # 10 ms that a command without a parent saves
 
@@ -54,7 +54,7 @@ def wake_with_its_end() -> None:
 
 
 def stand_by() -> bool:
-    """Wait for the parent's start signal if there is to be one; return whether the parent is there."""
+    """Wait for the start signal if there is to be one; return whether the parent is there."""
     if not os.environ.get(STANDBY):
         return True
     return bool(os.read(sys.stdin.fileno(), 1))

@@ -66,7 +66,7 @@ class RosNode:
         return f"{self._domain}/{topic[1:]}/{_dds(kind)}/{digest}"
 
     def _token(self, number: int, what: str) -> str:
-        """Return the token of the node (number 0, "NN"), or the beginning of that of an end point."""
+        """Return the token of the node (0, "NN"), or the beginning of that of an end point."""
         zid = self._session.info.zid()
         return f"@ros2_lv/{self._domain}/{zid}/0/{number}/{what}/%/%/{_NODE}"
 

@@ -85,7 +85,7 @@ class Child:
 def start_child(
     name: str, arguments: Sequence[str], log: Path, incarnation: int = 0, *, standby: bool = False
 ) -> Child:
-    """Start `transport` with arguments and a file for its output; it ends when this process does."""
+    """Start `transport` with arguments and a file for its output; it ends with this process."""
     with log.open("wb") as output:
         reads, writes = os.pipe()
         stdin = os.fdopen(writes, "wb", 0)
@@ -103,7 +103,7 @@ def start_child(
 
 @dataclass(slots=True)
 class Harness:
-    """Processes of one run on this machine, each of which watches a pipe from this one and ends with it."""
+    """Processes of one run on this machine; each watches a pipe from this one and ends with it."""
 
     run: str  # name of the run
     scenario: Path  # resolved scenario file
