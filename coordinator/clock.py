@@ -80,7 +80,7 @@ class Clock:
     def open(
         self, tick: int, members: Collection[int], joined: Collection[int], now_ns: int
     ) -> None:
-        """Note that a tick is opened for the agents on the roster, some of which have just joined."""
+        """Note that a tick is opened for the roster, some agents of which have just joined."""
         if tick == 0:
             self._start_ns = now_ns
         self.waiting_since_ns = now_ns

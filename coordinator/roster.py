@@ -84,7 +84,7 @@ class TeamRoster:
         )
 
     def awaited(self, tick: int) -> set[int]:
-        """Return the agents that scripted faults bring back at a tick, and that are not ready yet."""
+        """Return the agents that the script brings back at a tick, and that are not ready yet."""
         return self._returns.get(tick, set()) - self.joining.keys() - self.members
 
     def give_up(self, tick: int) -> Roster:

@@ -107,7 +107,7 @@ class InnerLoop(Protocol):
     failure: str  # why the run ends, as an inner loop has failed; empty while all work
 
     def reset(self, x: Array) -> None:
-        """Continue from a plant state, (12 + 12 N,), to which it may have jumped as a UAV failed."""
+        """Continue from a plant state, (12 + 12 N,), which may have jumped as a UAV failed."""
 
     def moments(self, command: Array, x: Array) -> Array:
         """Return the inputs of the motors until the next call, (N, 4), N and N m.

@@ -181,7 +181,7 @@ class Engine:
             raise OwnClassError(f"state: expected the state given to reset, got {got}")
 
     def _read(self) -> Array:
-        """Return a copy of the state of the engine; it need not be finite. Raises: OwnClassError."""
+        """Return a copy of the engine's state; it need not be finite. Raises: OwnClassError."""
         with told("state"):
             x = real_array(self._physics.state())
         if x.shape != self._x.shape:

@@ -110,7 +110,7 @@ def _refusal(text: str, data: bytes) -> MessageError:
 
 
 def _pack(value: Any) -> Any:
-    """Return a value that MessagePack does not know, an array or a number of NumPy, as one it does."""
+    """Return an array or a number of NumPy in the types of MessagePack."""
     if isinstance(value, np.generic):
         return value.item()
     if not isinstance(value, np.ndarray) or value.ndim > _AXES:

@@ -66,7 +66,7 @@ class Keys:
 
     @classmethod
     def below(cls, prefix: str) -> "Keys":
-        """Return key expressions for several runs, below `transport/*`; nothing is sent under them."""
+        """Return key expressions for several runs, below `transport/*`: nothing is sent there."""
         keys = cls("any")
         keys.prefix = prefix
         return keys
@@ -105,7 +105,7 @@ class Keys:
         return [*dict.fromkeys(keys)]
 
     def publications(self, name: str) -> list[str]:
-        """Return the key expressions a process may publish under; recorder and watchers have none."""
+        """Return the keys a process may publish under; recorder and watchers have none."""
         role = role_of(name)
         if role not in (COORDINATOR, PLANT, AGENT):
             return []
@@ -120,7 +120,7 @@ class Keys:
         return [*dict.fromkeys(keys), self.left(name)]
 
     def _under(self, cls: type[Message], end: str) -> list[str]:
-        """Return the keys of a kind of message for one end or all; that of unshared ones is last."""
+        """Return the keys of a kind of message for one end or all; that of unshared ones last."""
         keys = filter(None, (cls.route.key or cls.kind, cls.route.unshared_key))
         return [
             f"{self.prefix}/{key}/{end}" if cls.route.each else f"{self.prefix}/{key}"
@@ -132,7 +132,7 @@ class Keys:
         return f"{self.prefix}/left/{name}"
 
     def alive(self, name: str, incarnation: int, digest: str, version: int) -> str:
-        """Return the liveliness token of a process that is up, with scenario and protocol version."""
+        """Return the token of a process that is up, with scenario and protocol version."""
         return f"{self.prefix}/alive/{name}/{incarnation}/{digest}/{version}"
 
     def ready(self, name: str, incarnation: int) -> str:
@@ -177,6 +177,9 @@ class Keys:
 
 
 def matches(expression: str, key: str) -> bool:
-    """Return whether a key expression of `Keys.subscriptions` covers a key (a trailing `*` is one chunk)."""
+    """Return whether a key expression of `Keys.subscriptions` covers a key.
+
+    A trailing `*` is one chunk.
+    """
     beginning, _, last = key.rpartition("/")
     return key == expression or (f"{beginning}/*" == expression and bool(last))

@@ -372,7 +372,7 @@ class StepReport(Message, tag="report", frozen=True, kw_only=True):
 
 
 class Note(Message, tag="note", frozen=True, kw_only=True):
-    """Agent to the record: numbers of a controller or the Kalman filter, or why a step has failed."""
+    """Agent to the record: numbers of a controller or filter, or why a step has failed."""
 
     route: ClassVar[Route] = Route(sender=AGENT, receivers=(RECORDER, WATCHER), each="agent")
     shapes: ClassVar[Mapping[str, ShapeOf]] = {"values": lambda message: (len(message.names),)}
@@ -492,7 +492,7 @@ class Instant(Bundle, tag="instant", frozen=True, kw_only=True):
 
 
 class Record(Bundle, tag="record", frozen=True, kw_only=True):
-    """Plant to the record and the coordinator: the plant's state, and the measurements it has sent."""
+    """Plant to record and coordinator: the plant's state, and the measurements it has sent."""
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER))
     carries: ClassVar[tuple[type[Message], ...]] = (PlantState, ActualInputs, Measurement)

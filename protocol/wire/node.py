@@ -31,7 +31,7 @@ class RunShape:
 
 
 class Node(Protocol):
-    """A role in a run as a state machine: accepted messages, other events and time in, messages out.
+    """A role in a run as a state machine: messages, other events and time in, messages out.
 
     Times are nanoseconds of a monotonic clock; in lockstep nothing in the messages depends on them.
     """
@@ -50,7 +50,7 @@ class Node(Protocol):
         """Return the latest time of the next call of `poll`; None while only events matter."""
 
     def check_moment(self, message: Message) -> None:
-        """Raise MessageError for a message of an earlier start, or of no use: a gate's last check."""
+        """Raise MessageError for a message of an earlier start or of no use; the last check."""
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Handle one event and return the messages to send. Messages have passed all checks."""
@@ -83,7 +83,7 @@ class Outbox:
         return message
 
     def again(self, message: M) -> M:
-        """Return a message that was sent before, under a new number, for processes that joined since."""
+        """Return a message sent before, under a new number, for processes that joined since."""
         self._sequence += 1
         return msgspec.structs.replace(message, sequence=self._sequence - 1)
 

@@ -78,7 +78,7 @@ def _raise(number: int, _: FrameType | None) -> None:
 
 
 def _send_again() -> None:
-    """Send a pending signal to the main thread, once the code that dropped its exception is left."""
+    """Send a pending signal to the main thread, once the code that dropped it is left."""
     time.sleep(_AGAIN_S)
     if _pending:
         signal.pthread_kill(threading.main_thread().ident or 0, _pending[0])
