@@ -6,7 +6,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import zenoh
 
@@ -116,14 +117,23 @@ def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys
     return settings
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """How a process is reached from outside its run.
+
+    Attributes:
+        connect: Endpoints; a single one may be of the process or of a router.
+        security: Keys of the client.
+        timeout_s: Time to find the process, and again for its answer, s.
+    """
+
+    connect: Sequence[str]
+    security: Security | None = None
+    timeout_s: float = 5.0
+
+
 def ask(
-    run: str,
-    connect: Sequence[str],
-    name: str,
-    what: str,
-    given: Mapping[str, Any],
-    timeout_s: float = 5.0,
-    security: Security | None = None,
+    run: str, reach: Reach, name: str, what: str, given: Mapping[str, Any]
 ) -> Mapping[str, Any]:
     """Send a request to a process from outside its run (docs/protocol.md), and return the answer.
 
@@ -132,24 +142,22 @@ def ask(
     Raises: BusError: there is no such process, or it does not answer in time.
     """
     keys = Keys(run)
+    timeout_s = reach.timeout_s
     deadline = time.monotonic() + timeout_s
     whom = f"{name} of run {run}"
     client = OPERATOR if what in ACTING else WATCHER
     log_errors(to_output=False)
 
-    # One endpoint may be a process or a router; a client can connect to either.
-    endpoints = Endpoints(
-        listen=[],
-        connect=connect,
-        mode="client" if len(connect) == 1 else "peer",
-        security=security,
-    )
+    # A client can connect to a process or to a router.
+    mode: Literal["client", "peer"] = "client" if len(reach.connect) == 1 else "peer"
+    endpoints = Endpoints(listen=[], connect=reach.connect, mode=mode, security=reach.security)
     try:
         with _session(endpoints, client, keys, timeout_s) as session:
             token = f"{keys.prefix}/alive/{name}/**"
             while not any(reply.ok for reply in session.liveliness().get(token, timeout=1.0)):
                 if time.monotonic() > deadline:
-                    raise BusError(f"no sign of it within {timeout_s:g} s at {', '.join(connect)}")
+                    places = ", ".join(reach.connect)
+                    raise BusError(f"no sign of it within {timeout_s:g} s at {places}")
                 time.sleep(0.02)
             answer = fetch_answer(session, keys.request(name, what), given, timeout_s)
     except BusError as error:

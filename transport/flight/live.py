@@ -16,7 +16,7 @@ import psutil
 
 from transport.model.arrays import Array
 from transport.protocol.network.security import Security
-from transport.protocol.network.session import ask
+from transport.protocol.network.session import Reach, ask
 from transport.protocol.scenario.links import PERFECT
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.keys import ROUTER
@@ -105,7 +105,8 @@ def request(
     Raises: BusError: it does not exist or does not answer. TransportError: it refuses the request.
     """
     security = None if keys is None else Security(keys.resolve(), (name, ROUTER))
-    answer = dict(ask(run, endpoints, name, what, given, security=security))
+    reach = Reach(connect=endpoints, security=security)
+    answer = dict(ask(run, reach, name, what, given))
     if "error" in answer:
         raise TransportError(str(answer["error"]))
     return answer
