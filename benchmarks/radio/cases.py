@@ -1,0 +1,98 @@
+"""Cases of the comparison: a team, its channel, and the instants at which it sends."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+PERIOD_NS = 50_000_000
+Position = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """Stations that each send one message per period, spread evenly over the first `scatter_s` of the period."""
+
+    name: str
+    positions: tuple[Position, ...]
+    rate_mbps: float
+    scatter_s: float
+    standard: str = "802.11a"
+    unicast: bool = False  # to the next station
+    message_bytes: int = 1500
+    periods: int = 1000
+    queue_length: int = 100
+    attempts: int = 7
+    power_dbm: float = 16.0
+    exponent: float = 3.0
+    reference_loss_db: float = 46.6777
+    noise_figure_db: float = 7.0
+    sensitivity_dbm: float = -82.0
+    preamble_snr_db: float = 4.0
+    energy_dbm: float = -62.0
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """One message: instant, ns, sender, and receiver, -1 for all."""
+
+    time_ns: int
+    sender: int
+    receiver: int
+
+
+def sends(case: Case) -> list[Send]:
+    """Return the sends of a case in the order of their instants."""
+    stations = len(case.positions)
+    random = np.random.default_rng(case.seed)
+    spread_ns = random.uniform(0.0, case.scatter_s * 1e9, (case.periods, stations)).astype(int)
+    instants_ns = spread_ns + PERIOD_NS * np.arange(1, case.periods + 1)[:, None]
+    unsorted = [
+        Send(int(instants_ns[period, station]), station, (station + 1) % stations if case.unicast else -1)
+        for period in range(case.periods)
+        for station in range(stations)
+    ]
+    return sorted(unsorted, key=lambda send: (send.time_ns, send.sender))
+
+
+def end_ns(case: Case) -> int:
+    """Return the end of a case, ns: a second after the last period, in which queues run empty."""
+    return PERIOD_NS * (case.periods + 1) + 1_000_000_000
+
+
+def circle(stations: int, diameter_m: float) -> tuple[Position, ...]:
+    """Return stations on a circle, at heights that differ by a few centimetres as those of UAVs in flight do.
+
+    No two distances are equal: equal powers are a case that occurs in no team.
+    """
+    radius = diameter_m / 2.0
+    angles = [2.0 * math.pi * (station + 0.13 * math.sin(7.0 * station)) / stations for station in range(stations)]
+    return tuple(
+        (radius * math.cos(angle), radius * math.sin(angle), 0.05 * station) for station, angle in enumerate(angles)
+    )
+
+
+def team(stations: int, rate_mbps: float, scatter_ms: float, diameter_m: float = 4.0) -> Case:
+    """Return a team on a circle."""
+    return Case(
+        name=f"N={stations} {rate_mbps:g} Mb/s {scatter_ms:g} ms {diameter_m:g} m",
+        positions=circle(stations, diameter_m),
+        rate_mbps=rate_mbps,
+        scatter_s=scatter_ms / 1e3,
+    )
+
+
+def hidden(scatter_ms: float) -> Case:
+    """Return two stations that do not hear each other, and one between them that hears both."""
+    return Case(
+        name=f"hidden node, 6 Mb/s {scatter_ms:g} ms",
+        positions=((-40.0, 0.0, 0.0), (0.0, 1.0, 0.0), (40.5, 0.0, 0.0)),
+        rate_mbps=6.0,
+        scatter_s=scatter_ms / 1e3,
+    )
+
+
+def with_unicast(case: Case) -> Case:
+    """Return a case with acknowledged messages."""
+    return replace(case, name=f"{case.name}, unicast", unicast=True)

@@ -1,0 +1,62 @@
+"""A case in protocol/radio."""
+
+from benchmarks.radio.cases import PERIOD_NS, Case, end_ns, sends
+from benchmarks.radio.reference import Arrivals
+from protocol.radio.channel import ChannelParameters, ChannelState, Frame, Result, advance
+from protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
+from protocol.radio.standard import STANDARDS
+
+
+def parameters(case: Case) -> ChannelParameters:
+    """Return the channel of a case; a frame that meets an idle medium waits as in ns-3."""
+    standard = STANDARDS[case.standard]
+    return ChannelParameters(
+        standard=standard,
+        rate_mbps=case.rate_mbps,
+        unicast=case.unicast,
+        queue_length=case.queue_length,
+        attempts=case.attempts,
+        noise_mw=noise_mw(standard.bandwidth_hz, case.noise_figure_db),
+        sensitivity_mw=milliwatts(case.sensitivity_dbm),
+        preamble_sinr=ratio(case.preamble_snr_db),
+        payload_sinr=ratio(standard.required_sinr_db[case.rate_mbps]),
+        energy_mw=milliwatts(case.energy_dbm),
+        interrupted_wait_draws=False,
+        seed=case.seed,
+    )
+
+
+def run(case: Case) -> tuple[Arrivals, dict[str, int]]:
+    """Return arrivals by send and receiver, ns, and the counts of a case."""
+    stations = len(case.positions)
+    propagation = Propagation(
+        power_dbm=case.power_dbm, exponent=case.exponent, reference_loss_db=case.reference_loss_db
+    )
+    powers = propagation.powers(propagation.at_reference(stations), case.positions)
+    everyone = range(stations)
+    frames = [
+        Frame(
+            send.time_ns,
+            send.sender,
+            number,
+            case.message_bytes,
+            tuple(j for j in everyone if j != send.sender) if send.receiver < 0 else (send.receiver,),
+        )
+        for number, send in enumerate(sends(case))
+    ]
+    state = ChannelState.idle(stations, STANDARDS[case.standard])
+    arrivals: Arrivals = {}
+    counts = dict.fromkeys(("transmissions", "repeated", *(result.name.lower() for result in Result)), 0)
+    place = 0
+    for until in range(2 * PERIOD_NS, end_ns(case) + PERIOD_NS, PERIOD_NS):
+        begin = place
+        while place < len(frames) and frames[place].sent_ns < until:
+            place += 1
+        state, outcomes, counted = advance(parameters(case), state, powers, frames[begin:place], until)
+        for outcome in outcomes:
+            counts[outcome.result.name.lower()] += 1
+            if outcome.result is Result.DELIVERED:
+                arrivals[outcome.frame.sequence, outcome.receiver] = outcome.time_ns
+        counts["transmissions"] += counted.transmissions + counted.acknowledgements
+        counts["repeated"] += counted.repeated
+    return arrivals, counts
