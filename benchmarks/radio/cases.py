@@ -29,7 +29,7 @@ class Case:
     noise_figure_db: float = 7.0
     sensitivity_dbm: float = -82.0
     preamble_snr_db: float = 4.0
-    energy_dbm: float = -62.0
+    carrier_sense_dbm: float = -82.0
     seed: int = 1
 
 

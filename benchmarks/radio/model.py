@@ -20,7 +20,10 @@ def parameters(case: Case) -> ChannelParameters:
         sensitivity_mw=milliwatts(case.sensitivity_dbm),
         preamble_sinr=ratio(case.preamble_snr_db),
         payload_sinr=ratio(standard.required_sinr_db[case.rate_mbps]),
-        energy_mw=milliwatts(case.energy_dbm),
+        acknowledgement_sinr=ratio(
+            standard.required_sinr_db[standard.acknowledgement_rate_mbps(case.rate_mbps)]
+        ),
+        carrier_sense_mw=milliwatts(case.carrier_sense_dbm),
         interrupted_wait_draws=False,
         seed=case.seed,
     )

@@ -45,7 +45,7 @@ struct Case
     double reference_loss_db = 46.6777;
     double sensitivity_dbm = -82.0;
     double preamble_snr_db = 4.0;
-    double energy_dbm = -62.0;
+    double carrier_sense_dbm = -82.0;
     uint32_t queue = 100;
     uint32_t attempts = 7;
     uint32_t seed = 1;
@@ -86,7 +86,7 @@ ReadCase(std::istream& input)
         else if (name == "reference_loss_db") { words >> read.reference_loss_db; }
         else if (name == "sensitivity_dbm") { words >> read.sensitivity_dbm; }
         else if (name == "preamble_snr_db") { words >> read.preamble_snr_db; }
-        else if (name == "energy_dbm") { words >> read.energy_dbm; }
+        else if (name == "carrier_sense_dbm") { words >> read.carrier_sense_dbm; }
         else if (name == "queue") { words >> read.queue; }
         else if (name == "attempts") { words >> read.attempts; }
         else if (name == "seed") { words >> read.seed; }
@@ -203,7 +203,8 @@ main()
     phy.SetChannel(channel);
     phy.Set("TxPowerStart", DoubleValue(given.power_dbm));
     phy.Set("TxPowerEnd", DoubleValue(given.power_dbm));
-    phy.Set("CcaEdThreshold", DoubleValue(given.energy_dbm));
+    // The threshold for signals of the own standard; energy of others does not occur here.
+    phy.Set("CcaSensitivity", DoubleValue(given.carrier_sense_dbm));
 
     WifiHelper wifi;
     wifi.SetStandard(given.standard == "802.11b" ? WIFI_STANDARD_80211b : WIFI_STANDARD_80211a);

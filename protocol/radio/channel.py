@@ -11,7 +11,8 @@ from heapq import heapify, heappop, heappush
 from typing import NamedTuple
 
 from protocol.radio.draws import uniform
-from protocol.radio.standard import Standard
+from protocol.radio.reception import CERTAIN_MARGIN, success
+from protocol.radio.standard import OVERHEAD_BYTES, ACK_BYTES, Standard
 
 
 class Result(IntEnum):
@@ -60,8 +61,9 @@ class ChannelParameters:
     noise_mw: float
     sensitivity_mw: float  # a weaker preamble is not detected
     preamble_sinr: float  # ratio that the detection of a preamble needs
-    payload_sinr: float  # ratio that the payload needs at the rate
-    energy_mw: float  # power at which the medium is busy without a detected preamble
+    payload_sinr: float  # ratio that the payload requires, `Standard.required_sinr_db`
+    acknowledgement_sinr: float
+    carrier_sense_mw: float  # total power at which the medium is busy without a detected preamble
     interrupted_wait_draws: bool = True  # see docs/radio.md, "A frame that meets an idle medium"
     seed: int = 0
 
@@ -77,6 +79,7 @@ class ChannelState:
     busy_until: tuple[int, ...]
     error_until: tuple[int, ...]
     drawn: tuple[int, ...]
+    sent: tuple[int, ...]
     sending: tuple[bool, ...]
     immediate: tuple[bool, ...]
     wake: tuple[int, ...]
@@ -96,6 +99,7 @@ class ChannelState:
             busy_until=zeros,
             error_until=zeros,
             drawn=zeros,
+            sent=zeros,
             sending=(False,) * stations,
             immediate=(False,) * stations,
             wake=(_NEVER,) * stations,
@@ -131,6 +135,7 @@ class Transmission:
     sender: int
     start_ns: int
     end_ns: int
+    number: int  # among the sender's data or acknowledgements
     acknowledges: int = -1  # station whose frame it acknowledges; -1: data
     alone: bool = True  # no other transmission overlaps
     candidates: int = 0  # stations that may still detect its preamble
@@ -173,6 +178,7 @@ class Window:
         self._busy_until = list(state.busy_until)
         self._error_until = list(state.error_until)
         self._drawn = list(state.drawn)
+        self._sent = list(state.sent)
         self._sending = list(state.sending)
         self._immediate = list(state.immediate)
         self._wake = list(state.wake)
@@ -183,8 +189,8 @@ class Window:
         self.counts = Counts()
         least = max(parameters.sensitivity_mw, parameters.preamble_sinr * parameters.noise_mw)
         self._hear = [_mask(power >= least for power in row) & ~(1 << i) for i, row in enumerate(powers)]
-        needed = parameters.payload_sinr * parameters.noise_mw
-        self._strong = [_mask(power >= needed for power in row) & self._hear[i] for i, row in enumerate(powers)]
+        certain = CERTAIN_MARGIN * max(parameters.payload_sinr, parameters.acknowledgement_sinr) * parameters.noise_mw
+        self._certain = [_mask(power >= certain for power in row) for row in powers]
 
     def run(self, frames: Iterable[Frame], until_ns: int) -> None:
         """Process all events before an instant."""
@@ -221,6 +227,7 @@ class Window:
             busy_until=tuple(self._busy_until),
             error_until=tuple(self._error_until),
             drawn=tuple(self._drawn),
+            sent=tuple(self._sent),
             sending=tuple(self._sending),
             immediate=tuple(self._immediate),
             wake=tuple(self._wake),
@@ -309,14 +316,21 @@ class Window:
         self.counts.transmissions += 1
         self.counts.repeated += pending.attempts > 0
         end = now + self._p.standard.message_airtime_ns(pending.frame.message_bytes, self._p.rate_mbps)
-        self._start(Transmission(station, now, end), now)
+        self._start(Transmission(station, now, end, self._next(self._sent, station)), now)
 
     def _transmit_acknowledgement(self, station: int, sender: int, now: int) -> None:
         if self._transmission_of(station) is not None:
             return
         self.counts.acknowledgements += 1
         end = now + self._p.standard.acknowledgement_airtime_ns(self._p.rate_mbps)
-        self._start(Transmission(station, now, end, acknowledges=sender), now)
+        self._start(Transmission(station, now, end, self._next(self._sent, station), acknowledges=sender), now)
+
+    @staticmethod
+    def _next(numbers: list[int], station: int) -> int:
+        """Return the next number of a station, and count it."""
+        number = numbers[station]
+        numbers[station] = number + 1
+        return number
 
     def _start(self, new: Transmission, now: int) -> None:
         sender = new.sender
@@ -408,30 +422,53 @@ class Window:
             self._end_broadcast(transmission, decoded, now)
 
     def _decoded(self, transmission: Transmission) -> int:
-        """Return the stations at which the payload stands out of noise and interference."""
+        """Return the stations that decode the payload."""
         sender = transmission.sender
-        good = transmission.locked & self._strong[sender]
-        if transmission.alone:
-            return good
-        for station in _bits(good):
+        if transmission.alone and transmission.locked & ~self._certain[sender] == 0:
+            return transmission.locked
+        decoded = 0
+        for station in _bits(transmission.locked):
             interference = sum([self._power[other][station] for other in transmission.overlapping])
-            if self._power[sender][station] < self._p.payload_sinr * (self._p.noise_mw + interference):
-                good &= ~(1 << station)
-        return good
+            if self._draw_payload(transmission, station) < self._success(transmission, station, interference):
+                decoded |= 1 << station
+        return decoded
+
+    def _success(self, transmission: Transmission, station: int, interference_mw: float) -> float:
+        """Return the probability that a locked station decodes the payload."""
+        sinr = self._power[transmission.sender][station] / (self._p.noise_mw + interference_mw)
+        if transmission.acknowledges >= 0:
+            return success(ACK_BYTES, sinr / self._p.acknowledgement_sinr)
+        frame_bytes = self._queues[transmission.sender][0].frame.message_bytes + OVERHEAD_BYTES
+        return success(frame_bytes, sinr / self._p.payload_sinr)
+
+    def _draw_payload(self, transmission: Transmission, station: int) -> float:
+        """Return the random number of a transmission at a receiver; it depends on nothing else on the air."""
+        sender = transmission.sender
+        if transmission.acknowledges >= 0:
+            return uniform(self._p.seed, sender, f"acknowledgement {station}", transmission.number)
+        return uniform(self._p.seed, sender, f"payload {station}", transmission.number)
 
     def _end_broadcast(self, transmission: Transmission, decoded: int, now: int) -> None:
         sender = transmission.sender
-        frame = self._queues[sender].pop(0).frame
-        strong = self._strong[sender]
+        frame = self._queues[sender][0].frame
         for receiver in frame.receivers:
             if decoded >> receiver & 1:
                 result = Result.DELIVERED
-            elif strong >> receiver & 1:
-                result = Result.COLLISION
-            else:
+            elif self._weak(transmission, receiver):
                 result = Result.WEAK
+            else:
+                result = Result.COLLISION
             self.outcomes.append(Outcome(frame, receiver, result, now))
+        self._queues[sender].pop(0)
         self._release(sender, now)
+
+    def _weak(self, transmission: Transmission, receiver: int) -> bool:
+        """Return whether a lost frame would have been lost on an idle channel as well."""
+        if not self._hear[transmission.sender] >> receiver & 1:
+            return True
+        if self._certain[transmission.sender] >> receiver & 1:
+            return False
+        return self._draw_payload(transmission, receiver) >= self._success(transmission, receiver, 0.0)
 
     def _end_unicast(self, transmission: Transmission, decoded: int, now: int) -> None:
         sender = transmission.sender
@@ -507,7 +544,7 @@ class Window:
             if other.sender == station:
                 continue
             power += self._power[other.sender][station]
-            if power >= self._p.energy_mw:
+            if power >= self._p.carrier_sense_mw:
                 self._onset(station, other.end_ns, now)
                 return
 
@@ -548,6 +585,7 @@ def _copied(transmission: Transmission) -> Transmission:
         transmission.sender,
         transmission.start_ns,
         transmission.end_ns,
+        transmission.number,
         transmission.acknowledges,
         transmission.alone,
         transmission.candidates,

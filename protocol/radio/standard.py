@@ -30,7 +30,7 @@ class Standard:
     cw_max: int
     bandwidth_hz: float
     basic_rates_mbps: tuple[float, ...]  # rates of acknowledgements
-    # Signal over noise and interference at which half of the frames of 1458 bytes are lost, dB, by rate in Mb/s.
+    # Signal over noise and interference at which 37 % of frames of 1536 bytes arrive, dB, by rate in Mb/s.
     required_sinr_db: Mapping[float, float]
 
     @property
@@ -90,7 +90,7 @@ OFDM = Standard(
     cw_max=1023,
     bandwidth_hz=20e6,
     basic_rates_mbps=(6.0, 12.0, 24.0),
-    required_sinr_db={6.0: 1.5, 9.0: 3.5, 12.0: 4.5, 18.0: 7.0, 24.0: 10.0, 36.0: 13.5, 48.0: 17.5, 54.0: 19.0},
+    required_sinr_db={6.0: 0.2, 9.0: 2.1, 12.0: 3.2, 18.0: 5.7, 24.0: 8.8, 36.0: 11.9, 48.0: 16.1, 54.0: 17.4},
 )
 DSSS = Standard(
     name="802.11b",
@@ -102,6 +102,6 @@ DSSS = Standard(
     cw_max=1023,
     bandwidth_hz=22e6,
     basic_rates_mbps=(1.0, 2.0),
-    required_sinr_db={1.0: -2.0, 2.0: 1.0, 5.5: 4.0, 11.0: 7.0},
+    required_sinr_db={1.0: -4.4, 2.0: 0.2, 5.5: 2.8, 11.0: 5.8},
 )
 STANDARDS: Mapping[str, Standard] = {standard.name: standard for standard in (OFDM, DSSS)}
