@@ -2,7 +2,8 @@
 
 from benchmarks.radio.cases import PERIOD_NS, Case, end_ns, sends
 from benchmarks.radio.reference import Arrivals
-from protocol.radio.channel import ChannelParameters, ChannelState, Frame, Result, advance
+from protocol.radio.channel import ChannelParameters, ChannelState, advance
+from protocol.radio.frames import Frame, Result
 from protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
 from protocol.radio.standard import STANDARDS
 
@@ -18,12 +19,8 @@ def parameters(case: Case) -> ChannelParameters:
         attempts=case.attempts,
         noise_mw=noise_mw(standard.bandwidth_hz, case.noise_figure_db),
         sensitivity_mw=milliwatts(case.sensitivity_dbm),
-        preamble_sinr=ratio(case.preamble_snr_db),
-        payload_sinr=ratio(standard.required_sinr_db[case.rate_mbps]),
-        acknowledgement_sinr=ratio(
-            standard.required_sinr_db[standard.acknowledgement_rate_mbps(case.rate_mbps)]
-        ),
         carrier_sense_mw=milliwatts(case.carrier_sense_dbm),
+        preamble_ratio=ratio(case.preamble_snr_db),
         interrupted_wait_draws=False,
         seed=case.seed,
     )
@@ -49,7 +46,7 @@ def run(case: Case) -> tuple[Arrivals, dict[str, int]]:
     ]
     state = ChannelState.idle(stations, STANDARDS[case.standard])
     arrivals: Arrivals = {}
-    counts = dict.fromkeys(("transmissions", "repeated", *(result.name.lower() for result in Result)), 0)
+    counts = dict.fromkeys(("transmissions", "repetitions", *(result.name.lower() for result in Result)), 0)
     place = 0
     for until in range(2 * PERIOD_NS, end_ns(case) + PERIOD_NS, PERIOD_NS):
         begin = place
@@ -61,5 +58,5 @@ def run(case: Case) -> tuple[Arrivals, dict[str, int]]:
             if outcome.result is Result.DELIVERED:
                 arrivals[outcome.frame.sequence, outcome.receiver] = outcome.time_ns
         counts["transmissions"] += counted.transmissions + counted.acknowledgements
-        counts["repeated"] += counted.repeated
+        counts["repetitions"] += counted.repetitions
     return arrivals, counts
