@@ -8,17 +8,18 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from model.arrays import Array
-from model.state import input_indices
-from mpc.fail_safe import FailSafe
-from mpc.settings import ControllerSettings
-from protocol.wire.messages import Plan
+from transport.model.arrays import Array
+from transport.model.state import input_indices
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.settings import ControllerSettings
+from transport.protocol.wire.messages import Plan
 
-# Alignment of a plan with the horizon: shifted by its true age; by one tick whatever its age, as in the paper; or its
-# input for the present tick, held.
+# Alignment of a plan with the horizon: shifted by its true age; by one tick whatever its age, as in
+# the paper; or its input for the present tick, held.
 Alignment = Literal["by_age", "by_one", "held"]
 
-# Inputs of all UAVs by the shared control law, without corrections, from tick and state; None without such a law.
+# Inputs of all UAVs by the shared control law, without corrections, from tick and state; None
+# without such a law.
 Law = Callable[[int, Array], Array | None]
 # Present estimate of the state at a past tick, (n,); None where it is not known.
 Past = Callable[[int], Array | None]
@@ -30,7 +31,8 @@ KEPT_PLANS = 256
 class AnnouncedInputs:
     """Plans of all agents as one agent knows them.
 
-    Where a method takes a tick `before`, only plans made before it count, even if later ones have been received.
+    Where a method takes a tick `before`, only plans made before it count, even if later ones have
+    been received.
 
     Args:
         owned: 0-based UAVs of agent 1, agent 2, ...
@@ -38,8 +40,9 @@ class AnnouncedInputs:
         alignment: Alignment of the others' plans with the horizon.
         own: The agent itself, 1-based, whose plans are always aligned by age; 0 for none.
         law: Shared control law, followed after the first step of a plan.
-        past: State estimates: the difference of the first step of a plan from that law holds for later ones. None where
-            the error of the sender's estimate, which differs from tick to tick, is most of it.
+        past: State estimates: the difference of the first step of a plan from that law holds for
+            later ones. None where the error of the sender's estimate, which differs from tick to
+            tick, is most of it.
         settings: Bounds of the actuators, applied to that law.
     """
 
@@ -56,8 +59,8 @@ class AnnouncedInputs:
         self.off_roster: set[int] = set()  # agents that make no more plans
         self.fail_safe: FailSafe | None = None  # control law after the last plan of one of them
         self.law_since = 0  # tick from which on the shared control law is that of the present team
-        # Tick of the newest failure of a UAV: from then on every agent follows the control law of the UAVs that are
-        # left; earlier plans apply until then.
+        # Tick of the newest failure of a UAV: from then on every agent follows the control law of
+        # the UAVs that are left; earlier plans apply until then.
         self.failed_since = 0
         self._owned, self._u_hover, self._alignment, self._own = owned, u_hover, alignment, own
         self._law, self._past = law, past
@@ -66,7 +69,8 @@ class AnnouncedInputs:
         self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
         # By agent, ascending in the tick they were made at.
         self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
-        # Start and inputs assumed for the last plan of agents that left, where that plan has not been received.
+        # Start and inputs assumed for the last plan of agents that left, where that plan has not
+        # been received.
         self._assumed: dict[int, tuple[int, Array]] = {}
 
     def add(self, plan: Plan) -> None:
@@ -84,7 +88,10 @@ class AnnouncedInputs:
         self._assumed.pop(agent, None)
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
-        """Assume inputs, (N_p, 4 N), from a tick on for an agent that left: docs/equations.md (32b)."""
+        """Assume inputs, (N_p, 4 N), from a tick on for an agent that left.
+
+        Docs/equations.md (32b).
+        """
         self._assumed[agent] = start, inputs[:, self._columns[agent]]
 
     def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:
@@ -95,7 +102,9 @@ class AnnouncedInputs:
         return None
 
     def sequence(self, start: int, steps: int, before: int) -> Array:
-        """Return the announced inputs of all UAVs over the horizon: the newest plans, held at their ends.
+        """Return the announced inputs of all UAVs over the horizon.
+
+        The newest plans, held at their ends.
 
         Hover follows the last plan of an agent off the roster.
 
@@ -119,11 +128,22 @@ class AnnouncedInputs:
 
     def under_previous_law(self, before: int) -> list[int]:
         """Return the agents whose newest plan made before a tick was made under the previous control law."""
-        newest = {agent: self.newest(agent, before) for agent in self._columns if agent not in self.off_roster}
-        return [agent for agent, plan in newest.items() if plan and self.failed_since <= plan.tick < self.law_since]
+        newest = {
+            agent: self.newest(agent, before)
+            for agent in self._columns
+            if agent not in self.off_roster
+        }
+        return [
+            agent
+            for agent, plan in newest.items()
+            if plan and self.failed_since <= plan.tick < self.law_since
+        ]
 
     def corrections(self, start: int, steps: int, before: int) -> Array:
-        """Return the announced corrections, (N_p, 4 N), zero after their end. Source: docs/equations.md (32)."""
+        """Return the announced corrections, (N_p, 4 N), zero after their end.
+
+        Source: docs/equations.md (32).
+        """
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
@@ -133,25 +153,34 @@ class AnnouncedInputs:
         return c
 
     def unannounced(self, tick: int, before: int) -> npt.NDArray[np.bool_]:
-        """Return which of the inputs that `at` returns no plan says: by the law, and by the fail-safe, (2, 4 N)."""
+        """Return which of the inputs that `at` returns no plan says.
+
+        By the law, and by the fail-safe, (2, 4 N).
+        """
         found = np.zeros((2, len(self._u_hover)), dtype=bool)
         by_law, by_fail_safe = found
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before, tick)
             if agent in self.off_roster:
-                by_fail_safe[columns] = plan is not None and tick - plan.start_tick >= len(plan.inputs)
+                by_fail_safe[columns] = plan is not None and tick - plan.start_tick >= len(
+                    plan.inputs
+                )
             elif agent != self._own:
                 by_law[columns] = plan is None or plan.start_tick < tick
         return found
 
     def at(self, tick: int, before: int, x: Array | None = None) -> Array:
-        """Return the inputs assumed in force over [t_k, t_{k+1}): from each agent's newest plan that had started.
+        """Return the inputs assumed in force over [t_k, t_{k+1}).
 
-        That plan's first input was applied as announced. Later ones have been replaced by plans that were not received.
-        With a shared control law they are the first one plus the change of that law since then, with the state and the
-        announced corrections; the sender's estimate of external forces cancels out of the difference.
+        From each agent's newest plan that had started.
 
-        The state x at t_k, (n,), serves to evaluate control law and fail-safe; None leaves both out.
+        That plan's first input was applied as announced. Later ones have been replaced by plans
+        that were not received. With a shared control law they are the first one plus the change of
+        that law since then, with the state and the announced corrections; the sender's estimate of
+        external forces cancels out of the difference.
+
+        The state x at t_k, (n,), serves to evaluate control law and fail-safe; None leaves both
+        out.
 
         Returns: (4 N,).
         Source: docs/equations.md (32), (32a).
@@ -168,7 +197,9 @@ class AnnouncedInputs:
             if is_off and step >= len(inputs):
                 if x is not None and self.fail_safe is not None:
                     owned = self._owned[agent - 1]
-                    u[columns] = np.concatenate([self.fail_safe.inputs(uav, x, tick) for uav in owned])
+                    u[columns] = np.concatenate(
+                        [self.fail_safe.inputs(uav, x, tick) for uav in owned]
+                    )
                 continue
             u[columns] = inputs[min(step, len(inputs) - 1)]
             failed = plan.tick < self.failed_since
@@ -177,7 +208,11 @@ class AnnouncedInputs:
                 by_law = self._by_law(plan, tick, x)
                 if by_law is not None:
                     u[columns] = by_law[columns]
-        return u if self._bounds is None else np.minimum(np.maximum(u, self._bounds[0]), self._bounds[1])
+        return (
+            u
+            if self._bounds is None
+            else np.minimum(np.maximum(u, self._bounds[0]), self._bounds[1])
+        )
 
     def _by_law(self, plan: Plan, tick: int, x: Array) -> Array | None:
         """Return an agent's inputs by the shared control law after the first step of its plan, at the state x, (n,).
@@ -194,7 +229,8 @@ class AnnouncedInputs:
         began = None if self._past is None else self._past(plan.start_tick)
         then = None if began is None else self._law(plan.start_tick, began)
         if then is not None:
-            # Differences in the sender's knowledge, such as external forces, show at the first step.
+            # Differences in the sender's knowledge, such as external forces, show at the first
+            # step.
             u[columns] += plan.inputs[0] - then[columns] - plan.corrections[0]
         return u
 

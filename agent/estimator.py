@@ -1,12 +1,14 @@
 """State estimate of one agent from its measurements, the others' received states, and the model.
 
-The measurement of tick k holds the payload and the owned UAVs. The others' states are received with their plans, at
-least one tick late. The estimator keeps its past estimates, inserts each received state at its tick, and predicts
-forward from there with the inputs now known for that time. With a Kalman filter, messages hold measurements of the
-UAVs' own sensors instead of states: a tick has a belief before and after them, and a late message has the filter repeat
-its work from that message's tick on.
+The measurement of tick k holds the payload and the owned UAVs. The others' states are received with
+their plans, at least one tick late. The estimator keeps its past estimates, inserts each received
+state at its tick, and predicts forward from there with the inputs now known for that time. With a
+Kalman filter, messages hold measurements of the UAVs' own sensors instead of states: a tick has a
+belief before and after them, and a late message has the filter repeat its work from that message's
+tick on.
 
-With motor lag the state is [x, a]: the actual inputs a follow from hover with the commands; errors decay with the lag.
+With motor lag the state is [x, a]: the actual inputs a follow from hover with the commands; errors
+    decay with the lag.
 """
 
 import math
@@ -16,20 +18,21 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from agent.announced import AnnouncedInputs
-from agent.kalman import Belief, KalmanFilter
-from model import motors, state
-from model.arrays import Array
-from model.discretisation import zero_order_hold
-from model.hover import Hover
-from model.linearisation import Linearisation, Model
-from protocol.wire.messages import Measurement, Plan
+from transport.agent.announced import AnnouncedInputs
+from transport.agent.kalman import Belief, KalmanFilter
+from transport.model import motors, state
+from transport.model.arrays import Array
+from transport.model.discretisation import zero_order_hold
+from transport.model.hover import Hover
+from transport.model.linearisation import Linearisation, Model
+from transport.protocol.wire.messages import Measurement, Plan
 
 # Past ticks that can still be corrected; an older state is no better than the prediction.
 WINDOW = 64
 
-# Integration steps per sampling period: local error below 1e-8 at 50 ms, with motor lag below 1e-5 after large jumps
-# of the commands; far below any sensor. With a Kalman filter one step, whose error is far below what the filter knows.
+# Integration steps per sampling period: local error below 1e-8 at 50 ms, with motor lag below 1e-5
+# after large jumps of the commands; far below any sensor. With a Kalman filter one step, whose
+# error is far below what the filter knows.
 STEPS = 2
 _NEVER = sys.maxsize
 # Unknowns of a disturbance: the force on the payload (3), and the horizontal force on each UAV (2).
@@ -37,32 +40,47 @@ _UNKNOWNS = 5
 
 
 class DisturbanceEstimator:
-    """Estimate of constant external forces by an agent that measures its UAVs, 0-based: a low-pass filter of errors.
+    """Estimate of constant external forces by an agent that measures its UAVs, 0-based.
 
-    Unmodelled payload mass and wind both act as a force on the payload. Wind acts on the UAVs, too: its horizontal
-    force shows in their own motion and is assumed equal for all of them. A vertical force on a UAV passes through the
-    stiff rod and is counted as one on the payload. The `forces`, (3 + 3 N,), inertial frame, N, zero at first, enter
-    the prediction, so that its error vanishes once they are right (offset-free MPC: Pannocchia, Rawlings 2003).
+    A low-pass filter of errors.
+
+    Unmodelled payload mass and wind both act as a force on the payload. Wind acts on the UAVs, too:
+    its horizontal force shows in their own motion and is assumed equal for all of them. A vertical
+    force on a UAV passes through the stiff rod and is counted as one on the payload. The `forces`,
+    (3 + 3 N,), inertial frame, N, zero at first, enter the prediction, so that its error vanishes
+    once they are right (offset-free MPC: Pannocchia, Rawlings 2003).
     """
 
     def __init__(
-        self, model: Model, hover: Hover, owned: Sequence[int], period_s: float, time_constant_s: float
+        self,
+        model: Model,
+        hover: Hover,
+        owned: Sequence[int],
+        period_s: float,
+        time_constant_s: float,
     ) -> None:
         self._period_s, self._time_constant_s = period_s, time_constant_s
         self.forces: Array = np.zeros(3 + 3 * model.system.N)
         self.rebuild(model, hover, owned)
 
     def rebuild(self, model: Model, hover: Hover, owned: Sequence[int]) -> None:
-        """Take another model of the team, its hover and at least one owned UAV; keep the estimated forces."""
+        """Take another model of the team, its hover and at least one owned UAV.
+
+        Keep the estimated forces.
+        """
         self._model, self._bodies, period_s = model, [1 + uav for uav in owned], self._period_s
         N = model.system.N
         spread = np.vstack([np.eye(3, _UNKNOWNS), np.tile(np.eye(3, _UNKNOWNS, k=3), (N, 1))])
         linear = model.linearise(hover.x, hover.u)
         # At rest, velocities depend on the state as the positions' derivatives do.
-        velocities = np.vstack([linear.A_c[state.R0], linear.C[: 3 * N] @ linear.A_c]).reshape(1 + N, 3, -1)
+        velocities = np.vstack([linear.A_c[state.R0], linear.C[: 3 * N] @ linear.A_c]).reshape(
+            1 + N, 3, -1
+        )
         # The zero-order hold of inputs applies to constant forces as well.
         E = model.force_effect(hover.x, hover.u) @ spread
-        effect = zero_order_hold(Linearisation.of(linear.f, linear.A_c, E, linear.y, linear.C), period_s).B
+        effect = zero_order_hold(
+            Linearisation.of(linear.f, linear.A_c, E, linear.y, linear.C), period_s
+        ).B
         self._inverse = np.linalg.inv(self._observed(velocities @ effect))
         self._gain = (1.0 - math.exp(-period_s / self._time_constant_s)) * spread
         self._weight = model.system.total_mass * model.system.gravity
@@ -70,8 +88,9 @@ class DisturbanceEstimator:
     def learn(self, predicted: Array, measured: Array) -> None:
         """Correct the estimate by the prediction error of a period.
 
-        Given are the state at its end predicted with the estimate, (n,), and the same with the measured entries
-        replaced. An error that implies a force above the team's weight is ignored: the prediction was wrong.
+        Given are the state at its end predicted with the estimate, (n,), and the same with the
+        measured entries replaced. An error that implies a force above the team's weight is ignored:
+        the prediction was wrong.
 
         Source: docs/equations.md (41).
         """
@@ -88,7 +107,8 @@ class DisturbanceEstimator:
 class StateEstimator:
     """Estimator of the whole state, x, (n,), with motor lag [x, a], (n + m,), from the reference at its first tick on.
 
-    It has a disturbance estimator, fed with the prediction errors, a Kalman filter of measurements, or neither.
+    It has a disturbance estimator, fed with the prediction errors, a Kalman filter of measurements,
+    or neither.
     """
 
     def __init__(
@@ -102,25 +122,33 @@ class StateEstimator:
     ) -> None:
         self._model, self._reference, self._period_s = model, reference, period_s
         self._disturbance, self._motor_lag_s, self._kalman = disturbance, motor_lag_s, kalman
-        # States of UAVs, 0-based, by tick, (12,); with a filter measurements and inputs until then, (19,).
+        # States of UAVs, 0-based, by tick, (12,); with a filter measurements and inputs until then,
+        # (19,).
         self._told: dict[int, dict[int, Array]] = {}
         self._measured: dict[int, Measurement] = {}
         ages = () if kalman is None else kalman.ages
         self._oldest = max(ages, default=0)  # quantity in a message, ticks
-        self._sensors_of_age = [(age, tuple(i for i, of in enumerate(ages) if of == age)) for age in sorted(set(ages))]
-        # Periods before a measurement that it changes: inputs reported with it act in the one before.
+        self._sensors_of_age = [
+            (age, tuple(i for i, of in enumerate(ages) if of == age)) for age in sorted(set(ages))
+        ]
+        # Periods before a measurement that it changes: inputs reported with it act in the one
+        # before.
         self._uses_reports = disturbance is not None or motor_lag_s > 0.0
         self._changed = int(self._uses_reports) if kalman is None else max(1, self._oldest)
         self._learned = -1  # newest tick whose measurement the disturbance estimator has
         self._first = 0  # tick of the oldest estimate kept
         self._estimates: list[Array] = []
-        self._priors: list[Belief] = []  # of a Kalman filter before the measurements, by tick as the estimates
+        self._priors: list[
+            Belief
+        ] = []  # of a Kalman filter before the measurements, by tick as the estimates
         self._beliefs: list[Belief] = []  # after them
         self._stale_from = _NEVER  # earliest tick whose estimate or inputs have changed
         self._sensed_from = -1  # earliest tick whose measurements have changed, with a filter
         self._newest: dict[int, int] = {}
         self.measured = -1  # tick of the newest measurement taken in
-        self._breaks: list[tuple[int, Model, Callable[[Array], Array]]] = []  # see `change`, ascending in the tick
+        self._breaks: list[
+            tuple[int, Model, Callable[[Array], Array]]
+        ] = []  # see `change`, ascending in the tick
 
     def take(self, plan: Plan) -> None:
         """Take in another agent's state at a tick before the next measurement's."""
@@ -142,12 +170,17 @@ class StateEstimator:
         if tick < self._first:
             return
         self._measured[tick] = measurement
-        for uav, values, inputs in zip(measurement.uavs, measurement.uav_states, measurement.inputs, strict=True):
+        for uav, values, inputs in zip(
+            measurement.uavs, measurement.uav_states, measurement.inputs, strict=True
+        ):
             told = values if self._kalman is None else np.concatenate([values, inputs])
             self._tell(tick, uav, told, self._changed)
 
     def _tell(self, tick: int, uav: int, values: Array, before: int) -> None:
-        """Keep, once, what a message says of a UAV, 1-based; it changes estimates from so many ticks before on."""
+        """Keep, once, what a message says of a UAV, 1-based.
+
+        It changes estimates from so many ticks before on.
+        """
         if tick >= self._first and uav - 1 not in self._told.setdefault(tick, {}):
             self._told[tick][uav - 1] = values
             self._sensed_from = min(self._sensed_from, tick - self._oldest)
@@ -164,7 +197,10 @@ class StateEstimator:
         return found.reshape(len(uavs), -1)
 
     def change(self, tick: int, model: Model, moved: Callable[[Array], Array]) -> None:
-        """Change the system from a tick on, not before the previous change; `moved` maps the state there, (n,)."""
+        """Change the system from a tick on, not before the previous change.
+
+        `moved` maps the state there, (n,).
+        """
         self._breaks.append((tick, model, moved))
         self._stale_from = min(self._stale_from, tick - 1)
 
@@ -176,7 +212,9 @@ class StateEstimator:
         if not self._estimates:
             self._first = k
             self._told = {tick: told for tick, told in self._told.items() if tick >= k}
-            self._measured = {tick: measurement for tick, measurement in self._measured.items() if tick >= k}
+            self._measured = {
+                tick: measurement for tick, measurement in self._measured.items() if tick >= k
+            }
             self._estimates = [self._reference_at(k)]
             self._priors = [] if self._kalman is None else [self._kalman.first(self._estimates[0])]
         begin = min(self._first + len(self._estimates) - 1, max(self._stale_from, self._first))
@@ -191,7 +229,9 @@ class StateEstimator:
             if self._kalman is None:
                 self._estimates.append(self._followed(tick, u))
             else:
-                self._estimates.append(self._filtered(tick, u, announced.unannounced(tick, before=k), self._kalman))
+                self._estimates.append(
+                    self._filtered(tick, u, announced.unannounced(tick, before=k), self._kalman)
+                )
         while len(self._estimates) > WINDOW:
             del self._estimates[0], self._priors[:1], self._beliefs[:1]
             self._told.pop(self._first, None)
@@ -214,12 +254,17 @@ class StateEstimator:
         return tick - self._newest[agent] if agent in self._newest else -1
 
     def inputs_until(self, k: int, announced: AnnouncedInputs) -> Array:
-        """Return the inputs in force until tick k after `estimate` for it, (4 N,): announced, own ones as reported."""
+        """Return the inputs in force until tick k after `estimate` for it, (4 N,).
+
+        Announced, own ones as reported.
+        """
         u = announced.at(k - 1, before=k, x=self.known(k - 1))
         self._report(u, k)
         return u
 
-    def _filtered(self, tick: int, u: Array, unannounced: npt.NDArray[np.bool_], kalman: KalmanFilter) -> Array:
+    def _filtered(
+        self, tick: int, u: Array, unannounced: npt.NDArray[np.bool_], kalman: KalmanFilter
+    ) -> Array:
         """Add prior and belief of the next tick; return its estimate."""
         for uav, values in self._told.get(tick + 1, {}).items():
             u[state.input_slice(uav)] = values[state.SENSED :]
@@ -234,13 +279,20 @@ class StateEstimator:
         return self._joined(ahead, tick + 1)
 
     def _followed(self, tick: int, u: Array) -> Array:
-        """Return the estimate at the next tick; correct the disturbance estimate once, if both ends are measured."""
+        """Return the estimate at the next tick.
+
+        Correct the disturbance estimate once, if both ends are measured.
+        """
         if self._uses_reports:
             self._report(u, tick + 1)  # a wrong input would look like a force
         disturbance, n = self._disturbance, self._model.system.n
         ahead = self._predicted(tick, u, None if disturbance is None else disturbance.forces)
         found = self._joined(ahead.copy(), tick + 1)
-        if disturbance is not None and {tick, tick + 1} <= self._measured.keys() and tick >= self._learned:
+        if (
+            disturbance is not None
+            and {tick, tick + 1} <= self._measured.keys()
+            and tick >= self._learned
+        ):
             self._learned = tick + 1
             disturbance.learn(ahead[:n], found[:n])
         return found
@@ -249,7 +301,9 @@ class StateEstimator:
         """Return the estimate at a tick, read-only, from its prediction and the messages of the tick."""
         if self._kalman is not None:
             prior = self._priors[tick - self._first]
-            self._beliefs.append(self._kalman.correct(prior, self._model_at(tick), list(self._sensed(tick))))
+            self._beliefs.append(
+                self._kalman.correct(prior, self._model_at(tick), list(self._sensed(tick)))
+            )
             return self._beliefs[-1].x
         if tick in self._measured:
             x[: state.PAYLOAD] = self._measured[tick].payload
@@ -273,9 +327,14 @@ class StateEstimator:
                 u[state.input_slice(uav - 1)] = inputs
 
     def _predicted(self, tick: int, u: Array, forces: Array | None) -> Array:
-        """Predict the next state from the newest estimate; if that diverges, return the reference state."""
+        """Predict the next state from the newest estimate.
+
+        If that diverges, return the reference state.
+        """
         model, steps = self._model_at(tick), STEPS if self._kalman is None else 1
-        ahead, _ = motors.integrate(model, self._estimates[-1], u, self._period_s, steps, self._motor_lag_s, forces)
+        ahead, _ = motors.integrate(
+            model, self._estimates[-1], u, self._period_s, steps, self._motor_lag_s, forces
+        )
         if np.abs(ahead).max() > state.LARGEST:
             return self._reference_at(tick + 1)
         for moved in self._moves_at(tick + 1):
@@ -283,7 +342,9 @@ class StateEstimator:
         return ahead
 
     def _model_at(self, tick: int) -> Model:
-        return next((model for since, model, _ in reversed(self._breaks) if since <= tick), self._model)
+        return next(
+            (model for since, model, _ in reversed(self._breaks) if since <= tick), self._model
+        )
 
     def _moves_at(self, tick: int) -> list[Callable[[Array], Array]]:
         return [moved for since, _, moved in self._breaks if since == tick]

@@ -1,45 +1,59 @@
 """An agent as a state machine: one measurement in, one plan out.
 
-A measurement opens its tick. In lockstep the agent then waits for the plans of the tick before that the clock waited
-for (they may still be on their way), plans, and answers; with several iterations of negotiation it exchanges plans with
-the others within the tick before that. In real time it does not wait: it uses the messages received by the time it is
-free, and of several measurements the newest.
+A measurement opens its tick. In lockstep the agent then waits for the plans of the tick before that
+the clock waited for (they may still be on their way), plans, and answers; with several iterations
+of negotiation it exchanges plans with
+the others within the tick before that. In real time it does not wait: it uses the messages received
+by the time it is free, and of several measurements the newest.
 """
 
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from agent.kalman import Belief
-from agent.own import PROJECT, OwnPlanner, OwnStep
-from agent.step import Planner, Step
-from agent.team_estimate import Known
-from protocol.admission.arrivals import Arrivals
-from protocol.admission.participant import Participant
-from protocol.scenario.setup import Setup
-from protocol.wire.errors import MessageError
-from protocol.wire.messages import Measurement, Message, Plan, Roster, Target
-from protocol.wire.names import agent_name
+from transport.agent.kalman import Belief
+from transport.agent.own import PROJECT, OwnPlanner, OwnStep
+from transport.agent.step import Planner, Step
+from transport.agent.team_estimate import Known
+from transport.protocol.admission.arrivals import Arrivals
+from transport.protocol.admission.participant import Participant
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import Measurement, Message, Plan, Roster, Target
+from transport.protocol.wire.names import agent_name
 
 
 class AgentNode(Participant):
-    """One agent, 1-based, of a run; the stopwatch counts ns of a steady clock, for the step report only."""
+    """One agent, 1-based, of a run.
+
+    The stopwatch counts ns of a steady clock, for the step report only.
+    """
 
     def __init__(
-        self, setup: Setup, agent: int, incarnation: int = 0, stopwatch: Callable[[], int] = lambda: 0
+        self,
+        setup: Setup,
+        agent: int,
+        incarnation: int = 0,
+        stopwatch: Callable[[], int] = lambda: 0,
     ) -> None:
         self._agent, self._stopwatch = agent, stopwatch
         make = Planner if setup.scenario.agents.controller == PROJECT else OwnPlanner
         self._planner: Any = make(setup, agent, stopwatch)
-        self._targets: deque[tuple[int, Setup]] = deque()  # those still to come: the tick, the run with it
+        self._targets: deque[tuple[int, Setup]] = (
+            deque()
+        )  # those still to come: the tick, the run with it
         super().__init__(setup, agent_name(agent), incarnation, after=1, own=agent)
 
     def _begin(self, incarnation: int) -> None:
         super()._begin(incarnation)
-        self._measurements: Arrivals[Measurement] = Arrivals(self._links, after=0, speed=self._speed)
+        self._measurements: Arrivals[Measurement] = Arrivals(
+            self._links, after=0, speed=self._speed
+        )
         self._measurement: Measurement | None = None  # of the open tick, until its step begins
         self._step: Step | OwnStep | None = None  # being negotiated
-        self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and exchanges to come, and agent
+        self._proposals: dict[
+            tuple[int, int], dict[int, Plan]
+        ] = {}  # by tick and exchanges to come, and agent
 
     @property
     def wake_ns(self) -> int | None:
@@ -84,14 +98,17 @@ class AgentNode(Participant):
         membership = self._membership
         is_off = self._agent not in membership.since
         if isinstance(message, Measurement) and is_off and message.roster <= membership.version:
-            raise MessageError("past", f"measurement of tick {message.tick}, without this start on the roster")
+            raise MessageError(
+                "past", f"measurement of tick {message.tick}, without this start on the roster"
+            )
 
     def _enlist(self, roster: Roster) -> list[Plan]:
         """Take in a roster and return the plans that were ahead of it."""
         was_on_it = self._membership.incarnations.get(self._agent) == self.incarnation
         waiting = self._membership.update(roster)
         if was_on_it and self._membership.incarnations.get(self._agent) != self.incarnation:
-            # Taken off the roster: its information may be outdated, so it comes back as a new process.
+            # Taken off the roster: its information may be outdated, so it comes back as a new
+            # process.
             self._planner.restart()
             self._begin(self.incarnation + 1)
         return waiting
@@ -101,7 +118,11 @@ class AgentNode(Participant):
         out: list[Message] = []
         if not self._waits and not polled:
             return out
-        if self._measurement is not None and self._step is None and self._has_plans_for(self._measurement):
+        if (
+            self._measurement is not None
+            and self._step is None
+            and self._has_plans_for(self._measurement)
+        ):
             measurement, self._measurement = self._measurement, None
             self._tick = measurement.tick
             followed = None
@@ -127,7 +148,8 @@ class AgentNode(Participant):
         """Return the information for a measurement's tick, and forget the messages of earlier ticks."""
         started_ns = self._stopwatch()
         k, membership = measurement.tick, self._membership
-        # A message is usable when its link says so, even if it is here earlier, and in an order of its own.
+        # A message is usable when its link says so, even if it is here earlier, and in an order of
+        # its own.
         plans, lost_plans = self._plans.take(k, now_ns)
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick >= k}
         self._proposals = {at: proposals for at, proposals in self._proposals.items() if at[0] >= k}
@@ -150,7 +172,9 @@ class AgentNode(Participant):
         k = step.known.measurement.tick
         proposals = sorted(self._proposals.pop((k, step.negotiation), {}).items())
         links = self._plans.links
-        return [plan for _, plan in proposals if 0.0 in links[plan.sender].delays(k, step.negotiation)]
+        return [
+            plan for _, plan in proposals if 0.0 in links[plan.sender].delays(k, step.negotiation)
+        ]
 
     def _has_plans_for(self, measurement: Measurement) -> bool:
         """Return whether the roster is here, and the plans of the tick before from those on it that shared one."""
@@ -160,7 +184,9 @@ class AgentNode(Participant):
             return False
         if measurement.tick - 1 < self._membership.since.get(self._agent, 0):
             return True  # plans of ticks before this process took part are not for it
-        senders = set(measurement.shared) & self._membership.took_part(measurement.tick - 1) - {self._agent}
+        senders = set(measurement.shared) & self._membership.took_part(measurement.tick - 1) - {
+            self._agent
+        }
         return senders <= self._arrived.get(measurement.tick - 1, set())
 
     def _has_proposals_for(self, step: Step | OwnStep) -> bool:

@@ -1,8 +1,9 @@
 """A controller of the user: a class named in the scenario plans the inputs of an agent's UAVs.
 
-The class takes the place of estimator, prediction and program; docs/bring-your-own.md has its methods. A step that
-raises, or that returns anything but inputs, is data: the shifted previous plan is applied, as after a solve without
-solution, and a `Note` says why.
+The class takes the place of estimator, prediction and program; docs/bring-your-own.md has its
+methods. A step that
+raises, or that returns anything but inputs, is data: the shifted previous plan is applied, as after
+a solve without solution, and a `Note` says why.
 """
 
 import math
@@ -12,26 +13,45 @@ from typing import Any
 
 import numpy as np
 
-from agent.step import step_report
-from agent.team_estimate import Known
-from model.arrays import Array
-from model.linearisation import Model
-from model.parameters import System
-from model.state import StateView, input_indices
-from protocol.scenario.errors import ScenarioError
-from protocol.scenario.own_class import OwnClassError, made, own_class, real_array, told, version_of
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import MAX_NAME, MAX_NAMES, STAGES, Measurement, Message, Note, Plan, PlanStatus
-from protocol.wire.node import Outbox
+from transport.agent.step import step_report
+from transport.agent.team_estimate import Known
+from transport.model.arrays import Array
+from transport.model.linearisation import Model
+from transport.model.parameters import System
+from transport.model.state import StateView, input_indices
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.own_class import (
+    OwnClassError,
+    made,
+    own_class,
+    real_array,
+    told,
+    version_of,
+)
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import (
+    MAX_NAME,
+    MAX_NAMES,
+    STAGES,
+    Measurement,
+    Message,
+    Note,
+    Plan,
+    PlanStatus,
+)
+from transport.protocol.wire.node import Outbox
 
 PROJECT = "mpc"  # the controller of the project
 
 
 @dataclass(slots=True, kw_only=True)
 class Run:
-    """Team and run as a controller of the user knows them: the parameters that the scenario states, not the plant's.
+    """Team and run as a controller of the user knows them.
 
-    UAVs are numbered from 0, as in arrays, agents from 1. `tick`, `agents` and `failed` are renewed before each step.
+    The parameters that the scenario states, not the plant's.
+
+    UAVs are numbered from 0, as in arrays, agents from 1. `tick`, `agents` and `failed` are renewed
+    before each step.
     """
 
     agent: int  # of this object
@@ -58,7 +78,10 @@ class Run:
 
 
 def checked_controller(setup: Setup) -> str:
-    """Return name and version of the controller after starting it once. Raises: ScenarioError: it cannot be used."""
+    """Return name and version of the controller after starting it once.
+
+    Raises: ScenarioError: it cannot be used.
+    """
     name = setup.scenario.agents.controller
     if name == PROJECT:
         return name
@@ -67,7 +90,10 @@ def checked_controller(setup: Setup) -> str:
 
 
 def controller_version(name: str) -> str:
-    """Return the version of a controller, empty for that of the project. Raises: OwnClassError: it is not found."""
+    """Return the version of a controller, empty for that of the project.
+
+    Raises: OwnClassError: it is not found.
+    """
     return "" if name == PROJECT else version_of(own_class(name))
 
 
@@ -80,7 +106,10 @@ class OwnStep:
 
 
 class OwnPlanner:
-    """Planner of an agent, 1-based, whose controller is a class of the user; ScenarioError: it cannot be used."""
+    """Planner of an agent, 1-based, whose controller is a class of the user.
+
+    ScenarioError: it cannot be used.
+    """
 
     def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
         self._setup, self._agent, self._stopwatch = setup, agent, stopwatch
@@ -113,7 +142,10 @@ class OwnPlanner:
         )
         self._measurement: Measurement | None = None  # the newest that is usable
         self._newest: dict[int, int] = {}  # tick of the newest plan used, by agent
-        self._previous = 0, setup.hover.u[input_indices(self._owned)][None]  # first tick and rows of the last plan
+        self._previous = (
+            0,
+            setup.hover.u[input_indices(self._owned)][None],
+        )  # first tick and rows of the last plan
         self._problem = ""  # why the class did not start
         self._idle_since_ns = self._stopwatch()
         try:
@@ -166,7 +198,11 @@ class OwnPlanner:
             status, problem = "numerical", str(error)
         self._previous = start, inputs
         measured = self._measurement
-        states = StateView(self._run.reference(k)).uavs[list(self._owned)] if measured is None else measured.uav_states
+        states = (
+            StateView(self._run.reference(k)).uavs[list(self._owned)]
+            if measured is None
+            else measured.uav_states
+        )
         plan = out.stamp(
             Plan,
             tick=k,
@@ -208,15 +244,22 @@ class OwnPlanner:
         """End the run for the class; return a note if that failed."""
         return self._note(tick, self.stop(), {}, out)
 
-    def _note(self, tick: int, problem: str, data: Mapping[str, float], out: Outbox) -> list[Message]:
+    def _note(
+        self, tick: int, problem: str, data: Mapping[str, float], out: Outbox
+    ) -> list[Message]:
         if not problem and not data:
             return []
         said = f"controller {self._name}: {problem}" if problem else ""
         names, values = tuple(data), list(data.values())
-        return [out.stamp(Note, tick=tick, agent=self._agent, problem=said, names=names, values=values)]
+        return [
+            out.stamp(Note, tick=tick, agent=self._agent, problem=said, names=names, values=values)
+        ]
 
     def _stepped(self, known: Known, previous: Array) -> tuple[Array, Mapping[str, float]]:
-        """Return inputs of a step, (rows, 4 owned), within the limits, and numbers. Raises: OwnClassError: it fails."""
+        """Return inputs of a step, (rows, 4 owned), within the limits, and numbers.
+
+        Raises: OwnClassError: it fails.
+        """
         if self._controller is None:
             raise OwnClassError(self._problem)
         if self._measurement is None:
@@ -226,15 +269,28 @@ class OwnPlanner:
             given = self._controller.step(self._measurement, known.plans)
             if isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], Mapping):
                 given, data = given
-            inputs, columns, rows = np.atleast_2d(real_array(given)), len(self._run.lower), self._run.horizon
+            inputs, columns, rows = (
+                np.atleast_2d(real_array(given)),
+                len(self._run.lower),
+                self._run.horizon,
+            )
             numbers = {str(name): float(value) for name, value in dict(data).items()}  # type: ignore[call-overload]
         if inputs.ndim != 2 or inputs.shape[1] != columns or not 1 <= len(inputs) <= rows:
             expected = f"expected shape ({columns},) or (1 to {rows}, {columns})"
             raise OwnClassError(f"step: {expected}, got {np.shape(given)}")
-        given_numbers = {**{f"input {list(at)}": value for at, value in np.ndenumerate(inputs)}, **numbers}
-        if wrong := [f"{name} = {value}" for name, value in given_numbers.items() if not math.isfinite(value)]:
-            raise OwnClassError(f"step: expected finite inputs and numbers for the log, got {wrong[0]}")
+        given_numbers = {
+            **{f"input {list(at)}": value for at, value in np.ndenumerate(inputs)},
+            **numbers,
+        }
+        if wrong := [
+            f"{name} = {value}" for name, value in given_numbers.items() if not math.isfinite(value)
+        ]:
+            raise OwnClassError(
+                f"step: expected finite inputs and numbers for the log, got {wrong[0]}"
+            )
         if len(numbers) > MAX_NAMES or any(len(name) > MAX_NAME for name in numbers):
-            expected = f"expected at most {MAX_NAMES} numbers with names of at most {MAX_NAME} characters"
+            expected = (
+                f"expected at most {MAX_NAMES} numbers with names of at most {MAX_NAME} characters"
+            )
             raise OwnClassError(f"step: {expected} for the log, got {len(numbers)}")
         return np.clip(inputs, self._run.lower, self._run.upper), numbers

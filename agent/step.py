@@ -7,21 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from agent.estimator import STEPS
-from agent.kalman import TOLD, Belief, told
-from agent.team_estimate import Known, TeamEstimate
-from model import motors
-from model.arrays import Array, ShapeError
-from model.discretisation import Discrete
-from model.state import input_indices
-from mpc.controller import Controller, StepResult
-from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear
-from mpc.regulation import CostToGo
-from protocol.scenario.schema import ControllerSection
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import STAGES, Message, Note, Plan, StepReport
-from protocol.wire.node import Outbox
+from transport.agent.estimator import STEPS
+from transport.agent.kalman import TOLD, Belief, told
+from transport.agent.team_estimate import Known, TeamEstimate
+from transport.model import motors
+from transport.model.arrays import Array, ShapeError
+from transport.model.discretisation import Discrete
+from transport.model.state import input_indices
+from transport.mpc.controller import Controller, StepResult
+from transport.mpc.feedback import FeedbackLaw
+from transport.mpc.prediction import Linear
+from transport.mpc.regulation import CostToGo
+from transport.protocol.scenario.schema import ControllerSection
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import STAGES, Message, Note, Plan, StepReport
+from transport.protocol.wire.node import Outbox
 
 # Stages counted as computation, not waiting or publishing.
 _COMPUTATION = ("estimate", "linearise", "discretise", "condense", "solve")
@@ -34,7 +34,9 @@ class Step:
     """A tick's problem, common to all iterations of the negotiation, and the newest result."""
 
     known: Known  # what it was formed from
-    uav_states: Array  # estimates of the owned UAVs, (owned, 12); with vehicle sensors what they reported
+    uav_states: (
+        Array  # estimates of the owned UAVs, (owned, 12); with vehicle sensors what they reported
+    )
     start: int  # first tick the plan is for
     y_ref: Array
     U: Array
@@ -48,25 +50,33 @@ class Step:
 
 
 class Sharing:
-    """Event-triggered sharing of plans; smallest and largest inputs of the agent's UAVs, (4 owned,), are its scale.
+    """Event-triggered sharing of plans.
 
-    With closed-loop prediction the others know the shared control law, but not the agent's corrections to it. They
-    assume the last shared corrections, shifted to the present tick and zero after their end.
+    Smallest and largest inputs of the agent's UAVs, (4 owned,), are its scale.
+
+    With closed-loop prediction the others know the shared control law, but not the agent's
+    corrections to it. They assume the last shared corrections, shifted to the present tick and zero
+    after their end.
     """
 
     def __init__(self, settings: ControllerSection, lower: Array, upper: Array) -> None:
         self._always, self._threshold = settings.share == "always", settings.share_threshold
         # At least one tick; rounding must not take one from a whole number of periods.
-        self._heartbeat = max(1, math.floor(settings.share_heartbeat_s / settings.sampling_period_s + 1e-9))
+        self._heartbeat = max(
+            1, math.floor(settings.share_heartbeat_s / settings.sampling_period_s + 1e-9)
+        )
         self._span = upper - lower
-        self._shared: tuple[int, int, Array, int] | None = None  # arguments of the last plan that was shared
+        self._shared: tuple[int, int, Array, int] | None = (
+            None  # arguments of the last plan that was shared
+        )
 
     def decide(self, tick: int, start: int, c: Array, roster: int) -> bool:
         """Decide whether to share a plan; the others assume a shared plan from then on.
 
-        Shared are the first plan, the first one under each roster (control law or receivers may be new), one that is a
-        heartbeat newer than the last shared one, and one whose corrections c to the shared control law, (N_p, 4 owned),
-        from tick `start` on, have changed by more than the threshold of the inputs' range.
+        Shared are the first plan, the first one under each roster (control law or receivers may be
+        new), one that is a heartbeat newer than the last shared one, and one whose corrections c to
+        the shared control law, (N_p, 4 owned), from tick `start` on, have changed by more than the
+        threshold of the inputs' range.
         Source: docs/equations.md (49).
         """
         if self._shared is not None and not self._always:
@@ -88,7 +98,13 @@ class Planner:
         self._setup, self._agent, self._stopwatch = setup, agent, stopwatch
         self._owned = setup.owned[agent - 1]
         self._controller = Controller(
-            setup.model, setup.hover, setup.settings, self._owned, setup.X_ref, setup.track, setup.obstacles
+            setup.model,
+            setup.hover,
+            setup.settings,
+            self._owned,
+            setup.X_ref,
+            setup.track,
+            setup.obstacles,
         )
         self._team = TeamEstimate(setup, agent, self._controller)
         self._reset_sharing()
@@ -105,7 +121,9 @@ class Planner:
 
     def _reset_sharing(self) -> None:
         settings, uavs = self._setup.settings, len(self._owned)
-        self._sharing = Sharing(self._setup.scenario.controller, settings.lower(uavs), settings.upper(uavs))
+        self._sharing = Sharing(
+            self._setup.scenario.controller, settings.lower(uavs), settings.upper(uavs)
+        )
         self._lapped_ns = self._stopwatch()  # end of the last stage
 
     @property
@@ -122,19 +140,28 @@ class Planner:
         law = controller.law(x0, np.tile(hover.x, (len(U), 1)), np.zeros_like(U), forces)
         y_ref = np.tile(self._setup.model.outputs(hover.x), (len(U) + 1, 1))
         controller.step(x0, hover.u, U, y_ref, law, forces, end=controller.end(x0, hover.x, forces))
-        motors.integrate(self._setup.model, x0, hover.u, settings.sampling_period_s, STEPS, settings.motor_lag_s)
+        motors.integrate(
+            self._setup.model, x0, hover.u, settings.sampling_period_s, STEPS, settings.motor_lag_s
+        )
 
     def begin(self, known: Known) -> Step:
         """Estimate the state at a tick and form the problem that follows from it."""
         times_ns = dict.fromkeys(STAGES, 0)
         times_ns["wait"], self._lapped_ns = known.started_ns - self._lapped_ns, known.started_ns
-        k, controller, setup, team = known.measurement.tick, self._controller, self._setup, self._team
+        k, controller, setup, team = (
+            known.measurement.tick,
+            self._controller,
+            self._setup,
+            self._team,
+        )
         period_s, steps = setup.settings.sampling_period_s, setup.settings.horizon
         x = team.update(known)
         forces, announced = team.forces, team.announced
         if setup.scenario.clock.next_tick:
             start, u0 = k + 1, announced.at(k, before=k, x=x)
-            x0, _ = motors.integrate(controller.model, x, u0, period_s, STEPS, setup.settings.motor_lag_s, forces)
+            x0, _ = motors.integrate(
+                controller.model, x, u0, period_s, STEPS, setup.settings.motor_lag_s, forces
+            )
         else:
             start, x0, u0 = k, x, team.estimator.inputs_until(k, announced)
         U = announced.sequence(start, steps, before=k)
@@ -170,7 +197,8 @@ class Planner:
     def plan(self, step: Step, out: Outbox, publish_ns: int) -> list[Message]:
         """Solve a step's problem and return a proposal to the others, or at the end the tick's plan and report.
 
-        The step's `negotiation` counts down to 0; the last step's messages took `publish_ns` to publish.
+        The step's `negotiation` counts down to 0; the last step's messages took `publish_ns` to
+        publish.
         """
         result = step.result = self._solved(step)
         step.negotiation -= 1
@@ -194,10 +222,20 @@ class Planner:
         step.times_ns["publish"] = publish_ns
         step.times_ns["total"] = sum(step.times_ns[stage] for stage in _COMPUTATION)
         report = self._report(step, result, out)
-        # What a Kalman filter knows of the payload, once in a while: the covariance of each tick is work.
+        # What a Kalman filter knows of the payload, once in a while: the covariance of each tick is
+        # work.
         notes, every = [], max(1, round(_NOTED_S / self._setup.settings.sampling_period_s))
         if self.belief is not None and k > 0 and k % every == 0:
-            notes = [out.stamp(Note, tick=k, agent=self._agent, problem="", names=TOLD, values=told(self.belief))]
+            notes = [
+                out.stamp(
+                    Note,
+                    tick=k,
+                    agent=self._agent,
+                    problem="",
+                    names=TOLD,
+                    values=told(self.belief),
+                )
+            ]
         self._lapped_ns = self._stopwatch()
         return [*notes, plan, report]
 
@@ -237,7 +275,9 @@ class Planner:
             qp = controller.condense(step.linear, prediction, step.y_ref, step.law, step.end)
             self._lap(step.times_ns, "condense")
             solution = controller.solve(qp)
-            result = controller.conclude(solution, prediction, step.U, step.law, step.known.ticks_since_start)
+            result = controller.conclude(
+                solution, prediction, step.U, step.law, step.known.ticks_since_start
+            )
             self._lap(step.times_ns, "solve")
             if step.law is not None:
                 self._team.expected = step.start, prediction, result.U
@@ -260,12 +300,16 @@ class Planner:
             plan_ages=tuple(-1 if plan is None else k - plan.tick for plan in newest),
             state_ages=tuple(team.estimator.age(agent, k) for agent in team.peers),
             measurement_age=-1 if measured < 0 else k - measured,
-            force=np.zeros(3) if team.forces is None else self._controller.model.at_rest(team.forces)[:3],
+            force=np.zeros(3)
+            if team.forces is None
+            else self._controller.model.at_rest(team.forces)[:3],
             times_ns=step.times_ns,
         )
 
 
-def step_report(known: Known, agent: int, out: Outbox, *, times_ns: Mapping[str, int], **fields: Any) -> StepReport:
+def step_report(
+    known: Known, agent: int, out: Outbox, *, times_ns: Mapping[str, int], **fields: Any
+) -> StepReport:
     """Return the report of a step of an agent, 1-based, from what it knew, the times of stages, and other fields."""
     return out.stamp(
         StepReport,

@@ -5,17 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.announced import AnnouncedInputs
-from agent.estimator import WINDOW, DisturbanceEstimator, StateEstimator
-from agent.kalman import KalmanFilter
-from model import state
-from model.arrays import Array
-from model.hover import motor_off_state, released_state
-from mpc.controller import Controller
-from mpc.prediction import Prediction
-from mpc.tracking import Course
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Plan
+from transport.agent.announced import AnnouncedInputs
+from transport.agent.estimator import WINDOW, DisturbanceEstimator, StateEstimator
+from transport.agent.kalman import KalmanFilter
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.hover import motor_off_state, released_state
+from transport.mpc.controller import Controller
+from transport.mpc.prediction import Prediction
+from transport.mpc.tracking import Course
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Measurement, Plan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,8 +23,12 @@ class Known:
     """Information of an agent at a tick."""
 
     measurement: Measurement  # the tick's own
-    measurements: Sequence[Measurement]  # those that have become usable since the last step, in order
-    plans: Sequence[Plan]  # plans of the others that have become usable since the last step, in order
+    measurements: Sequence[
+        Measurement
+    ]  # those that have become usable since the last step, in order
+    plans: Sequence[
+        Plan
+    ]  # plans of the others that have become usable since the last step, in order
     lost: int  # plans known since then to be lost on their links
     agents: Set[int]  # on the roster, 1-based
     off: frozenset[int]  # UAVs whose motors are off, 0-based
@@ -40,7 +44,8 @@ class TeamEstimate:
     Attributes:
         announced: Inputs announced by all agents.
         estimator: Estimated states, by tick.
-        expected: Start, prediction and own inputs of the last step, for the inputs of an agent that leaves.
+        expected: Start, prediction and own inputs of the last step, for the inputs of an agent that
+            leaves.
     """
 
     def __init__(self, setup: Setup, agent: int, controller: Controller) -> None:
@@ -51,7 +56,10 @@ class TeamEstimate:
         self.restart()
 
     def restart(self) -> None:
-        """Reset for a new start in the run; the controller keeps its state, also the agents that it leaves out."""
+        """Reset for a new start in the run.
+
+        The controller keeps its state, also the agents that it leaves out.
+        """
         setup, section = self._setup, self._setup.scenario.controller
         period_s, is_kalman = setup.settings.sampling_period_s, section.estimator == "kalman"
         self._disturbance: DisturbanceEstimator | None = None
@@ -59,10 +67,21 @@ class TeamEstimate:
             self._disturbance = DisturbanceEstimator(
                 setup.model, setup.hover, self._owned, period_s, section.disturbance.time_constant_s
             )
-        self._filtered: Array | None = None  # forces that the Kalman filter has estimated by the last tick
-        self._kalman = KalmanFilter(setup, self._controller.regulation.gain, self._owned) if is_kalman else None
+        self._filtered: Array | None = (
+            None  # forces that the Kalman filter has estimated by the last tick
+        )
+        self._kalman = (
+            KalmanFilter(setup, self._controller.regulation.gain, self._owned)
+            if is_kalman
+            else None
+        )
         self.estimator = StateEstimator(
-            setup.model, self._reference, period_s, self._disturbance, setup.settings.motor_lag_s, self._kalman
+            setup.model,
+            self._reference,
+            period_s,
+            self._disturbance,
+            setup.settings.motor_lag_s,
+            self._kalman,
         )
         self.announced = AnnouncedInputs(
             setup.owned,
@@ -74,7 +93,10 @@ class TeamEstimate:
             settings=setup.settings,
         )
         self.announced.fail_safe = setup.fail_safe
-        self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()  # UAVs off, and released
+        self._failed: tuple[frozenset[int], frozenset[int]] = (
+            frozenset(),
+            frozenset(),
+        )  # UAVs off, and released
         self.expected: tuple[int, Prediction | Course, Array] | None = None
         # Arguments and result of `_law_inputs` by tick.
         self._law_cache: dict[int, tuple[tuple[object, ...], Array | None]] = {}
@@ -88,11 +110,17 @@ class TeamEstimate:
 
     @property
     def forces(self) -> Array | None:
-        """Estimated external forces, (3 + 3 N,), inertial frame, N; None where they are not estimated."""
+        """Estimated external forces, (3 + 3 N,), inertial frame, N.
+
+        None where they are not estimated.
+        """
         return self._filtered if self._disturbance is None else self._disturbance.forces
 
     def update(self, known: Known) -> Array:
-        """Take in what is known at a tick and return the estimated state, (n,); with motor lag (n + m,)."""
+        """Take in what is known at a tick and return the estimated state, (n,).
+
+        With motor lag (n + m,).
+        """
         k = known.measurement.tick
         self._update_roster(known)
         for plan in known.plans:
@@ -105,15 +133,20 @@ class TeamEstimate:
             self._filtered = self._kalman.forces(self.estimator.belief)
         if self._setup.scenario.controller.received_states == "as_received":
             x = x.copy()
-            for plan in filter(None, (self.announced.newest(agent, before=k) for agent in self.peers)):
+            for plan in filter(
+                None, (self.announced.newest(agent, before=k) for agent in self.peers)
+            ):
                 for uav, block in zip(plan.uavs, plan.uav_states, strict=True):
                     x[state.uav_slice(uav - 1)] = block
         return x
 
     def reported(self, k: int, x: Array) -> Array:
-        """Return what a plan of tick k says of the own UAVs: their states, (owned, 12), in an estimate, (n,).
+        """Return what a plan of tick k says of the own UAVs.
 
-        With vehicle sensors it says the measurements and inputs of the last ticks instead, (owned, 80).
+        Their states, (owned, 12), in an estimate, (n,).
+
+        With vehicle sensors it says the measurements and inputs of the last ticks instead, (owned,
+        80).
         """
         if self._kalman is None:
             return state.StateView(x[: self._setup.system.n]).uavs[list(self._owned)]
@@ -134,18 +167,24 @@ class TeamEstimate:
         for agent in self._off_roster - off_roster:
             announced.forget(agent)
         for agent in off_roster - self._off_roster:
-            # The last plan of an agent that leaves may not have been received: docs/equations.md (32b).
+            # The last plan of an agent that leaves may not have been received: docs/equations.md
+            # (32b).
             newest = announced.newest(agent, before=tick)
             if self.expected is not None and newest is not None and newest.tick < tick - 1:
                 start, prediction, inputs = self.expected
                 announced.assume(agent, start, controller.foreseen(prediction, inputs))
         self._off_roster, announced.law_since = off_roster, tick
-        controller.without([uav for agent in sorted(off_roster) for uav in self._setup.owned[agent - 1]], since)
+        controller.without(
+            [uav for agent in sorted(off_roster) for uav in self._setup.owned[agent - 1]], since
+        )
 
     def _update_failures(self, known: Known, since: int | None) -> None:
         """Switch to model and control law of the remaining UAVs, as further UAVs have failed."""
         (known_off, known_released), self._failed = self._failed, (known.off, known.released)
-        stopped, cut = sorted(known.off - known_off - known.released), sorted(known.released - known_released)
+        stopped, cut = (
+            sorted(known.off - known_off - known.released),
+            sorted(known.released - known_released),
+        )
 
         def moved(x: Array) -> Array:
             for uav in stopped:
@@ -156,16 +195,22 @@ class TeamEstimate:
 
         controller, failed = self._controller, min(known.measurement.tick, known.failed_since)
         controller.fail(known.off, known.released, since)
-        self.announced.fail_safe, self.announced.failed_since = controller.regulation.fail_safe, failed
+        self.announced.fail_safe, self.announced.failed_since = (
+            controller.regulation.fail_safe,
+            failed,
+        )
         self.estimator.change(failed, controller.model, moved)
         left = [uav for uav in self._owned if uav not in known.off]
         if self._disturbance is not None and left:
             self._disturbance.rebuild(controller.model, controller.regulation.hover, left)
 
     def _law_inputs(self, tick: int, x: Array) -> Array | None:
-        """Return inputs of all UAVs by the shared control law, without corrections, (m,); None for open loop.
+        """Return inputs of all UAVs by the shared control law, without corrections, (m,).
 
-        Cached by tick: the inputs are needed for each of the others, and those of a past tick again at later ticks.
+        None for open loop.
+
+        Cached by tick: the inputs are needed for each of the others, and those of a past tick again
+            at later ticks.
         """
         forces, regulation = self.forces, self._controller.regulation
         key = x, forces, regulation.version
@@ -178,6 +223,13 @@ class TeamEstimate:
         return inputs
 
     def _reference(self, tick: int) -> Array:
-        """Return the reference state at a tick, (n,); with motor lag (n + m,), the actual inputs those of hover."""
+        """Return the reference state at a tick, (n,).
+
+        With motor lag (n + m,), the actual inputs those of hover.
+        """
         reference: Array = self._setup.X_ref[tick].copy()
-        return np.concatenate([reference, self._setup.hover.u]) if self._setup.settings.motor_lag_s else reference
+        return (
+            np.concatenate([reference, self._setup.hover.u])
+            if self._setup.settings.motor_lag_s
+            else reference
+        )

@@ -1,7 +1,8 @@
 """Honest estimates: `python -m benchmarks.estimates` compares the agents' Kalman filters with the ground truth.
 
-It renews the table of docs/vehicles.md in a quarter of an hour. The squared error of an estimate in units of its
-covariance (NEES) has as many degrees of freedom as the state if the covariance is right. Means are over agents and
+It renews the table of docs/vehicles.md in a quarter of an hour. The squared error of an estimate in
+units of its covariance (NEES) has as many degrees of freedom as the state if the covariance is
+right. Means are over agents and
 ticks, which are correlated: the band is that of a single instant.
 """
 
@@ -15,16 +16,16 @@ import numpy as np
 from scipy.stats import chi2
 
 import transport
-from agent.kalman import Belief
-from agent.node import AgentNode
 from benchmarks.runs import origin, quiet, step_times
 from docs.tables import ROOT, place, put, table
-from model import state
-from model.arrays import Array
-from model.compiled import compile_functions
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import STAGES, Message, Plan, PlantState
+from transport.agent.kalman import Belief
+from transport.agent.node import AgentNode
 from transport.flight.memory import InMemoryRun
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.compiled import compile_functions
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import STAGES, Message, Plan, PlantState
 
 # The sensors of a small autopilot with satellite navigation.
 SENSORS: Mapping[str, Any] = {
@@ -38,7 +39,11 @@ SENSORS: Mapping[str, Any] = {
 }
 LATE: Mapping[str, Any] = {"links.delay_s": 0.2, "links.loss": 0.3}
 FORCES: Mapping[str, Any] = {**LATE, "controller.disturbance.estimate": True}
-WIND: Mapping[str, Any] = {**FORCES, "plant.payload_mass_factor": 1.2, "plant.wind.gust_mps": [1.0, 1.0, 1.0]}
+WIND: Mapping[str, Any] = {
+    **FORCES,
+    "plant.payload_mass_factor": 1.2,
+    "plant.wind.gust_mps": [1.0, 1.0, 1.0],
+}
 LOST: Mapping[str, Any] = {**LATE, "clock.on_agent_loss": "continue"}
 DEATH: Mapping[str, Any] = {"at_s": 7.0, "do": "kill", "target": "agent3"}
 RETURN: Mapping[str, Any] = {"at_s": 9.0, "do": "restart", "target": "agent3"}
@@ -69,7 +74,8 @@ COLUMNS = (
 def compared(setup: Setup) -> tuple[bool, tuple[float, float, float, float], bool]:
     """Return whether a run completed, its four numbers in the order of the columns, whether NEES is in its band.
 
-    Errors are root mean squares over ticks, and over agents for the estimate; the attitude is the largest.
+    Errors are root mean squares over ticks, and over agents for the estimate; the attitude is the
+    largest.
     """
     truth: dict[int, Array] = {}
     beliefs: list[tuple[int, Belief]] = []
@@ -86,11 +92,15 @@ def compared(setup: Setup) -> tuple[bool, tuple[float, float, float, float], boo
     with quiet():
         completed = run.run().outcome == "completed"
     ticks = sorted(truth)
-    path, _ = setup.maneuver.path(setup.settings.sampling_period_s * np.array(ticks, dtype=np.float64))
+    path, _ = setup.maneuver.path(
+        setup.settings.sampling_period_s * np.array(ticks, dtype=np.float64)
+    )
     x = np.array([truth[tick] for tick in ticks])
     errors = [(_error(belief, truth[tick]), belief) for tick, belief in beliefs if tick in truth]
     n = len(errors[0][0])
-    nees = float(np.mean([xi @ np.linalg.solve(belief.covariance.P[:n, :n], xi) for xi, belief in errors]))
+    nees = float(
+        np.mean([xi @ np.linalg.solve(belief.covariance.P[:n, :n], xi) for xi, belief in errors])
+    )
     low, high = chi2.ppf([0.025, 0.975], n)
     numbers = (
         100.0 * math.sqrt(np.mean(np.sum((x[:, state.R0] - path) ** 2, axis=1))),
@@ -111,9 +121,16 @@ def _error(belief: Belief, x: Array) -> Array:
 def row(name: str, changes: Mapping[str, Any], seeds: int) -> list[str]:
     """Simulate a case with and without the filter and return its row."""
     base = transport.Scenario("precise")
-    runs = [compared(base.copy({**SENSORS, **changes, "seed": seed}).setup) for seed in range(seeds)]
-    ranges = [f"{min(of):.2f} - {max(of):.2f}" for of in zip(*(numbers for _, numbers, _ in runs), strict=True)]
-    counts = [f"{sum(of)} of {seeds}" for of in ([run[0] for run in runs], [run[2] for run in runs])]
+    runs = [
+        compared(base.copy({**SENSORS, **changes, "seed": seed}).setup) for seed in range(seeds)
+    ]
+    ranges = [
+        f"{min(of):.2f} - {max(of):.2f}"
+        for of in zip(*(numbers for _, numbers, _ in runs), strict=True)
+    ]
+    counts = [
+        f"{sum(of)} of {seeds}" for of in ([run[0] for run in runs], [run[2] for run in runs])
+    ]
     beside = {key: value for key, value in changes.items() if not key.startswith("plant.noise")}
     measured = transport.fly(base.copy(beside), progress=False).summary["payload_tracking"]["rms_m"]
     return [name, counts[0], *ranges, counts[1], f"{100.0 * measured:.2f}"]
@@ -121,12 +138,16 @@ def row(name: str, changes: Mapping[str, Any], seeds: int) -> list[str]:
 
 def step_ratio(uavs: int, turns: int = 3) -> float:
     """Return the processor time of a step with the filter over one without it, with 200 ms of delay, in turns."""
-    climb = {"maneuver.phase": [{"name": "climb", "duration_s": 6.0, "displacement_m": [1.0, 2.0, -3.0]}]}
+    climb = {
+        "maneuver.phase": [{"name": "climb", "duration_s": 6.0, "displacement_m": [1.0, 2.0, -3.0]}]
+    }
     base = transport.Scenario("precise", {**climb, "links.delay_s": 0.2}).resized(uavs)
     total, ratios = STAGES.index("total"), []
     compile_functions(uavs)
     for _ in range(turns):
-        without, beside = (np.median(step_times(base.copy(more).setup)[:, total]) for more in ({}, SENSORS))
+        without, beside = (
+            np.median(step_times(base.copy(more).setup)[:, total]) for more in ({}, SENSORS)
+        )
         ratios.append(beside / without)
     return float(np.median(ratios))
 

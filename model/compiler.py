@@ -1,4 +1,7 @@
-"""The cache folder, and C source compiled for this processor; PAYLOAD_TRANSPORT_NATIVE=0 switches it off."""
+"""The cache folder, and C source compiled for this processor.
+
+PAYLOAD_TRANSPORT_NATIVE=0 switches it off.
+"""
 
 import hashlib
 import os
@@ -29,7 +32,10 @@ def enabled() -> bool:
 
 def find_compiler() -> str | None:
     """Return the C compiler: $CC, or the first installed of cc, gcc and clang."""
-    return next(filter(None, map(shutil.which, filter(None, [os.environ.get("CC"), "cc", "gcc", "clang"]))), None)
+    return next(
+        filter(None, map(shutil.which, filter(None, [os.environ.get("CC"), "cc", "gcc", "clang"]))),
+        None,
+    )
 
 
 def compiled_file(name: str, source: bytes, flags: Sequence[str]) -> Path:
@@ -47,7 +53,10 @@ def intact(path: Path) -> bool:
 
 
 def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
-    """Compile a C source if it is not; return False if there is no compiler, it fails, or the cache is not writable."""
+    """Compile a C source if it is not.
+
+    Return False if there is no compiler, it fails, or the cache is not writable.
+    """
     compiler = find_compiler()
     if intact(path) or compiler is None:
         return intact(path)
@@ -56,7 +65,9 @@ def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
             made = str(Path(folder) / path.name)
             command = [compiler, *_COMMON, *flags, "-o", made, "-x", "c", "-", "-lm"]
-            subprocess.run(command, input=source, check=True, capture_output=True, timeout=_TIMEOUT_S)
+            subprocess.run(
+                command, input=source, check=True, capture_output=True, timeout=_TIMEOUT_S
+            )
             os.replace(made, path)  # other processes see it in full or not at all
     except (OSError, subprocess.SubprocessError):
         return False

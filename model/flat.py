@@ -1,4 +1,7 @@
-"""References that a team can fly, by differential flatness (Sreenath, Kumar 2013; Mellinger, Kumar 2011)."""
+"""References that a team can fly, by differential flatness (Sreenath, Kumar 2013.
+
+Mellinger, Kumar 2011).
+"""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -7,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from model import jets, state
-from model.arrays import Array, Rows, frozen
-from model.hover import Hover
-from model.maneuver import Maneuver
-from model.parameters import System
+from transport.model import jets, state
+from transport.model.arrays import Array, Rows, frozen
+from transport.model.hover import Hover
+from transport.model.maneuver import Maneuver
+from transport.model.parameters import System
 
 LEAST_TENSION = 0.1  # of a rod on a reference, as a share of that at hover: gusts would slacken a cable with less
 MOST_TILT = 1.2  # of a UAV on a reference, rad: Euler angles become singular at a right angle
@@ -30,19 +33,26 @@ class Flight:
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
-    """What controllers follow at instants 0..K-1 from `first` on, one sampling period apart; the last one is held."""
+    """What controllers follow at instants 0..K-1 from `first` on, one sampling period apart.
+
+    The last one is held.
+    """
 
     X: Array  # states, (K, n)
     U: Array  # inputs for the period after each instant: those of its middle, (K, m)
     X_middle: Array  # states there, (K, n)
     paths: Array  # jets of the payload's path at the instants and in the middle after each, (K, 2, 7, 3)
     first: int = 0  # number of the first instant
-    flown: Callable[[Array, Any], Flight]  # the motion of the team along such a path under forces, as `flight`
+    flown: Callable[
+        [Array, Any], Flight
+    ]  # the motion of the team along such a path under forces, as `flight`
 
     def by_forces(self, at: Rows) -> tuple[Array, Array]:
         """Return the change of X, (k, n, 4 + 3 N), and U, (k, m, 4 + 3 N), at k rows per external force and mass."""
         places = [divmod(row, _BLOCK) for row in np.arange(len(self.X))[at].tolist()]
-        X_forces, U_forces = ([self._block(number)[part][row] for number, row in places] for part in (0, 1))
+        X_forces, U_forces = (
+            [self._block(number)[part][row] for number, row in places] for part in (0, 1)
+        )
         return np.array(X_forces), np.array(U_forces)
 
     def _block(self, number: int) -> list[Array]:
@@ -85,29 +95,46 @@ class FlatReference:
         rho = np.array([uav.rho for uav in self._system.uavs])
         lengths = np.array([uav.rod_length for uav in self._system.uavs])
         places = view.r0_I[:, None] + rho - lengths[:, None] * view.e_P
-        parts = [places.reshape(len(x), -1), view.Theta0, view.omega_B[:, :, 2], path[0, :, :3], path[1, :, :3]]
+        parts = [
+            places.reshape(len(x), -1),
+            view.Theta0,
+            view.omega_B[:, :, 2],
+            path[0, :, :3],
+            path[1, :, :3],
+        ]
         return np.hstack(parts), x
 
     def track(self, instants: int, period_s: float, first: int = 0) -> Track:
         """Return what controllers follow over a number of instants from the first on, one period apart, s."""
         times = period_s * np.arange(first, first + instants, dtype=np.float64)
         paths = np.stack([self.maneuver.jets(times), self.maneuver.jets(times + period_s / 2.0)])
-        return track(self._system, self._hover, np.ascontiguousarray(np.moveaxis(paths, 2, 0)), first)
+        return track(
+            self._system, self._hover, np.ascontiguousarray(np.moveaxis(paths, 2, 0)), first
+        )
 
 
-def track(system: System, hover: Hover, by_instant: Array, first: int = 0, released: Collection[int] = ()) -> Track:
+def track(
+    system: System, hover: Hover, by_instant: Array, first: int = 0, released: Collection[int] = ()
+) -> Track:
     """Return what controllers follow along a path, given as in `Track`; the rest as in `flight`."""
     flown = partial(flight, system, hover, released=released)
-    at, between = (flown(jets_of) for jets_of in np.ascontiguousarray(np.moveaxis(by_instant, 0, 2)))
+    at, between = (
+        flown(jets_of) for jets_of in np.ascontiguousarray(np.moveaxis(by_instant, 0, 2))
+    )
     frozen(by_instant)
-    return Track(X=at.x, U=between.u, X_middle=between.x, paths=by_instant, first=first, flown=flown)
+    return Track(
+        X=at.x, U=between.u, X_middle=between.x, paths=by_instant, first=first, flown=flown
+    )
 
 
-def flight(system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()) -> Flight:
+def flight(
+    system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()
+) -> Flight:
     """Return the motion of a team whose level payload follows a path: equations.md (66)-(68).
 
-    Given are jets of position, m, and of length and width of the team, relative to hover, (7, k, 5), or (7, k, 3),
-    forces and further mass of the payload, (4 + 3 N,) or of each instant, also complex, and released UAVs, now bobs.
+    Given are jets of position, m, and of length and width of the team, relative to hover, (7, k,
+    5), or (7, k, 3), forces and further mass of the payload, (4 + 3 N,) or of each instant, also
+    complex, and released UAVs, now bobs.
     """
     N, k = system.N, path.shape[1]
     path, formation = path[..., :3], path[..., 3:]
@@ -117,7 +144,9 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
     masses, lengths = np.array([[uav.mass, uav.rod_length] for uav in system.uavs]).T[:, :, None]
     # Force and moment on the payload per force of each rod, (6, 3 N).
     crosses = [np.cross(r, np.eye(3), axisb=0, axisc=0) for r in rho]
-    W = np.hstack([np.vstack([np.eye(3), cross]) * (i not in released) for i, cross in enumerate(crosses)])
+    W = np.hstack(
+        [np.vstack([np.eye(3), cross]) * (i not in released) for i, cross in enumerate(crosses)]
+    )
     share = np.linalg.pinv(W)[:, :3].reshape(N, 3, 3)
     needed = (system.payload.mass + F[..., -1:]) * jets.derivative(jets.derivative(path))
     needed[0] -= F[..., :3] + F[..., -1:] * gravity
@@ -141,7 +170,9 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
     roll_rate = -jets.product(jets.derivative(sideways), jets.power(cosine, -1.0))
     turned = jets.product(jets.derivative(x), z) - jets.product(x, jets.derivative(z))
     pitch_rate = jets.product(turned, jets.power(cosine, -2.0))
-    omega = np.stack([roll_rate, jets.product(pitch_rate, cosine), jets.product(pitch_rate, sideways)], axis=-1)
+    omega = np.stack(
+        [roll_rate, jets.product(pitch_rate, cosine), jets.product(pitch_rate, sideways)], axis=-1
+    )
     rates, accelerations = omega[0], jets.derivative(omega)[0]
     J = np.array([uav.inertia for uav in system.uavs])
     momentum = np.einsum("nij,knj->kni", J, rates)
@@ -155,7 +186,10 @@ def flight(system: System, hover: Hover, path: Array, forces: Any = None, releas
     blocks = state.StateView(X).uavs
     blocks[..., state.E], blocks[..., state.ROD_RATE] = e[0], np.cross(e[0], e[1])
     # Roll and pitch with zero yaw.
-    blocks[..., state.THETA.start], blocks[..., state.THETA.start + 1] = -np.arcsin(sideways[0]), np.arctan(x[0] / z[0])
+    blocks[..., state.THETA.start], blocks[..., state.THETA.start + 1] = (
+        -np.arcsin(sideways[0]),
+        np.arctan(x[0] / z[0]),
+    )
     blocks[..., state.OMEGA] = rates
     X[:, state.PAYLOAD :] = blocks.reshape(k, -1)
     inputs = np.concatenate([1.0 / per_thrust[0], commands], axis=-1)

@@ -1,18 +1,23 @@
-"""Hover, the equilibrium at start and end of a maneuver, also of teams with failed UAVs: equations.md (50), (51)."""
+"""Hover, the equilibrium at start and end of a maneuver, also of teams with failed UAVs.
+
+Equations.md (50), (51).
+"""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from model import state
-from model.arrays import Array, ArrayLike, frozen
-from model.parameters import ParameterError, System
-from model.rotations import euler_angles, rotation
+from transport.model import state
+from transport.model.arrays import Array, ArrayLike, frozen
+from transport.model.parameters import ParameterError, System
+from transport.model.rotations import euler_angles, rotation
 
-# Force and moment that may stay unbalanced, relative to the payload's weight (and 1 m): rounding, not physics.
+# Force and moment that may stay unbalanced, relative to the payload's weight (and 1 m): rounding,
+# not physics.
 _BALANCE_TOLERANCE = 1e-9
-# A released UAV becomes a bob that pulls with 1e-5 N. The equations divide by a mass only where a force acts on it.
+# A released UAV becomes a bob that pulls with 1e-5 N. The equations divide by a mass only where a
+# force acts on it.
 RELEASED_MASS_KG = 1e-6
 
 
@@ -25,10 +30,13 @@ class Hover:
     tensions: Array  # of the rods, (N,), N
 
 
-def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int, float] | None = None) -> Hover:
+def hover(
+    system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int, float] | None = None
+) -> Hover:
     """Return the equilibrium with rod directions, (N, 3), payload frame, straight down by default: (18)-(19), (51).
 
-    Rod tensions are of least norm; given thrusts, N, by 0-based numbers, fix those of vertical rods.
+    Rod tensions are of least norm; given thrusts, N, by 0-based numbers, fix those of vertical
+    rods.
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
     """
     N = system.N
@@ -62,7 +70,8 @@ def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int,
         block = x[state.uav_slice(i)]
         block[state.E] = e[i]
         if thrust > 0.0:
-            # Zero yaw keeps b1 in the inertial x-z plane, so it is orthogonal to the inertial y axis.
+            # Zero yaw keeps b1 in the inertial x-z plane, so it is orthogonal to the inertial y
+            # axis.
             b3 = -force_I / thrust
             b1 = np.cross([0.0, 1.0, 0.0], b3)
             b1 /= np.linalg.norm(b1)
@@ -73,15 +82,27 @@ def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int,
 
 
 def with_released(system: System, released: Collection[int]) -> System:
-    """Return the system with bobs in place of released UAVs; they keep the inertia, which has no effect."""
-    uavs = [replace(uav, mass=RELEASED_MASS_KG) if i in released else uav for i, uav in enumerate(system.uavs)]
+    """Return the system with bobs in place of released UAVs.
+
+    They keep the inertia, which has no effect.
+    """
+    uavs = [
+        replace(uav, mass=RELEASED_MASS_KG) if i in released else uav
+        for i, uav in enumerate(system.uavs)
+    ]
     return replace(system, uavs=tuple(uavs))
 
 
 def failed_hover(
-    system: System, off: Collection[int], released: Collection[int], thrusts: Mapping[int, float] | None = None
+    system: System,
+    off: Collection[int],
+    released: Collection[int],
+    thrusts: Mapping[int, float] | None = None,
 ) -> Hover:
-    """Return the hover with UAVs off, upright, and given thrusts of others, N. Raises: ParameterError: none."""
+    """Return the hover with UAVs off, upright, and given thrusts of others, N.
+
+    Raises: ParameterError: none.
+    """
     rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
     rods[sorted(released)] *= -1.0
     given = {**(thrusts or {}), **dict.fromkeys(off, 0.0)}
@@ -89,7 +110,10 @@ def failed_hover(
 
 
 def motor_off_state(x: Array, uav: int) -> Array:
-    """Return the state with the rotation of a UAV stopped, (n,): undamped it would reach the singularity of (3)."""
+    """Return the state with the rotation of a UAV stopped, (n,).
+
+    Undamped it would reach the singularity of (3).
+    """
     x = x.copy()
     x[state.uav_slice(uav)][state.OMEGA] = 0.0
     return x

@@ -1,7 +1,10 @@
-"""First-order lag of the motors: the actual inputs a follow the commanded inputs u by a' = (u - a) / lag.
+"""First-order lag of the motors.
 
-Two held inputs per step have the mean and first moment of a: a Magnus method of order 4 (Blanes, Moan 2006). With
-commanded body rates a is the command that would give the present angular acceleration at once, omega + omega' / K.
+The actual inputs a follow the commanded inputs u by a' = (u - a) / lag.
+
+Two held inputs per step have the mean and first moment of a: a Magnus method of order 4 (Blanes,
+Moan 2006). With commanded body rates a is the command that would give the present angular
+acceleration at once, omega + omega' / K.
 """
 
 import math
@@ -11,13 +14,16 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from model.arrays import Array, padded
-from model.linearisation import NAMES, Linearisation, Model, Pattern
-from model.state import INPUTS, OMEGA, PAYLOAD, PER_UAV
+from transport.model.arrays import Array, padded
+from transport.model.linearisation import NAMES, Linearisation, Model, Pattern
+from transport.model.state import INPUTS, OMEGA, PAYLOAD, PER_UAV
 
 
 def decay(lag_s: float, duration_s: float) -> float:
-    """Return the share of a deviation from a held command that is left after a duration, s; 0 without lag."""
+    """Return the share of a deviation from a held command that is left after a duration, s.
+
+    0 without lag.
+    """
     return math.exp(-duration_s / lag_s) if lag_s > 0.0 else 0.0
 
 
@@ -41,11 +47,15 @@ def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, 
 @lru_cache
 def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: int) -> Array:
     """Return shares left of deviations of actual inputs and rates, in two held inputs and at the end: (54), (58a)."""
-    found = np.zeros((3, 2, 4))  # the two inputs and the end; actual inputs and body rates; inputs of a UAV
+    found = np.zeros(
+        (3, 2, 4)
+    )  # the two inputs and the end; actual inputs and body rates; inputs of a UAV
     found[:, 0] = np.array([*_deviations(lag_s, step_s), decay(lag_s, step_s)])[:, None]
     for axis, gain in enumerate(gains or (), start=1):
         M = np.array([[gain - 1.0 / lag_s, -gain], [gain, -gain]])
-        from scipy.linalg import expm  # 0.3 s at start, and only a lag inside an inner loop needs it
+        from scipy.linalg import (
+            expm,  # 0.3 s at start, and only a lag inside an inner loop needs it
+        )
 
         end = expm(M * step_s)
         area = np.linalg.solve(M, end - np.eye(2))
@@ -62,7 +72,13 @@ def rate_places(m: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
 
 
 def integrate(
-    model: Model, z: Array, u: Array, duration_s: float, steps: int, lag_s: float, forces: Array | None = None
+    model: Model,
+    z: Array,
+    u: Array,
+    duration_s: float,
+    steps: int,
+    lag_s: float,
+    forces: Array | None = None,
 ) -> tuple[Array, float]:
     """Return x or, with lag, [x, a] after constant commands, order 4, and the largest local error: (54), (58a)."""
     if lag_s == 0.0:
@@ -73,7 +89,10 @@ def integrate(
         if gains is None:
             (first, second), a = held(a, u, lag_s, step_s)
         else:
-            of, rates[inputs] = shares(lag_s, step_s, tuple(gains.tolist()), model.system.N), x[states]
+            of, rates[inputs] = (
+                shares(lag_s, step_s, tuple(gains.tolist()), model.system.N),
+                x[states],
+            )
             first, second, a = u + of[:, 0] * (a - u) + of[:, 1] * (rates - u)
         for half in (first, second):
             x, error = model.integrate(x, half, step_s / 2.0, 1, forces=forces)
@@ -91,7 +110,9 @@ def _with_lag(pattern: Pattern, rates: bool) -> tuple[Pattern, npt.NDArray[np.in
     """
     X, U, P, V_x, V_u, C = map(pattern.numbered, NAMES)
     n, m = U.shape
-    follow, command = (np.diag(len(pattern.index) + 1.0 + np.arange(part * m, (part + 1) * m)) for part in (0, 1))
+    follow, command = (
+        np.diag(len(pattern.index) + 1.0 + np.arange(part * m, (part + 1) * m)) for part in (0, 1)
+    )
     moved = np.zeros((m, n))
     if rates:
         inputs, states = rate_places(m)
@@ -105,7 +126,9 @@ def _with_lag(pattern: Pattern, rates: bool) -> tuple[Pattern, npt.NDArray[np.in
     return Pattern.of(factors), order
 
 
-def lagged(linear: Linearisation, a: Array, u: Array, lag_s: float, rates: bool = False) -> Linearisation:
+def lagged(
+    linear: Linearisation, a: Array, u: Array, lag_s: float, rates: bool = False
+) -> Linearisation:
     """Return the expansion of motion and motors in z = [x, a] and the command u from that about x, a: (55), (58a)."""
     pattern, order = _with_lag(linear.pattern, rates)
     rate = np.full(len(a), 1.0 / lag_s)

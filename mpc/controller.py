@@ -1,30 +1,34 @@
-"""One controller for any set of owned UAVs: one is the paper's distributed controller, all the centralized one."""
+"""One controller for any set of owned UAVs.
+
+One is the paper's distributed controller, all the centralized one.
+"""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from model import state
-from model.arrays import Array
-from model.discretisation import Discrete, euler, zero_order_hold
-from model.flat import Track
-from model.hover import Hover
-from model.linearisation import Linearisation, Model
-from model.motors import lagged
-from model.native import Places
-from model.obstacles import Obstacle
-from model.state import LARGEST
-from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear, Prediction, convolve, free_response
-from mpc.program import Program
-from mpc.qp import QP, Solution, solve, unsolved
-from mpc.regulation import CostToGo, Regulation
-from mpc.rows import Decision
-from mpc.settings import ControllerSettings
-from mpc.tracking import Along, Course, rollout
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.discretisation import Discrete, euler, zero_order_hold
+from transport.model.flat import Track
+from transport.model.hover import Hover
+from transport.model.linearisation import Linearisation, Model
+from transport.model.motors import lagged
+from transport.model.native import Places
+from transport.model.obstacles import Obstacle
+from transport.model.state import LARGEST
+from transport.mpc.feedback import FeedbackLaw
+from transport.mpc.prediction import Linear, Prediction, convolve, free_response
+from transport.mpc.program import Program
+from transport.mpc.qp import QP, Solution, solve, unsolved
+from transport.mpc.regulation import CostToGo, Regulation
+from transport.mpc.rows import Decision
+from transport.mpc.settings import ControllerSettings
+from transport.mpc.tracking import Along, Course, rollout
 
-# A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become singular.
+# A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become
+# singular.
 _STEEPEST = 1.3
 
 
@@ -40,7 +44,8 @@ class StepResult:
 class Controller:
     """Model predictive control of the owned UAVs, given the announced inputs of the others.
 
-    The preview follows X_ref, (K, n), the control law a flat track, clear of obstacles. Raises: SettingsError.
+    The preview follows X_ref, (K, n), the control law a flat track, clear of obstacles. Raises:
+    SettingsError.
     """
 
     def __init__(
@@ -52,7 +57,10 @@ class Controller:
         self._relaxation = settings.relaxation
         self.settings = settings
         self._decision = Decision(model.system, settings, owned)
-        self.owned, self.own = self._decision.uavs, self._decision.own  # UAVs, and positions of their inputs in u
+        self.owned, self.own = (
+            self._decision.uavs,
+            self._decision.own,
+        )  # UAVs, and positions of their inputs in u
         self.regulation = Regulation(model, hover, settings, X_ref, track)
         self.law, self.end = self.regulation.law, self.regulation.cost_to_go
         self.cost = self.regulation.cost
@@ -61,7 +69,9 @@ class Controller:
         self._at_hover: Linearisation | None = None
         # Derivatives and difference equation of the newest step.
         self._held: tuple[Array | None, Discrete | None] = None, None
-        self._curvature: Array | None = None  # outputs along a trajectory beyond their linearisation, (N_p + 1, p)
+        self._curvature: Array | None = (
+            None  # outputs along a trajectory beyond their linearisation, (N_p + 1, p)
+        )
 
     def step(
         self, x0: Array, u0: Array, U: Array, y_ref: Array, law: FeedbackLaw | None = None,
@@ -70,13 +80,17 @@ class Controller:
         """Return the plan of one step; never raises for a problem without solution.
 
         Args:
-            x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
-            u0: Inputs in force just before it, all UAVs, (m,): linearisation point and origin of the rates.
-            U: Announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan, shifted.
+            x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n
+                + m,).
+            u0: Inputs in force just before it, all UAVs, (m,): linearisation point and origin of
+                the rates.
+            U: Announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan,
+                shifted.
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
             law: Shared control law over the horizon, with closed-loop prediction.
             end: The cost after the horizon, with terminal "riccati".
-            forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
+            forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without
+                estimate.
             ticks_since_start: Since this controller began; soon after it w is larger in `conclude`.
         """
         linear = self.linearise(x0, u0, forces)
@@ -85,7 +99,10 @@ class Controller:
         return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
-        """Linearise about x0, (n,), or [x, actual inputs], (n + m,), and u0, (m,), SI: (15), (37), (40), (55)."""
+        """Linearise about x0, (n,), or [x, actual inputs], (n + m,), and u0, (m,), SI.
+
+        (15), (37), (40), (55).
+        """
         u_target = self.cost.u_target
         if forces is not None and self.settings.weights.penalised_input == "deviation":
             u_target = u_target + self.regulation.target.M_u @ self.model.at_rest(forces)
@@ -103,7 +120,10 @@ class Controller:
         return Linear(x0=x, z0=x0, u0=u0, model=model, u_target=u_target, forces=forces)
 
     def discretise(self, linear: Linear) -> Discrete:
-        """Return the difference equation over the sampling period. Source: docs/equations.md (16)-(17)."""
+        """Return the difference equation over the sampling period.
+
+        Source: docs/equations.md (16)-(17).
+        """
         model, period_s = linear.model, self.settings.sampling_period_s
         if self.settings.discretisation == "euler":
             return euler(model, period_s)
@@ -112,8 +132,13 @@ class Controller:
         self._held = model.values, found
         return found
 
-    def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction | Course:
-        """Predict the team; valid until the next prediction, as is its QP: equations.md (22)-(24), (35)-(36), (73)."""
+    def predict(
+        self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None
+    ) -> Prediction | Course:
+        """Predict the team; valid until the next prediction, as is its QP.
+
+        Equations.md (22)-(24), (35)-(36), (73).
+        """
         if law is not None and law.along is not None:
             return self._along.course(self.model, linear, law, law.along)
         found, self._curvature = None, None
@@ -132,7 +157,10 @@ class Controller:
         self, linear: Linear, prediction: Prediction | Course, y_ref: Array, law: FeedbackLaw | None = None,
         end: CostToGo | None = None,
     ) -> QP:  # fmt: skip
-        """Return the QP in the scaled decision and the slacks; arguments as those of `step`: (22)-(30), (48)."""
+        """Return the QP in the scaled decision and the slacks.
+
+        Arguments as those of `step`: (22)-(30), (48).
+        """
         if isinstance(prediction, Course):
             return self._along.program(self.model, prediction)
         if self._curvature is not None:
@@ -149,7 +177,8 @@ class Controller:
     ) -> StepResult:  # fmt: skip
         """Return w U* + (1 - w) U_previous; after a failure the previous plan: (30a), (36a).
 
-        With a shared control law only the corrections are mixed. Soon after the start of an agent w is larger.
+        With a shared control law only the corrections are mixed. Soon after the start of an agent w
+        is larger.
         """
         w, decision, solved = self._relaxation, self._decision, solution.status == "solved"
         if ticks_since_start is not None:
@@ -157,11 +186,14 @@ class Controller:
         z = solution.z[: decision.size] if solved else np.zeros(decision.size)
         if isinstance(prediction, Course):
             announced = prediction.law if law is None else law
-            inputs, c = self._along.planned(self.model, prediction, announced, z, w if solved else 0.0)
+            inputs, c = self._along.planned(
+                self.model, prediction, announced, z, w if solved else 0.0
+            )
         elif law is None:
             inputs, c = U[:, self.own], np.zeros((0, len(self.own)))
             if solved:
-                # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
+                # The solver meets the bounds to its tolerance; the plant's actuators have them
+                # exactly.
                 best = decision.clip(prediction.U_free + decision.inputs(z))
                 inputs = decision.clip(w * best + (1.0 - w) * inputs)
         else:
@@ -170,8 +202,13 @@ class Controller:
             return StepResult(U=inputs, c=c, solution=solution)
         return self.give_up(U, law, solution)
 
-    def give_up(self, U: Array, law: FeedbackLaw | None, solution: Solution | None = None) -> StepResult:
-        """Return the previous plan within bounds, where numbers are out of range; no solution: so are those of a QP."""
+    def give_up(
+        self, U: Array, law: FeedbackLaw | None, solution: Solution | None = None
+    ) -> StepResult:
+        """Return the previous plan within bounds, where numbers are out of range.
+
+        No solution: so are those of a QP.
+        """
         c = np.zeros((0, len(self.own))) if law is None else law.c[:, self.own]
         solution = solution or unsolved(0, 0, self.settings.solver)
         return StepResult(U=self._decision.clip(U[:, self.own]), c=c, solution=solution)
@@ -184,27 +221,50 @@ class Controller:
         U[:, self.own], N = inputs, self.model.system.N
         return np.clip(U, self.settings.lower(N), self.settings.upper(N))
 
-    def adapted(self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, columns: Places) -> FeedbackLaw:
+    def adapted(
+        self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, columns: Places
+    ) -> FeedbackLaw:
         """Return the law whose corrections, in some columns of u, reproduce U announced under another: (46)."""
         c = law.c.copy()
         if law.along is not None:
-            open_loop = replace(law, K=np.zeros_like(law.K), u_rest=U, feedforward=np.zeros_like(U), c=np.zeros_like(U))
-            dX = rollout(self.model, self.settings, linear.x0, open_loop, linear.forces)[0] - linear.x0
-            c[:, columns] = (U - law.uncorrected - np.einsum("kmn,kn->km", law.K, dX[:-1]))[:, columns]
+            open_loop = replace(
+                law,
+                K=np.zeros_like(law.K),
+                u_rest=U,
+                feedforward=np.zeros_like(U),
+                c=np.zeros_like(U),
+            )
+            dX = (
+                rollout(self.model, self.settings, linear.x0, open_loop, linear.forces)[0]
+                - linear.x0
+            )
+            c[:, columns] = (U - law.uncorrected - np.einsum("kmn,kn->km", law.K, dX[:-1]))[
+                :, columns
+            ]
             return replace(law, c=c)
         dX = free_response(discrete.A, discrete.f_d + (U - linear.u0) @ discrete.B.T)
         c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - dX[:-1] @ law.K[columns].T
         return replace(law, c=c)
 
     def without(self, uavs: Collection[int], since: int | None = None) -> None:
-        """Set the UAVs without an agent, 0-based: they follow the fail-safe; `since` as in `Regulation.form`."""
+        """Set the UAVs without an agent, 0-based.
+
+        They follow the fail-safe; `since` as in `Regulation.form`.
+        """
         self._gone = frozenset(uavs)
-        # UAVs without agents obstruct the others: several agents correct the same distances, each its share of them.
-        share = len(self.owned) / self._whole.system.N if uavs and self.settings.prediction == "closed_loop" else 1.0
+        # UAVs without agents obstruct the others: several agents correct the same distances, each
+        # its share of them.
+        share = (
+            len(self.owned) / self._whole.system.N
+            if uavs and self.settings.prediction == "closed_loop"
+            else 1.0
+        )
         self._relaxation = min(self.settings.relaxation, share)
         self._form(since)
 
-    def fail(self, off: Collection[int], released: Collection[int], since: int | None = None) -> None:
+    def fail(
+        self, off: Collection[int], released: Collection[int], since: int | None = None
+    ) -> None:
         """Set the UAVs without motors, 0-based, and those of them that are released from their rods: (50), (51)."""
         self._off, self._released = frozenset(off), frozenset(released)
         self.model = Model(self._whole.system, off, released) if off else self._whole

@@ -1,7 +1,11 @@
-"""The shared linear-quadratic regulator: the infinite-horizon optimum of the team's cost about hover.
+"""The shared linear-quadratic regulator.
 
-Every agent decides its own corrections c to the shared control law u = u_rest + K (x - x_ref) + feedforward + c.
-Preview: Anderson and Moore 1990, chapter 4; Tomizuka 1975. Target, offset-free MPC: Pannocchia, Rawlings 2003.
+The infinite-horizon optimum of the team's cost about hover.
+
+Every agent decides its own corrections c to the shared control law u = u_rest + K (x - x_ref) +
+feedforward + c.
+Preview: Anderson and Moore 1990, chapter 4; Tomizuka 1975. Target, offset-free MPC: Pannocchia,
+    Rawlings 2003.
 """
 
 import math
@@ -12,19 +16,21 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from model import state
-from model.arrays import Array, frozen, padded
-from model.discretisation import zero_order_hold
-from model.hover import Hover
-from model.linearisation import Model
-from model.motors import lagged
-from model.state import input_indices
-from mpc.cost import Cost
+from transport.model import state
+from transport.model.arrays import Array, frozen, padded
+from transport.model.discretisation import zero_order_hold
+from transport.model.hover import Hover
+from transport.model.linearisation import Model
+from transport.model.motors import lagged
+from transport.model.state import input_indices
+from transport.mpc.cost import Cost
 
 _DOUBLINGS = 20  # of the Riccati recursion: the slowest modes decay within some thousand periods
 _CONVERGED = 1e-12
 _DISCOUNT = 1.0 - 1e-4  # root of that of the cost per sampling period, where it is infinite without
-_GROWTH = 0.02  # largest of the closed loop, 1/s: headings have zero, a UAV that falls over has 2 1/s
+_GROWTH = (
+    0.02  # largest of the closed loop, 1/s: headings have zero, a UAV that falls over has 2 1/s
+)
 _GAIN = 100.0  # largest, relative to sqrt(Q / R): 0.1 to 2 for most teams, 500 where rounding alone reaches a mode
 _RANK = 1e-12  # directions whose cost is below this share of the largest count as free (headings)
 _EFFECT = 1e-9  # directions that change a quantity of the target by less, relative to the most, have no effect on it
@@ -50,7 +56,9 @@ class FeedbackLaw:
     def uncorrected(self) -> Array:
         """Inputs with the state held at x0, without corrections, (N_p, m)."""
         if self.along is not None:
-            return np.asarray(self.u_rest + np.einsum("kmn,kn->km", self.K, self.error) + self.feedforward)
+            return np.asarray(
+                self.u_rest + np.einsum("kmn,kn->km", self.K, self.error) + self.feedforward
+            )
         return self.u_rest + self.error @ self.K.T + self.feedforward
 
 
@@ -67,7 +75,10 @@ class Gains:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Regulator:
-    """The regulator about hover, in coordinates xi = T' (x - x_hover); with motor lag n counts the actual inputs."""
+    """The regulator about hover, in coordinates xi = T' (x - x_hover).
+
+    With motor lag n counts the actual inputs.
+    """
 
     K: Array  # feedback gain of all inputs, (m, n)
     P: Array  # cost-to-go, xi' P xi, (r, r)
@@ -83,10 +94,13 @@ def regulator(
     model: Model, hover: Hover, cost: Cost, period_s: float, uncontrolled: Mapping[int, Array] | None = None,
     further: Array | None = None, off: Collection[int] = (), released: Collection[int] = (), motor_lag_s: float = 0.0,
 ) -> Regulator:  # fmt: skip
-    """Return the linear-quadratic regulator of the team about hover, with motor lag of [x, a]: (33)-(34), (45), (55).
+    """Return the linear-quadratic regulator of the team about hover, with motor lag of [x, a].
 
-    UAVs without an agent, by 0-based numbers, follow a feedback of their own, (4, n). Further terms of the cost are
-    roots of weights times slopes at hover, (t, n). Raises: FeedbackError: no feedback, or none that is stable.
+    (33)-(34), (45), (55).
+
+    UAVs without an agent, by 0-based numbers, follow a feedback of their own, (4, n). Further terms
+    of the cost are roots of weights times slopes at hover, (t, n). Raises: FeedbackError: no
+    feedback, or none that is stable.
     """
     linear = model.linearise(hover.x, hover.u)
     T = tangent(hover.x, off, released, motors=motor_lag_s > 0.0)
@@ -108,9 +122,12 @@ def regulator(
     except FeedbackError:
         if not uncontrolled:
             raise
-        # UAVs without agents can swing against each other undamped, out of reach: their cost is infinite without it.
+        # UAVs without agents can swing against each other undamped, out of reach: their cost is
+        # infinite without it.
         P, discount = _riccati(_DISCOUNT * A, _DISCOUNT * B, weighted, R), _DISCOUNT
-    preview_gain = np.negative(np.linalg.solve(np.diag(R) / discount**2 + B.T @ P @ B, B.T), dtype=np.float64)
+    preview_gain = np.negative(
+        np.linalg.solve(np.diag(R) / discount**2 + B.T @ P @ B, B.T), dtype=np.float64
+    )
     K[controlled] = preview_gain @ P @ A @ T.T
     eigenvalues, vectors = np.linalg.eigh(P)
     kept = eigenvalues > _RANK * eigenvalues[-1]
@@ -119,12 +136,23 @@ def regulator(
     # The recursion may converge although no input reaches an unstable mode.
     largest = float(np.abs(np.linalg.eigvals(A_closed)).max())
     if not largest < math.exp(_GROWTH * period_s):
-        raise FeedbackError(f"{_EXPECTED}, got a closed loop whose largest eigenvalue is {largest:.3g}")
+        raise FeedbackError(
+            f"{_EXPECTED}, got a closed loop whose largest eigenvalue is {largest:.3g}"
+        )
     gain = float(np.abs(K[:, : len(hover.x)]).max()) / math.sqrt(cost.Q.max() / cost.R.min())
     if not gain < _GAIN:
         raise FeedbackError(f"{_EXPECTED}, got a gain {gain:.3g} times that of an integrator")
     frozen(K, P, root, T, controlled, A, A_closed, preview_gain)
-    return Regulator(K=K, P=P, root=root, T=T, controlled=controlled, A=A, A_closed=A_closed, preview_gain=preview_gain)
+    return Regulator(
+        K=K,
+        P=P,
+        root=root,
+        T=T,
+        controlled=controlled,
+        A=A,
+        A_closed=A_closed,
+        preview_gain=preview_gain,
+    )
 
 
 def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
@@ -139,19 +167,27 @@ def _riccati(A: Array, B: Array, Q: Array, R: Array) -> Array:
         G, H, A = G + A @ VG @ A.T, H + (step + step.T) / 2.0, A @ VA
         if np.abs(step).max() <= _CONVERGED * np.abs(H).max():
             return H
-    raise FeedbackError(f"{_EXPECTED}, got a Riccati recursion that has not converged after 2^{_DOUBLINGS} steps")
+    raise FeedbackError(
+        f"{_EXPECTED}, got a Riccati recursion that has not converged after 2^{_DOUBLINGS} steps"
+    )
 
 
-def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = (), motors: bool = False) -> Array:
+def tangent(
+    x: Array, off: Collection[int] = (), released: Collection[int] = (), motors: bool = False
+) -> Array:
     """Return an orthonormal basis of directions of x, (n, n - 2 N), or [x, a], but of UAVs off and released."""
     uavs, out = state.StateView(x).e_P, np.zeros(len(x), dtype=bool)
     basis, each = np.zeros((len(x), len(x) - 2 * len(uavs))), state.PER_UAV - 2
     basis[: state.PAYLOAD, : state.PAYLOAD] = np.eye(state.PAYLOAD)
     for i, e in enumerate(uavs):
         own = basis[state.uav_slice(i), state.PAYLOAD + each * i : state.PAYLOAD + each * (i + 1)]
-        own[state.E, :2] = own[state.ROD_RATE, 2:4] = np.linalg.svd(e[None, :])[2][1:].T  # unit vectors across the rod
+        own[state.E, :2] = own[state.ROD_RATE, 2:4] = np.linalg.svd(e[None, :])[2][
+            1:
+        ].T  # unit vectors across the rod
         own[6:, 4:] = np.eye(6)
-        out[state.uav_slice(i)][0 if i in released else state.THETA.start :] = i in off or i in released
+        out[state.uav_slice(i)][0 if i in released else state.THETA.start :] = (
+            i in off or i in released
+        )
     basis = basis[:, ~basis[out].any(axis=0)]
     if motors:
         m, (n, r), states = state.INPUTS * len(uavs), basis.shape, basis
@@ -163,7 +199,10 @@ def tangent(x: Array, off: Collection[int] = (), released: Collection[int] = (),
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview:
-    """Effect of the reference on the optimum at instants 0..K-1 from `first` on; the last one holds from then on."""
+    """Effect of the reference on the optimum at instants 0..K-1 from `first` on.
+
+    The last one holds from then on.
+    """
 
     feedforward: Array  # added to the shared control law, (K, m)
     slope: Array  # half the gradient of the cost-to-go where the deviation from the reference is zero, (K, n)
@@ -171,14 +210,18 @@ class Preview:
 
 
 def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> Preview:
-    """Solve the tracking problem backwards from the reference at rest after the last instant: (36b), (36c).
+    """Solve the tracking problem backwards from the reference at rest after the last instant.
+
+    (36b), (36c).
 
         d(k) = A xi_ref(k) - xi_ref(k+1),   p(k) = A_closed' (p(k+1) + P d(k)) + pull(k)
 
-    X_ref are states from the `first` instant on, (K, n), pull half the slope of the cost there, (K, n).
+    X_ref are states from the `first` instant on, (K, n), pull half the slope of the cost there, (K,
+    n).
     """
     T, P, A_closed = regulator.T, regulator.P, regulator.A_closed
-    # Relative to the last instant, which is at rest, so that the attitudes at hover are no deviation.
+    # Relative to the last instant, which is at rest, so that the attitudes at hover are no
+    # deviation.
     reference, pulled = (X_ref - X_ref[-1]) @ T, pull @ T
     drift = np.zeros_like(reference)
     drift[:-1] = reference[:-1] @ regulator.A.T - reference[1:]
@@ -186,8 +229,13 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> 
     slope = np.zeros_like(reference)
     feedforward = np.zeros((len(X_ref), len(regulator.K)))
     p: Array = at_rest(regulator, pulled[-1])
-    # Before an end at rest without pull all is zero: a long hover takes no time when the team changes.
-    last = len(X_ref) - 1 if p.any() else int(np.flatnonzero(drift.any(axis=1) | pulled.any(axis=1)).max(initial=-1))
+    # Before an end at rest without pull all is zero: a long hover takes no time when the team
+    # changes.
+    last = (
+        len(X_ref) - 1
+        if p.any()
+        else int(np.flatnonzero(drift.any(axis=1) | pulled.any(axis=1)).max(initial=-1))
+    )
     for k in range(last, -1, -1):
         h = p + pushed[k]
         feedforward[k, regulator.controlled] = regulator.preview_gain @ h
@@ -199,8 +247,13 @@ def preview(regulator: Regulator, X_ref: Array, pull: Array, first: int = 0) -> 
 
 
 def at_rest(regulator: Regulator, pulled: Array) -> Array:
-    """Return the slope of the cost-to-go under a constant pull, (r, ..): p = A_closed' p + pulled, 0 along headings."""
-    costly = np.linalg.svd(regulator.root @ regulator.T, full_matrices=False)[2]  # orthonormal basis, (rank, r)
+    """Return the slope of the cost-to-go under a constant pull, (r, ..).
+
+    P = A_closed' p + pulled, 0 along headings.
+    """
+    costly = np.linalg.svd(regulator.root @ regulator.T, full_matrices=False)[
+        2
+    ]  # orthonormal basis, (rank, r)
     within = np.eye(len(costly)) - costly @ regulator.A_closed.T @ costly.T
     return np.asarray(costly.T @ np.linalg.solve(within, costly @ pulled))
 
@@ -219,7 +272,8 @@ def target(
 ) -> Target:  # fmt: skip
     """Return the steady state with least output error, then least input effort, the rest as at hover: (40).
 
-    UAVs, 0-based, that are uncontrolled follow gains of their own, (4, n); others are off or released.
+    UAVs, 0-based, that are uncontrolled follow gains of their own, (4, n); others are off or
+    released.
     """
     linear = model.linearise(hover.x, hover.u)
     E = model.force_effect(hover.x, hover.u)

@@ -1,4 +1,7 @@
-"""Linear analysis of the sampled loop about hover: exact plant, actuators, estimators and control laws of a team."""
+"""Linear analysis of the sampled loop about hover.
+
+Exact plant, actuators, estimators and control laws of a team.
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -6,19 +9,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from model import state
-from model.arrays import Array
-from model.discretisation import zero_order_hold
-from model.hover import hover
-from model.linearisation import Linearisation, Model
-from model.motors import lagged
-from model.parameters import ParameterError, System
-from mpc.controller import Controller
-from mpc.feedback import tangent
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.discretisation import zero_order_hold
+from transport.model.hover import hover
+from transport.model.linearisation import Linearisation, Model
+from transport.model.motors import lagged
+from transport.model.parameters import ParameterError, System
+from transport.mpc.controller import Controller
+from transport.mpc.feedback import tangent
 
 GROWTH = 0.02  # fastest that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them
 _DECAY = 1e-3  # slowest that is one, 1/s: undamped modes have zero, and rounding moves them
-_COARSE, _FINE = 1.4, 0.005  # steps of the search: until the first unstable plant, then by bisection
+_COARSE, _FINE = (
+    1.4,
+    0.005,
+)  # steps of the search: until the first unstable plant, then by bisection
 FARTHEST, FARTHEST_S = 10.0, 0.6  # factors, and lag and delay, s
 _FIRST_S = 1e-3  # shortest lag and delay that are tried, s
 
@@ -40,17 +46,22 @@ class Mismatch:
         """Return the actual bodies."""
         body, uavs = known.payload, []
         for uav in known.uavs:
-            changed = replace(uav, mass=uav.mass * self.uav_mass, rod_length=uav.rod_length * self.rod_length)
+            changed = replace(
+                uav, mass=uav.mass * self.uav_mass, rod_length=uav.rod_length * self.rod_length
+            )
             uavs.append(replace(changed, inertia=uav.inertia * self.uav_inertia))
-        payload = replace(body, mass=body.mass * self.payload_mass, inertia=body.inertia * self.payload_inertia)
+        payload = replace(
+            body, mass=body.mass * self.payload_mass, inertia=body.inertia * self.payload_inertia
+        )
         return System(payload=payload, uavs=uavs, gravity=known.gravity)
 
 
 class Loop:
     """The sampled loop of a team about hover, as a function of the plant, with a controller per agent.
 
-    With `next_tick` inputs act one sampling period after the measurement; `age` are the periods until an agent knows
-    another agent's state, >= 1. UAVs without an agent, by 0-based numbers, follow a fail-safe, (4, n), unmeasured.
+    With `next_tick` inputs act one sampling period after the measurement; `age` are the periods
+    until an agent knows another agent's state, >= 1. UAVs without an agent, by 0-based numbers,
+    follow a fail-safe, (4, n), unmeasured.
     """
 
     def __init__(
@@ -60,16 +71,26 @@ class Loop:
         self._controllers, self._next_tick, self._age = tuple(controllers), next_tick, age
         first = controllers[0]
         self._system, at_rest = first.model.system, first.regulation.hover
-        self.period_s, self.known_lag_s = first.settings.sampling_period_s, first.settings.motor_lag_s
+        self.period_s, self.known_lag_s = (
+            first.settings.sampling_period_s,
+            first.settings.motor_lag_s,
+        )
         model = first.model.linearise(at_rest.x, at_rest.u)
         self._T = T = tangent(at_rest.x, motors=self.known_lag_s > 0.0)
-        self._r = self._system.n - 2 * self._system.N  # coordinates of the motion; those of the actual inputs follow
+        self._r = (
+            self._system.n - 2 * self._system.N
+        )  # coordinates of the motion; those of the actual inputs follow
         if self.known_lag_s > 0.0:
-            model = lagged(model, at_rest.u, at_rest.u, self.known_lag_s, self._system.commands_rates)
+            model = lagged(
+                model, at_rest.u, at_rest.u, self.known_lag_s, self._system.commands_rates
+            )
         discrete = zero_order_hold(model, self.period_s)
         self._A, self._B = T.T @ discrete.A @ T, T.T @ discrete.B
         # Projections of states in tangent coordinates on what the agents measure at once.
-        seen = [np.r_[(slice(0, state.PAYLOAD), *map(state.uav_slice, each.owned))] for each in controllers]
+        seen = [
+            np.r_[(slice(0, state.PAYLOAD), *map(state.uav_slice, each.owned))]
+            for each in controllers
+        ]
         self._measured = [T[rows].T @ T[rows] for rows in seen]
         self._law = first.regulation.gain(0) @ T
         lost = np.zeros(len(self._T), dtype=bool)
@@ -77,15 +98,25 @@ class Loop:
         self._gone, self._fail_safe = np.zeros((m, 1), dtype=bool), np.zeros((m, len(self._A)))
         for uav, gain in (uncontrolled or {}).items():
             lost[state.uav_slice(uav)], self._gone[state.input_slice(uav)] = True, True
-            lost[state.uav_slice(uav)][state.THETA][2] = False  # its heading matters to no other state
+            lost[state.uav_slice(uav)][state.THETA][2] = (
+                False  # its heading matters to no other state
+            )
             self._fail_safe[state.input_slice(uav)] = gain @ self._T[: gain.shape[1]]
         self._lost = np.flatnonzero((self._T[lost] != 0.0).any(axis=0))  # their coordinates
 
     def matrix(self, plant: Mismatch) -> Array:
-        """Return the step from one sampling instant to the next. Raises: ParameterError: the bodies have no hover."""
+        """Return the step from one sampling instant to the next.
+
+        Raises: ParameterError: the bodies have no hover.
+        """
         actual = hover(plant.system(self._system))
         linear = Model(plant.system(self._system)).linearise(actual.x, actual.u)
-        T, period_s, m, r = self._T[: self._system.n, : self._r], self.period_s, self._system.m, self._r
+        T, period_s, m, r = (
+            self._T[: self._system.n, : self._r],
+            self.period_s,
+            self._system.m,
+            self._r,
+        )
         F, G = T.T @ linear.A_c @ T, plant.gain * (T.T @ linear.B_c)
         # Thrust and moments by state and by command, (57).
         by_state, by_command = np.zeros((m, self._system.n)), np.eye(m)
@@ -100,7 +131,12 @@ class Loop:
         else:
             # Actual inputs in units of their effect: moments of small vehicles are tiny in N m.
             unit = 1.0 / np.abs(G).max(axis=0)
-            F = np.block([[F, G * unit], [by_state / (unit * plant.lag_s)[:, None], -np.eye(m) / plant.lag_s]])
+            F = np.block(
+                [
+                    [F, G * unit],
+                    [by_state / (unit * plant.lag_s)[:, None], -np.eye(m) / plant.lag_s],
+                ]
+            )
             G = np.vstack([np.zeros((r, m)), by_command / (unit * plant.lag_s)[:, None]])
         periods, part_s = divmod(plant.delay_s, period_s)
         # The plant's steps before and after the arrival of a delayed command.
@@ -121,7 +157,10 @@ class Loop:
         inputs = [issued, *commands]  # newest first
         # In force, now and before; the fail-safe needs no time for computing.
         acting = [np.where(self._gone, *pair) for pair in zip(inputs, inputs[ahead:], strict=False)]
-        moved = later[0] @ (earlier[0] @ motion + earlier[1] @ acting[late + 1]) + later[1] @ acting[late]
+        moved = (
+            later[0] @ (earlier[0] @ motion + earlier[1] @ acting[late + 1])
+            + later[1] @ acting[late]
+        )
         known_inputs = self._A[r:] @ now + self._B[r:] @ acting[0]
         return np.vstack([moved, known_inputs, now, *past[:-1], *inputs[:-1], *guesses])
 
@@ -135,7 +174,8 @@ class Loop:
         for step in range(age + ahead):
             u = commands[age + ahead - 1 - step]
             if step > ahead:
-                # Later plans of the others have not been received: the shared control law replaces them.
+                # Later plans of the others have not been received: the shared control law replaces
+                # them.
                 u = np.where(np.isin(np.arange(len(u)), own)[:, None], u, self._law @ x + offset)
             elif step == ahead:
                 offset = u - self._law @ x
@@ -148,7 +188,10 @@ class Loop:
         return x, guess
 
     def growth(self, plant: Mismatch) -> float:
-        """Return the growth rate of the fastest growing mode, 1/s; infinite where the bodies have no hover."""
+        """Return the growth rate of the fastest growing mode, 1/s.
+
+        Infinite where the bodies have no hover.
+        """
         try:
             step = self.matrix(plant)
         except ParameterError:
@@ -156,7 +199,10 @@ class Loop:
         return math.log(float(np.abs(np.linalg.eigvals(step)).max())) / self.period_s
 
     def settling_s(self, plant: Mismatch) -> float | None:
-        """Return the time in which the slowest deviation decays by e, headings of UAVs apart; None if one does not."""
+        """Return the time in which the slowest deviation decays by e, headings of UAVs apart.
+
+        None if one does not.
+        """
         eigenvalues = np.linalg.eigvals(self.matrix(plant))
         others = eigenvalues[np.argsort(np.abs(eigenvalues - 1.0))[self._system.N :]]
         decay = -math.log(float(np.abs(others).max())) / self.period_s
@@ -167,13 +213,18 @@ def _held(F: Array, G: Array, duration_s: float) -> tuple[Array, Array]:
     if duration_s == 0.0:
         return np.eye(len(F)), np.zeros_like(G)
     none = np.zeros(0)
-    discrete = zero_order_hold(Linearisation.of(np.zeros(len(F)), F, G, none, np.zeros((0, len(F)))), duration_s)
+    discrete = zero_order_hold(
+        Linearisation.of(np.zeros(len(F)), F, G, none, np.zeros((0, len(F)))), duration_s
+    )
     return discrete.A, discrete.B
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Margin:
-    """Range of one property of the plant within which the hover is stable; None beyond the range that is searched."""
+    """Range of one property of the plant within which the hover is stable.
+
+    None beyond the range that is searched.
+    """
 
     nominal: float
     lower: float | None
@@ -181,7 +232,10 @@ class Margin:
 
 
 def margins(loop: Loop) -> dict[str, Margin]:
-    """Return the margin to each property of `Mismatch`, the others as known; none if the loop is unstable as known."""
+    """Return the margin to each property of `Mismatch`, the others as known.
+
+    None if the loop is unstable as known.
+    """
     nominal = Mismatch(lag_s=loop.known_lag_s)
     if loop.growth(nominal) > GROWTH:
         return {}

@@ -1,15 +1,18 @@
-"""Prediction over the horizon, affine in the decision v and time-invariant: a free response and an impulse response."""
+"""Prediction over the horizon, affine in the decision v and time-invariant.
+
+A free response and an impulse response.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from model import native
-from model.arrays import Array
-from model.discretisation import Discrete
-from model.linearisation import Linearisation
-from model.native import Places
-from mpc.feedback import FeedbackLaw
+from transport.model import native
+from transport.model.arrays import Array
+from transport.model.discretisation import Discrete
+from transport.model.linearisation import Linearisation
+from transport.model.native import Places
+from transport.mpc.feedback import FeedbackLaw
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +29,10 @@ class Linear:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prediction:
-    """dx(k) = dX_free(k) + sum_{j < k} A^(k-1-j) B v(j), u_own(k) = U_free(k) + v(k); n counts known motors."""
+    """dx(k) = dX_free(k) + sum_{j < k} A^(k-1-j) B v(j), u_own(k) = U_free(k) + v(k).
+
+    N counts known motors.
+    """
 
     effect: Array  # A^j B, (n, N_p, m_own)
     dX_free: Array  # state deviations from x0 with v = 0 at steps 0..N_p, (N_p + 1, n)
@@ -36,8 +42,13 @@ class Prediction:
     dU_free: Array  # K dX_free at steps 0..N_p-1, (N_p, m); (N_p, 0) without
 
 
-def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackLaw | None = None) -> Prediction:
-    """Predict for owned inputs u0 + v, the others as announced, (N_p, m), or by the law: (22)-(24), (35)."""
+def predict(
+    discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackLaw | None = None
+) -> Prediction:
+    """Predict for owned inputs u0 + v, the others as announced, (N_p, m), or by the law.
+
+    (22)-(24), (35).
+    """
     at_x0 = U if law is None else law.uncorrected + law.c
     (n, _), steps, B_others = discrete.B.shape, len(at_x0), discrete.B.copy()
     B_others[:, own] = 0.0
@@ -52,13 +63,25 @@ def predict(discrete: Discrete, u0: Array, own: Places, U: Array, law: FeedbackL
         feedback, dU = np.tensordot(law.K, effect, 1), dX[:-1] @ law.K.T
         U_all += dU
     U_all[:, own] = U_free = np.repeat(u0[own][None], steps, axis=0)
-    return Prediction(effect=effect, dX_free=dX, U_free=U_free, U_all=U_all, feedback=feedback, dU_free=dU)
+    return Prediction(
+        effect=effect, dX_free=dX, U_free=U_free, U_all=U_all, feedback=feedback, dU_free=dU
+    )
 
 
 def follow(
-    prediction: Prediction, A: Array, B: Array, u0: Array, own: Places, law: FeedbackLaw, Z: Array, U: Array
+    prediction: Prediction,
+    A: Array,
+    B: Array,
+    u0: Array,
+    own: Places,
+    law: FeedbackLaw,
+    Z: Array,
+    U: Array,
 ) -> None:
-    """Make the free response exact along states Z, (N_p + 1, n), of inputs U; A: with the others' feedback: (35a)."""
+    """Make the free response exact along states Z, (N_p + 1, n), of inputs U.
+
+    A: with the others' feedback: (35a).
+    """
     V = U[:, own] - u0[own]
     drive, caused = V @ B[:, own].T, np.empty(Z.shape)
     if native.AVAILABLE:
@@ -72,7 +95,10 @@ def follow(
 
 
 def convolve(effect: Array, v: Array) -> Array:
-    """Return deviations of signals by decisions v: sum_{j < k} effect(k-1-j) v(j), (N_p, signals). Source: (24)."""
+    """Return deviations of signals by decisions v.
+
+    Sum_{j < k} effect(k-1-j) v(j), (N_p, signals). Source: (24).
+    """
     found = np.zeros((len(v), len(effect)))
     for k in range(1, len(v)):
         found[k] = np.einsum("sjm,jm->s", effect[:, :k], v[:k][::-1])
@@ -80,7 +106,10 @@ def convolve(effect: Array, v: Array) -> Array:
 
 
 def free_response(A: Array, W: Array) -> Array:
-    """Return dx(0) = 0, dx(k+1) = A dx(k) + W(k), (N_p + 1, n), to a drive W, (N_p, n): (23); paper (15), (23)."""
+    """Return dx(0) = 0, dx(k+1) = A dx(k) + W(k), (N_p + 1, n), to a drive W, (N_p, n).
+
+    (23); paper (15), (23).
+    """
     dX = np.zeros((len(W) + 1, A.shape[0]))
     for k, w in enumerate(W):
         np.dot(A, dX[k], out=dX[k + 1])

@@ -6,23 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from model import native
-from model.arrays import Array, padded
-from model.discretisation import Discrete
-from model.state import input_indices
-from mpc.cost import Cost
-from mpc.expressions import UserCosts
-from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear, Prediction, convolve, follow, predict, stacked
-from mpc.qp import QP
-from mpc.regulation import CostToGo
-from mpc.rows import Decision, Rows
+from transport.model import native
+from transport.model.arrays import Array, padded
+from transport.model.discretisation import Discrete
+from transport.model.state import input_indices
+from transport.mpc.cost import Cost
+from transport.mpc.expressions import UserCosts
+from transport.mpc.feedback import FeedbackLaw
+from transport.mpc.prediction import Linear, Prediction, convolve, follow, predict, stacked
+from transport.mpc.qp import QP
+from transport.mpc.regulation import CostToGo
+from transport.mpc.rows import Decision, Rows
 
 _NONE, _NO_GAIN = np.zeros(0, dtype=np.intp), np.zeros((0, 0))
 
 
 class Program:
-    """Prediction and QP of one controller; with compiled kernels their arrays hold until the next prediction."""
+    """Prediction and QP of one controller.
+
+    With compiled kernels their arrays hold until the next prediction.
+    """
 
     def __init__(self, decision: Decision, cost: Cost, user_costs: UserCosts) -> None:
         self.decision, self._user_costs, self._rows = decision, user_costs, Rows(decision)
@@ -32,11 +35,15 @@ class Program:
         self._weighted = np.flatnonzero(cost.Q)
         self._effort = cost.R[decision.own] * decision.scale
         self._no_terms = np.zeros(0), np.zeros((0, self._n))
-        self._predicted: Prediction | None = None  # the newest one by the kernels, and its control law
+        self._predicted: Prediction | None = (
+            None  # the newest one by the kernels, and its control law
+        )
         self._law: FeedbackLaw | None = None
         self._addresses: dict[str, tuple[np.ndarray, int]] = {}
         self._renewed: set[str] = set()  # arrays that are others than in the QP before
-        self._fed_back: Array | None = None  # state matrix of the prediction before, if it was along a trajectory
+        self._fed_back: Array | None = (
+            None  # state matrix of the prediction before, if it was along a trajectory
+        )
         if native.AVAILABLE:
             self._allocate()
         self.form(cost, ())
@@ -52,13 +59,22 @@ class Program:
         self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None,
         along: tuple[Array, Array] | None = None,
     ) -> Prediction:  # fmt: skip
-        """Predict the team, as in `Controller.step`; exactly along states and inputs of the law, if they are given."""
+        """Predict the team, as in `Controller.step`.
+
+        Exactly along states and inputs of the law, if they are given.
+        """
         own, u0, is_new = self.decision.own, linear.u0, True
         if native.AVAILABLE:
             at, kept, problem = native.at, self._kept, self._problem
-            problem.A, problem.B, problem.f_d = kept("A", discrete.A), kept("B", discrete.B), at(discrete.f_d)
+            problem.A, problem.B, problem.f_d = (
+                kept("A", discrete.A),
+                kept("B", discrete.B),
+                at(discrete.f_d),
+            )
             problem.u0, problem.K = at(u0), kept("K", _NO_GAIN if law is None else law.K)
-            problem.uncorrected, problem.announced = (0, at(U)) if law is None else (at(law.uncorrected), at(law.c))
+            problem.uncorrected, problem.announced = (
+                (0, at(U)) if law is None else (at(law.uncorrected), at(law.c))
+            )
             is_new = not self._renewed.isdisjoint(("A", "B", "K"))
             if along is None or is_new:
                 native.KERNELS.respond(ctypes.addressof(problem))
@@ -77,7 +93,12 @@ class Program:
         return found
 
     def condense(
-        self, linear: Linear, prediction: Prediction, y_ref: Array, law: FeedbackLaw | None, end: CostToGo | None
+        self,
+        linear: Linear,
+        prediction: Prediction,
+        y_ref: Array,
+        law: FeedbackLaw | None,
+        end: CostToGo | None,
     ) -> QP:
         """Return the QP of a prediction: equations.md (26)-(30), (36e), (48); paper (25)-(27)."""
         terminal, responding, Q = self.decision.settings.weights.terminal, _NONE, self._Q
@@ -88,20 +109,32 @@ class Program:
         at_x0, slope = self._user_costs.at(linear.x0) if len(self._user_costs) else self._no_terms
         slope = np.ascontiguousarray(padded(slope, self._n))
         if prediction is not self._predicted:
-            return self._plain(linear, prediction, y_ref, slope, at_x0, end, terminal, responding, Q)
+            return self._plain(
+                linear, prediction, y_ref, slope, at_x0, end, terminal, responding, Q
+            )
         at, kept, problem, model = native.at, self._kept, self._problem, linear.model
         problem.terminal, problem.inputs, problem.rank = terminal, len(responding), 0
         problem.answering, problem.Q = kept("answering", responding), kept("Q", Q)
         known = self._addresses.get("slope")
-        slope = known[0] if known is not None and np.array_equal(known[0], slope) else slope  # those of linear terms
+        slope = (
+            known[0] if known is not None and np.array_equal(known[0], slope) else slope
+        )  # those of linear terms
         problem.slope, problem.at_x0, problem.x0 = kept("slope", slope), at(at_x0), at(linear.x0)
         if end is not None:
-            problem.rank, problem.error, problem.end_slope = len(end.root), at(end.error), at(end.slope)
+            problem.rank, problem.error, problem.end_slope = (
+                len(end.root),
+                at(end.error),
+                at(end.slope),
+            )
         problem.root = kept("root", _NO_GAIN if end is None else end.root)
         begin, problem.index = model.pattern.addresses
-        problem.begin, problem.value = begin + 8 * model.pattern.first_rows[-2], kept("value", model.values)
+        problem.begin, problem.value = (
+            begin + 8 * model.pattern.first_rows[-2],
+            kept("value", model.values),
+        )
         problem.model_outputs, problem.y, problem.y_ref = len(model.y), at(model.y), at(y_ref)
-        # Without a law the matrices are of the tick's own state: kept ones only meet again within its iterations.
+        # Without a law the matrices are of the tick's own state: kept ones only meet again within
+        # its iterations.
         problem.u_target, problem.known = at(linear.u_target), not self._renewed and law is not None
         native.KERNELS.fill(ctypes.addressof(problem))
         self._renewed.clear()
@@ -117,12 +150,16 @@ class Program:
             self._renewed.add(name)
         return known[1]
 
-    def relaxed(self, prediction: Prediction, law: FeedbackLaw, z: Array, w: float) -> tuple[Array, Array]:
+    def relaxed(
+        self, prediction: Prediction, law: FeedbackLaw, z: Array, w: float
+    ) -> tuple[Array, Array]:
         """Return inputs and corrections by the scaled decision and the weight of new corrections, 0 if unsolved."""
         own, decision, U_free = self.decision.own, self.decision, prediction.U_free
         if prediction is self._predicted and law is self._law:
             U, c = np.empty(decision.shape), np.empty(decision.shape)
-            native.KERNELS.conclude(ctypes.addressof(self._problem), native.at(z), w, native.at(U), native.at(c))
+            native.KERNELS.conclude(
+                ctypes.addressof(self._problem), native.at(z), w, native.at(U), native.at(c)
+            )
             return U, c
         at_x0, fed_back, c = law.uncorrected[:, own], prediction.dU_free[:, own], law.c[:, own]
         best = decision.clip(U_free + decision.inputs(z))
@@ -133,9 +170,12 @@ class Program:
             c = w * c_best + (1.0 - w) * c
         wanted, U, before = at_x0 + c + fed_back, U_free.copy(), U_free[0]
         for k in range(len(U)):
-            # Of the decisions before step k. The corrections may come from a plan of another team: the rates hold.
+            # Of the decisions before step k. The corrections may come from a plan of another team:
+            # the rates hold.
             answer = convolve(prediction.feedback[own, : k + 1], (U - U_free)[: k + 1])[-1]
-            U[k] = before = decision.clip(np.clip(wanted[k] + answer, before - decision.rate, before + decision.rate))
+            U[k] = before = decision.clip(
+                np.clip(wanted[k] + answer, before - decision.rate, before + decision.rate)
+            )
         return U, c
 
     def _plain(
@@ -143,20 +183,36 @@ class Program:
         terminal: float, responding: native.Places, Q: Array,
     ) -> QP:  # fmt: skip
         decision, chosen, (n, steps, _) = self.decision, self._weighted, prediction.effect.shape
-        model, scale, dX, effect = linear.model, decision.scale, prediction.dX_free, prediction.effect * decision.scale
+        model, scale, dX, effect = (
+            linear.model,
+            decision.scale,
+            prediction.dX_free,
+            prediction.effect * decision.scale,
+        )
         C = model.C[chosen]
         free = model.y[chosen] + dX[1:] @ C.T
         effort = prediction.U_all - linear.u_target
-        others = np.vstack([effort[1:, responding], np.zeros(len(responding))])  # step N_p has no input
+        others = np.vstack(
+            [effort[1:, responding], np.zeros(len(responding))]
+        )  # step N_p has no input
         error = np.hstack([free - y_ref[1:, chosen], at_x0 + dX[1:] @ slope.T, others])
-        S = np.concatenate([np.tensordot(np.vstack([C, slope]), effect, 1), prediction.feedback[responding] * scale])
+        S = np.concatenate(
+            [
+                np.tensordot(np.vstack([C, slope]), effect, 1),
+                prediction.feedback[responding] * scale,
+            ]
+        )
         weights = 2.0 * np.tile(Q, (steps, 1))
         weights[-1] *= terminal
         G = stacked(S)
         H = G.T @ (weights.reshape(-1, 1) * G) + np.diag(np.tile(2.0 * self._effort * scale, steps))
-        g = G.T @ (weights * error).reshape(-1) + (2.0 * self._effort * effort[:, decision.own]).reshape(-1)
+        g = G.T @ (weights * error).reshape(-1) + (
+            2.0 * self._effort * effort[:, decision.own]
+        ).reshape(-1)
         if end is not None:
-            last = effect[:, ::-1].reshape(n, -1)  # effect of all decisions on the last state, the first one's first
+            last = effect[:, ::-1].reshape(
+                n, -1
+            )  # effect of all decisions on the last state, the first one's first
             H += 2.0 * last.T @ end.root.T @ end.root @ last
             g += 2.0 * (end.root.T @ (end.root @ (end.error + dX[-1])) + end.slope) @ last
         penalties = self._rows.penalties
@@ -173,10 +229,27 @@ class Program:
     def _allocate(self) -> None:
         """Make the arrays of the compiled kernels: the constant ones, and room for all results."""
         decision, rows, n, m_all = self.decision, self._rows, self._n, self.decision.system.m
-        (steps, m), slacks, terms, empty = decision.shape, len(rows.penalties), len(self._user_costs), np.empty
-        size, weighted, pairs, angles = decision.size + slacks, len(self._weighted), len(rows.pairs), len(rows.angles)
-        effect, feedback, S = (empty((count, steps, m)) for count in (n, m_all, weighted + terms + m_all))
-        dX, dU, U, U_free = empty((steps + 1, n)), empty((steps, m_all)), empty((steps, m_all)), empty((steps, m))
+        (steps, m), slacks, terms, empty = (
+            decision.shape,
+            len(rows.penalties),
+            len(self._user_costs),
+            np.empty,
+        )
+        size, weighted, pairs, angles = (
+            decision.size + slacks,
+            len(self._weighted),
+            len(rows.pairs),
+            len(rows.angles),
+        )
+        effect, feedback, S = (
+            empty((count, steps, m)) for count in (n, m_all, weighted + terms + m_all)
+        )
+        dX, dU, U, U_free = (
+            empty((steps + 1, n)),
+            empty((steps, m_all)),
+            empty((steps, m_all)),
+            empty((steps, m)),
+        )
         H, g, lower, upper = empty((size, size)), empty(size), np.zeros(size), np.full(size, np.inf)
         A, row_lower, row_upper = rows.A.copy(), rows.lower.copy(), rows.upper.copy()
         self._arrays: dict[str, np.ndarray] = {
@@ -188,11 +261,33 @@ class Program:
             "kept": empty((2 * n + len(S)) * (decision.size + 7) + 8),
             "free": empty((steps, weighted)), "signals": empty(steps * (m * max(pairs, angles) + pairs)),
         }  # fmt: skip
-        sizes = {"steps": steps, "n": n, "m": m, "size": size, "outputs": weighted, "terms": terms, "all_inputs": m_all}
-        limits = {"pairs": pairs, "angles": angles, "separation": rows.minimum_m, "tilt": rows.limit}
+        sizes = {
+            "steps": steps,
+            "n": n,
+            "m": m,
+            "size": size,
+            "outputs": weighted,
+            "terms": terms,
+            "all_inputs": m_all,
+        }
+        limits = {
+            "pairs": pairs,
+            "angles": angles,
+            "separation": rows.minimum_m,
+            "tilt": rows.limit,
+        }
         addresses = {name: native.at(array) for name, array in self._arrays.items()}
-        needed = native.KERNELS.predict_work(n, m_all, m), native.KERNELS.condense_work(steps, n, m, len(S), n)
-        self._problem = native.Problem(**sizes, **limits, **addresses, work=native.work("step", max(needed)))
-        self._qp = QP(H=H, g=g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper)
-        self._closed = Prediction(effect=effect, dX_free=dX, U_free=U_free, U_all=U, feedback=feedback, dU_free=dU)
+        needed = (
+            native.KERNELS.predict_work(n, m_all, m),
+            native.KERNELS.condense_work(steps, n, m, len(S), n),
+        )
+        self._problem = native.Problem(
+            **sizes, **limits, **addresses, work=native.work("step", max(needed))
+        )
+        self._qp = QP(
+            H=H, g=g, lower=lower, upper=upper, A=A, row_lower=row_lower, row_upper=row_upper
+        )
+        self._closed = Prediction(
+            effect=effect, dX_free=dX, U_free=U_free, U_all=U, feedback=feedback, dU_free=dU
+        )
         self._open = replace(self._closed, feedback=feedback[:0], dU_free=dU[:, :0])

@@ -12,13 +12,14 @@ import clarabel
 import daqp
 import numpy as np
 
-from model import native
-from model.arrays import Array
-from mpc.settings import SolverName
+from transport.model import native
+from transport.model.arrays import Array
+from transport.mpc.settings import SolverName
 
 Status = Literal["solved", "infeasible", "limit", "numerical"]
 
-# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to 1e-6.
+# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to
+# 1e-6.
 RESIDUAL_TOLERANCE = 1e-6
 # A usual QP needs one guess of its active bounds, others two or three; the limit ends a cycle.
 MOST_GUESSES = 8
@@ -32,7 +33,10 @@ _CLARABEL: dict[str, Status] = {
 
 @dataclass(frozen=True, kw_only=True)
 class QP:
-    """The data of one program, row-major; equalities are rows with equal bounds, missing bounds are infinite."""
+    """The data of one program, row-major.
+
+    Equalities are rows with equal bounds, missing bounds are infinite.
+    """
 
     H: Array  # positive definite, (n, n)
     g: Array  # (n,)
@@ -63,7 +67,9 @@ class Residuals:
 
     stationarity: float  # |H z + g + multipliers| relative to 1 + |g|
     primal: float  # largest violation of a bound or row, relative to 1 + |z|
-    complementarity: float  # largest multiplier times distance to its bound, relative to 1 + |objective|
+    complementarity: (
+        float  # largest multiplier times distance to its bound, relative to 1 + |objective|
+    )
 
     @property
     def worst(self) -> float:
@@ -90,10 +96,19 @@ class Solution:
 
 
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
-    """Return the Karush-Kuhn-Tucker residuals; arguments as in `Solution`. Source: docs/equations.md (28)."""
+    """Return the Karush-Kuhn-Tucker residuals.
+
+    Arguments as in `Solution`. Source: docs/equations.md (28).
+    """
     if native.AVAILABLE:
-        (rows, n), found, answer = qp.A.shape, np.empty(3), map(native.at, (z, bound_multipliers, row_multipliers))
-        native.KERNELS.residuals(n, rows, *qp.addresses, *answer, native.at(found), native.work("residuals", n))
+        (rows, n), found, answer = (
+            qp.A.shape,
+            np.empty(3),
+            map(native.at, (z, bound_multipliers, row_multipliers)),
+        )
+        native.KERNELS.residuals(
+            n, rows, *qp.addresses, *answer, native.at(found), native.work("residuals", n)
+        )
         return Residuals(*found.tolist())
     values = np.concatenate([z, qp.A @ z])
     multipliers = np.concatenate([bound_multipliers, row_multipliers])
@@ -113,7 +128,10 @@ def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array
 
 
 def solve(qp: QP, solver: SolverName) -> Solution:
-    """Solve by the chosen solver, check the residuals, and use Clarabel as fallback; return the last failure else."""
+    """Solve by the chosen solver, check the residuals, and use Clarabel as fallback.
+
+    Return the last failure else.
+    """
     first = within_bounds(qp) if solver == "daqp" else None
     if first is not None:
         return first
@@ -137,10 +155,17 @@ def within_bounds(qp: QP) -> Solution | None:
     """Return the solution of a QP in which no row is active, else None (Hintermueller, Ito, Kunisch 2003)."""
     if not native.AVAILABLE:
         return None
-    (rows, n), z, multipliers, found = qp.A.shape, np.empty_like(qp.g), np.empty_like(qp.g), np.empty(3)
+    (rows, n), z, multipliers, found = (
+        qp.A.shape,
+        np.empty_like(qp.g),
+        np.empty_like(qp.g),
+        np.empty(3),
+    )
     work = native.work("within_bounds", native.KERNELS.within_bounds_work(n, rows))
     answer = map(native.at, (z, multipliers, found))
-    guesses = native.KERNELS.solve_within_bounds(n, rows, *qp.addresses, MOST_GUESSES, *answer, work)
+    guesses = native.KERNELS.solve_within_bounds(
+        n, rows, *qp.addresses, MOST_GUESSES, *answer, work
+    )
     if guesses <= 0 or (passed := Residuals(*found.tolist())).worst > RESIDUAL_TOLERANCE:
         return None
     return Solution(
@@ -172,8 +197,21 @@ def solve_clarabel(qp: QP) -> Solution:
     has_upper, has_lower = np.isfinite(qp.row_upper) & ~equal, np.isfinite(qp.row_lower) & ~equal
     bound_upper, bound_lower = np.isfinite(qp.upper), np.isfinite(qp.lower)
     identity = np.eye(n)
-    G = np.concatenate([qp.A[equal], identity[bound_upper], -identity[bound_lower], qp.A[has_upper], -qp.A[has_lower]])
-    parts = qp.row_upper[equal], qp.upper[bound_upper], -qp.lower[bound_lower], qp.row_upper[has_upper]
+    G = np.concatenate(
+        [
+            qp.A[equal],
+            identity[bound_upper],
+            -identity[bound_lower],
+            qp.A[has_upper],
+            -qp.A[has_lower],
+        ]
+    )
+    parts = (
+        qp.row_upper[equal],
+        qp.upper[bound_upper],
+        -qp.lower[bound_lower],
+        qp.row_upper[has_upper],
+    )
     h = np.concatenate([*parts, -qp.row_lower[has_lower]])
     equalities = int(equal.sum())
     settings = clarabel.DefaultSettings()
@@ -191,10 +229,14 @@ def solve_clarabel(qp: QP) -> Solution:
     bounds[bound_lower] -= duals[2]
     rows[has_upper] += duals[3]
     rows[has_lower] -= duals[4]
-    return _checked(qp, np.asarray(answer.x), bounds, rows, status, int(answer.iterations), "clarabel")
+    return _checked(
+        qp, np.asarray(answer.x), bounds, rows, status, int(answer.iterations), "clarabel"
+    )
 
 
-def _checked(qp: QP, z: Array, bounds: Array, rows: Array, status: Status, iterations: int, solver: str) -> Solution:
+def _checked(
+    qp: QP, z: Array, bounds: Array, rows: Array, status: Status, iterations: int, solver: str
+) -> Solution:
     """Return the solution with multipliers of bounds and rows, with status "solved" only if the residuals pass."""
     found = _NO_RESIDUALS
     if status == "solved":

@@ -1,4 +1,7 @@
-"""The shared control law of a team: its regulator, preview and target, for the UAVs that have agents."""
+"""The shared control law of a team.
+
+Its regulator, preview and target, for the UAVs that have agents.
+"""
 
 import contextlib
 from collections.abc import Callable, Collection
@@ -8,33 +11,40 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from model import flat
-from model.arrays import Array, continued, padded, rows
-from model.flat import Track
-from model.hover import Hover, failed_hover
-from model.linearisation import Model
-from model.parameters import ParameterError
-from model.state import input_slice
-from mpc import feedback
-from mpc.cost import Cost
-from mpc.expressions import UserCosts
-from mpc.fail_safe import FailSafe
-from mpc.feedback import FeedbackError, FeedbackLaw, Preview, Regulator, Target, at_rest
-from mpc.settings import ControllerSettings
-from mpc.tracking import Recursion, Tracker
+from transport.model import flat
+from transport.model.arrays import Array, continued, padded, rows
+from transport.model.flat import Track
+from transport.model.hover import Hover, failed_hover
+from transport.model.linearisation import Model
+from transport.model.parameters import ParameterError
+from transport.model.state import input_slice
+from transport.mpc import feedback
+from transport.mpc.cost import Cost
+from transport.mpc.expressions import UserCosts
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.feedback import FeedbackError, FeedbackLaw, Preview, Regulator, Target, at_rest
+from transport.mpc.settings import ControllerSettings
+from transport.mpc.tracking import Recursion, Tracker
 
 T = TypeVar("T")
 
-# Instants before a change of the reference for which its law is kept: more than estimators look back.
+# Instants before a change of the reference for which its law is kept: more than estimators look
+# back.
 KEPT = 128
-# Results by model, team and identities of what else they follow from, which are kept beside them: the newest ones.
+# Results by model, team and identities of what else they follow from, which are kept beside them:
+# the newest ones.
 _MOST_FOUND = 64
-_FOUND: WeakKeyDictionary[Model, dict[tuple[Any, ...], tuple[Any, tuple[object, ...]]]] = WeakKeyDictionary()
+_FOUND: WeakKeyDictionary[Model, dict[tuple[Any, ...], tuple[Any, tuple[object, ...]]]] = (
+    WeakKeyDictionary()
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CostToGo:
-    """The cost after the horizon as a function of the last state: |root (error + dx)|^2 + 2 slope' dx + constant."""
+    """The cost after the horizon as a function of the last state.
+
+    |root (error + dx)|^2 + 2 slope' dx + constant.
+    """
 
     root: Array  # square root of the Riccati solution, (rank, n)
     error: Array  # x0 - x_ref at step N_p, x_ref shifted by external forces, (n,)
@@ -61,7 +71,8 @@ class Team(NamedTuple):
 class Regulation:
     """The shared control law and cost-to-go of one maneuver, for the UAVs that have agents.
 
-    The reference, X_ref, (K, n), for the preview, or a flat track, is that at instants 0..K-1; the last one is held.
+    The reference, X_ref, (K, n), for the preview, or a flat track, is that at instants 0..K-1; the
+    last one is held.
     Raises: FeedbackError: the settings need a regulator and none stabilises the team.
     """
 
@@ -72,12 +83,16 @@ class Regulation:
         self._whole, self._whole_hover, self._settings = model, hover, settings
         terms = (*settings.cost, *settings.weights.terms(model.system.N))
         self.user_costs = UserCosts(terms, model.system)  # the user's terms of the cost
-        followed = None if settings.fail_safe == "level" else hover.x[None] if X_ref is None else X_ref
+        followed = (
+            None if settings.fail_safe == "level" else hover.x[None] if X_ref is None else X_ref
+        )
         self._whole_fail_safe = FailSafe(model.system, hover.u, followed, track)
         self._whole_track = track
         self._X_ref = X_ref if settings.preview and track is None else None
         self._follows_from = (hover, settings, X_ref, track)
-        self._ahead: tuple[Ahead, ...] = ()  # the newest change of the reference, and the preview before it
+        self._ahead: tuple[
+            Ahead, ...
+        ] = ()  # the newest change of the reference, and the preview before it
         self._preview_before: Preview | None = None
         self._preview: Preview | None = None
         self.regulator: Regulator | None = None  # None if the settings need none
@@ -93,21 +108,32 @@ class Regulation:
         return self._shared("target", lambda: feedback.target(*arguments))
 
     def form(
-        self, gone: Collection[int], off: Collection[int], released: Collection[int], *, since: int | None = None
+        self,
+        gone: Collection[int],
+        off: Collection[int],
+        released: Collection[int],
+        *,
+        since: int | None = None,
     ) -> None:
         """Set the `Team`: equations.md (45), (50), (51).
 
-        Along a reference, if the present instant is given, `advance` completes the law. If the remaining UAVs cannot
-        stabilise the team, the regulator ignores the lost agents, else the failures, else both.
+        Along a reference, if the present instant is given, `advance` completes the law. If the
+        remaining UAVs cannot stabilise the team, the regulator ignores the lost agents, else the
+        failures, else both.
         """
         none, team = frozenset[int](), Team(frozenset(gone), frozenset(off), frozenset(released))
-        for smaller in (team, team._replace(gone=none), Team(team.gone, none, none)) if any(team) else ():
+        for smaller in (
+            (team, team._replace(gone=none), Team(team.gone, none, none)) if any(team) else ()
+        ):
             with contextlib.suppress(FeedbackError, ParameterError):
                 return self._form(smaller, since)
         return self._form(Team(none, none, none), since)
 
     def advance(self, instant: int) -> bool:
-        """Work on the law of a new team at an instant; return whether it holds from this instant on, in all agents."""
+        """Work on the law of a new team at an instant.
+
+        Return whether it holds from this instant on, in all agents.
+        """
         if self._recursion is None:
             return False
         if instant < self._recursion.ready:
@@ -117,7 +143,10 @@ class Regulation:
         return True
 
     def head(self, X_ref: Array, ahead: Ahead) -> bool:
-        """Follow another reference, of states X_ref, (K, n), from the present instant on. Returns: as `advance`."""
+        """Follow another reference, of states X_ref, (K, n), from the present instant on.
+
+        Returns: as `advance`.
+        """
         completed = self._recursion is not None and self.advance(self._recursion.ready)
         self._ahead, self._preview_before = (ahead,), self._preview
         self._X_ref = None if self._X_ref is None else ahead.X_ref
@@ -129,8 +158,12 @@ class Regulation:
         if found is not None and ahead.track is not None and self._tracker is not None:
             track, released = ahead.track, self._team.released
             if released:
-                track = flat.track(self._model.system, self.hover, track.paths, track.first, released)
-            new = self._shared("ahead", lambda: self._recursion_along(track, found, None, ahead.first).result())
+                track = flat.track(
+                    self._model.system, self.hover, track.paths, track.first, released
+                )
+            new = self._shared(
+                "ahead", lambda: self._recursion_along(track, found, None, ahead.first).result()
+            )
             self._tracker = continued(self._tracker, new, KEPT)
         if found is not None:
             self._foresee(found)
@@ -159,30 +192,44 @@ class Regulation:
             self.fail_safe = self._shared("fail-safe", lambda: whole.of_team(*failed))
             self._track = self.fail_safe.track
 
-    def law(self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0) -> FeedbackLaw | None:
-        """Return the shared control law over the horizon; None with open-loop prediction: equations.md (35), (40).
+    def law(
+        self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0
+    ) -> FeedbackLaw | None:
+        """Return the shared control law over the horizon.
 
-        x0 is the state at instant `start`, (n,) or (n + m,); references, (N_p, n), corrections, (N_p, m), forces.
+        None with open-loop prediction: equations.md (35), (40).
+
+        x0 is the state at instant `start`, (n,) or (n + m,); references, (N_p, n), corrections,
+        (N_p, m), forces.
         """
         if self.regulator is None or self._settings.prediction != "closed_loop":
             return None
         if self._tracker is not None and self._track is not None:
             track, steps = self._track, len(x_ref)  # (70), (73)
-            gains, where = self._tracker.over(start, steps), rows(start - track.first, steps, len(track.X))
+            gains, where = (
+                self._tracker.over(start, steps),
+                rows(start - track.first, steps, len(track.X)),
+            )
             u_rest, error = track.U[where], x0 - track.X[where]
             if forces is not None:
                 X_forces, U_forces = track.by_forces(where)
                 u_rest = u_rest + U_forces[..., : len(forces)] @ forces
                 error = error - X_forces[..., : len(forces)] @ forces
-            K, feedforward = (np.array([getattr(at, name) for at in gains]) for name in ("K", "feedforward"))
-            return FeedbackLaw(K=K, u_rest=u_rest, error=error, feedforward=feedforward, c=c, along=gains)
+            K, feedforward = (
+                np.array([getattr(at, name) for at in gains]) for name in ("K", "feedforward")
+            )
+            return FeedbackLaw(
+                K=K, u_rest=u_rest, error=error, feedforward=feedforward, c=c, along=gains
+            )
         u_rest, error = self.hover.u, self._error(x0, x_ref)
         feedforward = self.feedforward(start, len(x_ref))
         if forces is not None:
             forces = self._model.at_rest(forces)
             u_rest, error = u_rest + self.target.M_u @ forces, error - self._shift(forces)
             feedforward = feedforward + self._forced(self.regulator)[0] @ forces
-        return FeedbackLaw(K=self.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c)
+        return FeedbackLaw(
+            K=self.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c
+        )
 
     @property
     def version(self) -> object:
@@ -202,13 +249,24 @@ class Regulation:
             raise FeedbackError("expected a shared control law, got open-loop prediction")
         return self.regulator.K
 
-    def cost_to_go(self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0) -> CostToGo | None:
-        """Return the cost after the horizon, (36d), if any; reference, (n,), and instant are those of step N_p."""
-        if self.regulator is None or self._settings.terminal != "riccati" or self._track is not None:
+    def cost_to_go(
+        self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0
+    ) -> CostToGo | None:
+        """Return the cost after the horizon, (36d), if any.
+
+        Reference, (n,), and instant are those of step N_p.
+        """
+        if (
+            self.regulator is None
+            or self._settings.terminal != "riccati"
+            or self._track is not None
+        ):
             return None
         error, slope = self._error(x0, x_ref), np.zeros_like(x0)
         if self._preview is not None:
-            slope = self._preview.slope[rows(instant - self._preview.first, 1, len(self._preview.slope))][0]
+            slope = self._preview.slope[
+                rows(instant - self._preview.first, 1, len(self._preview.slope))
+            ][0]
         if forces is not None:
             forces = self._model.at_rest(forces)
             error = error - self._shift(forces)
@@ -216,51 +274,98 @@ class Regulation:
         return CostToGo(root=self.regulator.root, error=error, slope=slope)
 
     def feedforward(self, start: int, steps: int) -> Array:
-        """Return the response to the reference ahead from instant `start` on, (steps, m); zero without preview."""
+        """Return the response to the reference ahead from instant `start` on, (steps, m).
+
+        Zero without preview.
+        """
         if self._preview is None:
             return np.zeros((steps, self._model.system.m))
-        return self._preview.feedforward[rows(start - self._preview.first, steps, len(self._preview.slope))]
+        return self._preview.feedforward[
+            rows(start - self._preview.first, steps, len(self._preview.slope))
+        ]
 
     def _error(self, x0: Array, x_ref: Array) -> Array:
-        """Return the deviation of a state from reference states, (..., n); actual inputs deviate from hover."""
+        """Return the deviation of a state from reference states, (..., n).
+
+        Actual inputs deviate from hover.
+        """
         if len(x0) > x_ref.shape[-1]:
             actual = np.broadcast_to(self.hover.u, (*x_ref.shape[:-1], len(self.hover.u)))
             x_ref = np.concatenate([x_ref, actual], axis=-1)
         return x0 - x_ref
 
     def _shift(self, forces: Array) -> Array:
-        """Return the deviation of the target from hover under forces, (n,); in it the actual inputs are the command."""
+        """Return the deviation of the target from hover under forces, (n,).
+
+        In it the actual inputs are the command.
+        """
         shift: Array = self.target.M_x @ forces
-        return np.concatenate([shift, self.target.M_u @ forces]) if self._settings.motor_lag_s else shift
+        return (
+            np.concatenate([shift, self.target.M_u @ forces])
+            if self._settings.motor_lag_s
+            else shift
+        )
 
     def _regulate(self, since: int | None) -> None:
-        further, failed, settings = self.user_costs.about(self.hover.x), self._team[1:], self._settings
-        about = self._model, self.hover, self.cost, settings.sampling_period_s, self._uncontrolled, further, *failed
+        further, failed, settings = (
+            self.user_costs.about(self.hover.x),
+            self._team[1:],
+            self._settings,
+        )
+        about = (
+            self._model,
+            self.hover,
+            self.cost,
+            settings.sampling_period_s,
+            self._uncontrolled,
+            further,
+            *failed,
+        )
         found = self._shared("regulator", lambda: feedback.regulator(*about, settings.motor_lag_s))
         self.regulator = found
         if self._track is not None:
-            track, before, self._recursion = self._track, None if since is None else self._tracker, None
+            track, before, self._recursion = (
+                self._track,
+                None if since is None else self._tracker,
+                None,
+            )
             begin = track.first if since is None else since
-            making = self._shared("tracker", lambda: self._recursion_along(track, found, before, begin))
+            making = self._shared(
+                "tracker", lambda: self._recursion_along(track, found, before, begin)
+            )
             if since is None or since >= making.ready:
                 self._tracker = making.result()
             else:
-                self._tracker, self._recursion = making.meanwhile(self._team.off, settings.horizon), making
+                self._tracker, self._recursion = (
+                    making.meanwhile(self._team.off, settings.horizon),
+                    making,
+                )
         self._foresee(found)
 
-    def _recursion_along(self, track: Track, found: Regulator, before: Tracker | None, since: int) -> Recursion:
-        """Return the control law along a reference in the making; the last two arguments are those of `Recursion`."""
+    def _recursion_along(
+        self, track: Track, found: Regulator, before: Tracker | None, since: int
+    ) -> Recursion:
+        """Return the control law along a reference in the making.
+
+        The last two arguments are those of `Recursion`.
+        """
         fixed, period_s = (self._uncontrolled, self.fail_safe), self._settings.sampling_period_s
-        return Recursion(self._model, track, found, self.cost, self.user_costs, period_s, *fixed, before, since)
+        return Recursion(
+            self._model, track, found, self.cost, self.user_costs, period_s, *fixed, before, since
+        )
 
     def _foresee(self, found: Regulator) -> None:
-        """Compute the response to the reference from its newest change on; that before stays as it was."""
+        """Compute the response to the reference from its newest change on.
+
+        That before stays as it was.
+        """
         if self._X_ref is not None:
             # On the reference, the output error is zero; the user's terms are not.
             states, further = len(found.T), self.user_costs.about(self.hover.x)
             on_reference = np.array([self.user_costs.at(x)[0] for x in self._X_ref])
             pull = (np.sqrt(self.user_costs.weights) * on_reference) @ padded(further, states)
-            # The actual inputs of the reference are those of hover: their deviation from the last ones is zero.
+            # The actual inputs of the reference are those of hover: their deviation from the last
+            # ones is zero.
             X_ref, first = padded(self._X_ref, states), self._ahead[0].first if self._ahead else 0
             seen = self._shared("preview", lambda: feedback.preview(found, X_ref, pull, first))
             before = self._preview_before

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.wire.messages import KINDS, Message
+from transport.protocol.wire.messages import KINDS, Message
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "contributing.md"
@@ -31,14 +31,16 @@ PACKAGES = (
     "tests/support",
 )
 
-EDIT = re.compile(r" *In `([\w/.]+)`, (?:after `([^`]+)`|at the end):\n\n( *)```python\n(.*?)\n *```", re.DOTALL)
+EDIT = re.compile(
+    r" *In `([\w/.]+)`, (?:after `([^`]+)`|at the end):\n\n( *)```python\n(.*?)\n *```", re.DOTALL
+)
 NAMED = re.compile(r"`([a-z_]+/[\w/]+\.(?:py|md))`")
 SEEN = re.compile(r"`(\w+)`")
 
 # A link as the scenario describes it, then a run in memory over such links.
 IMPAIRMENT = """
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
 from transport.flight.memory import simulate
 
 path = find_scenario("resilient")
@@ -54,10 +56,10 @@ assert sum(getattr(message, "lost", 0) for message in reports) > 0
 
 # From the sender's outbox over key, bytes and checks to the JSON of the log.
 MESSAGE = """
-from protocol.wire.codec import decode, encode
-from protocol.wire.messages import Battery, MessageError
-from protocol.wire.keys import Keys, matches
-from protocol.wire.node import Outbox
+from transport.protocol.wire.codec import decode, encode
+from transport.protocol.wire.messages import Battery, MessageError
+from transport.protocol.wire.keys import Keys, matches
+from transport.protocol.wire.node import Outbox
 from tests.support.messages import sample
 from transport.report.foxglove import json_schema, to_json
 
@@ -89,12 +91,15 @@ def section(heading: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("heading", "script"), [("A new link impairment", IMPAIRMENT), ("A new message", MESSAGE)], ids=["link", "message"]
+    ("heading", "script"),
+    [("A new link impairment", IMPAIRMENT), ("A new message", MESSAGE)],
+    ids=["link", "message"],
 )
 def test_recipe(heading: str, script: str, tmp_path: Path) -> None:
     """With the edits of a recipe, and no others, the example works from its definition to the result."""
     for package in PACKAGES:
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+        ignore = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / package, tmp_path / package, symlinks=True, ignore=ignore)
     edits = EDIT.findall(section(heading))
     assert edits
     for file, anchor, indent, block in edits:
@@ -119,7 +124,9 @@ def test_recipe(heading: str, script: str, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("heading", re.findall(r"^## (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+@pytest.mark.parametrize(
+    "heading", re.findall(r"^## (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+)
 def test_files_of_a_recipe_exist(heading: str) -> None:
     """Every file that a recipe names exists."""
     for file in NAMED.findall(section(heading)):
@@ -129,7 +136,9 @@ def test_files_of_a_recipe_exist(heading: str) -> None:
 @pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
 def test_messages_are_described(kind: type[Message]) -> None:
     """docs/protocol.md has each message's fields, in the order in which they are sent."""
-    row = re.search(rf"^\| `{kind.kind}` \| (.*) \|$", PROTOCOL.read_text(encoding="utf-8"), re.MULTILINE)
+    row = re.search(
+        rf"^\| `{kind.kind}` \| (.*) \|$", PROTOCOL.read_text(encoding="utf-8"), re.MULTILINE
+    )
     assert row is not None, f"docs/protocol.md has no row for {kind.kind}"
     names = kind.__struct_fields__[len(Message.__struct_fields__) :]
     assert [name for name in SEEN.findall(row[1]) if name in names] == list(names)

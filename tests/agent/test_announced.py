@@ -1,17 +1,18 @@
 """Announced inputs: plans shifted by their true age and held at their end, for any order of arrival.
 
-Past inputs of the others: the first step of a plan as announced, then the shared control law with its corrections.
+Past inputs of the others: the first step of a plan as announced, then the shared control law with
+    its corrections.
 """
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.announced import Alignment, AnnouncedInputs, Law
-from model.arrays import Array
-from model.state import input_indices
-from mpc.settings import ControllerSettings, Limits
-from protocol.wire.messages import Plan
+from transport.agent.announced import Alignment, AnnouncedInputs, Law
+from transport.model.arrays import Array
+from transport.model.state import input_indices
+from transport.mpc.settings import ControllerSettings, Limits
+from transport.protocol.wire.messages import Plan
 
 OWNED = ((0, 2), (1,))  # agent 1 owns UAV1 and UAV3, agent 2 owns UAV2
 U_HOVER = -np.arange(1.0, 13.0)
@@ -65,7 +66,10 @@ def test_hover_before_any_plan() -> None:
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_shift_and_hold(age: int, delay: int) -> None:
-    """A plan is shifted by the ticks since its start and held at its last step. Source: docs/equations.md (32)."""
+    """A plan is shifted by the ticks since its start and held at its last step.
+
+    Source: docs/equations.md (32).
+    """
     made = 7
     plan = labelled(1, made, delay=delay)
     start = plan.start_tick + age
@@ -87,14 +91,21 @@ def test_corrections_end(age: int, delay: int) -> None:
 
 
 def test_early_plans_wait() -> None:
-    """A plan of tick k that is here before tick k + 1 is not used before: the network's speed has no effect."""
+    """A plan of tick k that is here before tick k + 1 is not used before.
+
+    The network's speed has no effect.
+    """
     early, older = labelled(1, 5), labelled(1, 4)
     inputs = announced(older, early)
     assert inputs.newest(1, before=5) is older
     assert inputs.newest(1, before=6) is early
-    np.testing.assert_array_equal(inputs.sequence(5, STEPS, before=5), announced(older).sequence(5, STEPS, before=5))
+    np.testing.assert_array_equal(
+        inputs.sequence(5, STEPS, before=5), announced(older).sequence(5, STEPS, before=5)
+    )
     np.testing.assert_array_equal(inputs.at(5, before=5), announced(older).at(5, before=5))
-    np.testing.assert_array_equal(rows(1, inputs.corrections(5, 1, before=5))[0], older.corrections[1])
+    np.testing.assert_array_equal(
+        rows(1, inputs.corrections(5, 1, before=5))[0], older.corrections[1]
+    )
     np.testing.assert_array_equal(rows(1, inputs.sequence(6, STEPS, before=6))[0], early.inputs[1])
 
 
@@ -149,7 +160,9 @@ def test_own_inputs_are_known() -> None:
         u = inputs.at(7 + age, before=20, x=X)
         np.testing.assert_array_equal(rows(1, u), plan.inputs[min(age, STEPS - 1)])
         if age:
-            assert rows(2, u)[0] == by_law(7 + age, X)[4] + (labelled(2, 7).corrections[age][0] if age < STEPS else 0.0)
+            assert rows(2, u)[0] == by_law(7 + age, X)[4] + (
+                labelled(2, 7).corrections[age][0] if age < STEPS else 0.0
+            )
 
 
 def test_plans_under_another_law_are_played_as_announced() -> None:
@@ -164,7 +177,10 @@ def test_plans_under_another_law_are_played_as_announced() -> None:
 
 
 def test_inputs_taken_to_be_in_force_are_within_limits() -> None:
-    """No input in force is assumed beyond the limits of the actuators: by plan, law or hover, (32a)."""
+    """No input in force is assumed beyond the limits of the actuators.
+
+    By plan, law or hover, (32a).
+    """
     settings = ControllerSettings(limits=Limits(thrust_N=(0.0, 30.0), moments_Nm=(1.0, 2.0, 3.0)))
     low, high = settings.lower(3), settings.upper(3)
     rng = np.random.default_rng(0)

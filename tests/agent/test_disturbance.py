@@ -1,4 +1,7 @@
-"""Estimate of external forces: it converges at the rate of its filter, under any delay and packet loss."""
+"""Estimate of external forces.
+
+It converges at the rate of its filter, under any delay and packet loss.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,20 +11,22 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.announced import AnnouncedInputs
-from agent.estimator import DisturbanceEstimator, StateEstimator
-from model import state
-from model.arrays import Array
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Plan
 from tests.support.runs import measurement, plan, setup
+from transport.agent.announced import AnnouncedInputs
+from transport.agent.estimator import DisturbanceEstimator, StateEstimator
+from transport.model import state
+from transport.model.arrays import Array
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Measurement, Plan
 
 TICKS = 60
 PERIOD_S, TIME_CONSTANT_S = 0.05, 0.4
 
-# N. The truth takes ten integration steps per period, the estimator two: 1e-7 m/s apart, and 180 N to the m/s.
+# N. The truth takes ten integration steps per period, the estimator two: 1e-7 m/s apart, and 180 N
+# to the m/s.
 NO_FORCE = 2e-5
-# Share of the force. The gain is that of hover; on this flight UAVs and rods lean by up to 20 degrees.
+# Share of the force. The gain is that of hover; on this flight UAVs and rods lean by up to 20
+# degrees.
 GAIN_ERROR = 0.05
 
 # N: a payload 15 % too heavy in a wind that pushes the UAVs, too. Nothing pushes them up or down.
@@ -38,14 +43,21 @@ class Flight:
     U: Array
 
     def plan(self, agent: int, k: int, steps: int = 1) -> Plan:
-        """Return an agent's plan of tick k: its true state, and its true inputs for that many steps."""
+        """Return an agent's plan of tick k.
+
+        Its true state, and its true inputs for that many steps.
+        """
         own = state.input_indices(self.run.owned[agent - 1])
         return plan(self.run, agent, k, x=self.X[k], inputs=self.U[k : k + steps][:, own])
 
     def measurement(self, k: int) -> Measurement:
         """Return agent 1's measurement at tick k, with the inputs of its actuators until then."""
         seen = measurement(self.run, 1, k, x=self.X[k])
-        return seen if k == 0 else replace(seen, inputs=self.U[k - 1].reshape(4, 4)[list(self.run.owned[0])])
+        return (
+            seen
+            if k == 0
+            else replace(seen, inputs=self.U[k - 1].reshape(4, 4)[list(self.run.owned[0])])
+        )
 
 
 @lru_cache
@@ -53,7 +65,9 @@ def flight(forces: tuple[float, ...], *settings: str, size: float = 1.0) -> Flig
     """Simulate random inputs of some size about hover, under constant forces."""
     run = setup(*settings)
     rng = np.random.default_rng(21)
-    U = run.hover.u + size * np.tile([1.0, 0.02, 0.02, 0.02], 4) * rng.uniform(-1.0, 1.0, (TICKS, run.system.m))
+    U = run.hover.u + size * np.tile([1.0, 0.02, 0.02, 0.02], 4) * rng.uniform(
+        -1.0, 1.0, (TICKS, run.system.m)
+    )
     X = [run.initial_state()]
     for u in U:
         X.append(run.model.integrate(X[-1], u, PERIOD_S, 10, forces=np.array(forces))[0])
@@ -75,7 +89,9 @@ def estimates(
         steps: How far plans reach.
     """
     run = plant_state.run
-    disturbance = DisturbanceEstimator(run.model, run.hover, run.owned[0], PERIOD_S, TIME_CONSTANT_S)
+    disturbance = DisturbanceEstimator(
+        run.model, run.hover, run.owned[0], PERIOD_S, TIME_CONSTANT_S
+    )
     estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S, disturbance)
     announced = AnnouncedInputs(run.owned, run.hover.u)
     found = []
@@ -106,7 +122,10 @@ def test_forces_are_found_at_the_filters_pace(owned: str) -> None:
 
 @pytest.mark.parametrize("delay", [1, 4])
 def test_what_happens_as_predicted_is_no_force(delay: int) -> None:
-    """The estimate converges for any delay of the others' plans; errors before the first plan are forgotten."""
+    """The estimate converges for any delay of the others' plans.
+
+    Errors before the first plan are forgotten.
+    """
     found = estimates(flight(tuple(NOTHING)), lambda k: k + delay, steps=delay)
     forgotten = np.exp(-PERIOD_S / TIME_CONSTANT_S) * found[:-1]
     learned = np.abs(found[1:] - forgotten).max(axis=1)
@@ -116,7 +135,10 @@ def test_what_happens_as_predicted_is_no_force(delay: int) -> None:
 
 
 def test_what_pushes_uavs_up_or_down_is_the_payloads() -> None:
-    """Vertical forces on UAVs pass through the rods: the estimate has the sum of all, as a force on the payload."""
+    """Vertical forces on UAVs pass through the rods.
+
+    The estimate has the sum of all, as a force on the payload.
+    """
     forces = np.array([0.0, 0.0, 2.0, *[0.0, 0.0, 0.5] * 4])
     last = estimates(flight(tuple(forces), size=0.0))[-1]
     assert last[2] == pytest.approx(4.0, rel=GAIN_ERROR)

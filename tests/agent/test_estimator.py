@@ -8,25 +8,28 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.announced import AnnouncedInputs, Law
-from agent.estimator import StateEstimator
-from model import motors, state
-from model.arrays import Array
-from mpc.regulation import Regulation
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Plan
 from tests.support.runs import SHORT, measurement, plan, setup
+from transport.agent.announced import AnnouncedInputs, Law
+from transport.agent.estimator import StateEstimator
+from transport.model import motors, state
+from transport.model.arrays import Array
+from transport.mpc.regulation import Regulation
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Measurement, Plan
 
 TICKS = 40
 PERIOD_S = 0.05
 
-# Size of the random inputs about hover, N and N m: after two seconds UAVs are tilted by up to 50 deg.
+# Size of the random inputs about hover, N and N m: after two seconds UAVs are tilted by up to 50
+# deg.
 NOISE = np.tile([2.0, 0.05, 0.05, 0.05], 4)
 
-# The truth takes ten integration steps per period, the estimator one or two. What they differ by after one period
-# is the estimator's local error, 4e-8 at most on this flight, far below any sensor; ten periods partly add up.
+# The truth takes ten integration steps per period, the estimator one or two. What they differ by
+# after one period is the estimator's local error, 4e-8 at most on this flight, far below any
+# sensor; ten periods partly add up.
 ONE_PERIOD, TEN_PERIODS = 1e-7, 5e-7
-# The same with motors that lag, over four periods: two steps per period of a method of order 4 against ten.
+# The same with motors that lag, over four periods: two steps per period of a method of order 4
+# against ten.
 AFTER_MOTORS = 2e-6
 
 FOUR, PAIRS = "agents.owned=[[1],[2],[3],[4]]", "agents.owned=[[1,2],[3,4]]"
@@ -43,14 +46,20 @@ class Flight:
     U: Array
 
     def plan(self, agent: int, k: int, steps: int = 1) -> Plan:
-        """Return an agent's plan of tick k: its true state, and its true inputs for that many steps."""
+        """Return an agent's plan of tick k.
+
+        Its true state, and its true inputs for that many steps.
+        """
         own = state.input_indices(self.run.owned[agent - 1])
         return plan(self.run, agent, k, x=self.X[k], inputs=self.U[k : k + steps][:, own])
 
 
 @lru_cache
 def flight(ownership: str, start_error: float = 0.0) -> Flight:
-    """Simulate random inputs about hover; the initial states of UAVs not owned by agent 1 err by `start_error`."""
+    """Simulate random inputs about hover.
+
+    The initial states of UAVs not owned by agent 1 err by `start_error`.
+    """
     run = setup(ownership)
     rng = np.random.default_rng(11)
     U = run.hover.u + NOISE * rng.uniform(-1.0, 1.0, (TICKS, run.system.m))
@@ -107,10 +116,14 @@ def arriving(plant_state: Flight, when: Callable[[int], int], steps: int = 1) ->
     return arrivals
 
 
-def assert_close(found: dict[int, Array], plant_state: Flight, ticks: Sequence[int], tolerance: float) -> None:
+def assert_close(
+    found: dict[int, Array], plant_state: Flight, ticks: Sequence[int], tolerance: float
+) -> None:
     """Check that estimates equal the true state at some ticks."""
     for k in ticks:
-        np.testing.assert_allclose(found[k], plant_state.X[k], rtol=0.0, atol=tolerance, err_msg=f"tick {k}")
+        np.testing.assert_allclose(
+            found[k], plant_state.X[k], rtol=0.0, atol=tolerance, err_msg=f"tick {k}"
+        )
 
 
 @pytest.mark.parametrize("ownership", [FOUR, PAIRS])
@@ -124,7 +137,10 @@ def test_perfect_network(ownership: str) -> None:
 
 @pytest.mark.parametrize("delay", [1, 4])
 def test_motors_that_lag(delay: int) -> None:
-    """Actual inputs follow from announced and reported commands, so that states are exact; a wrong guess decays."""
+    """Actual inputs follow from announced and reported commands, so that states are exact.
+
+    A wrong guess decays.
+    """
     lag_s, run = 0.06, setup(FOUR)
     rng = np.random.default_rng(12)
     U = run.hover.u + 0.3 * NOISE * rng.uniform(-1.0, 1.0, (TICKS, run.system.m))
@@ -136,21 +152,28 @@ def test_motors_that_lag(delay: int) -> None:
 
     guess = np.concatenate([run.initial_state(), run.hover.u])
     estimator = StateEstimator(run.model, lambda _: guess.copy(), PERIOD_S, motor_lag_s=lag_s)
-    announced, own = AnnouncedInputs(run.owned, run.hover.u, own=1), state.input_indices(run.owned[0])
+    announced, own = (
+        AnnouncedInputs(run.owned, run.hover.u, own=1),
+        state.input_indices(run.owned[0]),
+    )
     for k in range(TICKS + 1):
         for agent in run.agents[1:]:
             if k >= delay:
                 announced.add(truth.plan(agent, k - delay, steps=8))
                 estimator.take(truth.plan(agent, k - delay, steps=8))
         seen = measurement(run, 1, k, x=truth.X[k])
-        found = estimated(estimator, replace(seen, inputs=U[k - 1, own].reshape(1, 4)) if k else seen, announced)
+        found = estimated(
+            estimator, replace(seen, inputs=U[k - 1, own].reshape(1, 4)) if k else seen, announced
+        )
         if k < delay:
             continue
         # The first guess of the actual inputs errs by `wrong`.
         left = np.abs(wrong).max() * np.exp(-k * PERIOD_S / lag_s)
         assert np.abs(found[run.system.n :] - Z[k][run.system.n :]).max() <= left + ONE_PERIOD
         if left < 1e-9:
-            np.testing.assert_allclose(found[: run.system.n], truth.X[k], rtol=0.0, atol=AFTER_MOTORS)
+            np.testing.assert_allclose(
+                found[: run.system.n], truth.X[k], rtol=0.0, atol=AFTER_MOTORS
+            )
     assert left < 1e-9
 
 
@@ -171,7 +194,8 @@ def test_order_of_arrival_does_not_matter(seed: int, delay: int) -> None:
     late: Arrivals = {}
     for k in range(TICKS):
         for agent in plant_state.run.agents[1:]:
-            # At the last tick everything is there; until then each at its own random time, some twice.
+            # At the last tick everything is there; until then each at its own random time, some
+            # twice.
             for _ in range(int(rng.integers(1, 3))):
                 when = min(k + int(rng.integers(1, delay + 1)), TICKS)
                 late.setdefault(when, []).append(plant_state.plan(agent, k))
@@ -193,7 +217,8 @@ def test_missed_measurements() -> None:
 LATE = 8  # ticks of delay in the flights under the shared law: 0.4 s
 HELD = 20  # steps of their plans
 
-# m, rad and their rates. What holding the first input of plans for 0.4 s misses on that flight is above this.
+# m, rad and their rates. What holding the first input of plans for 0.4 s misses on that flight is
+# above this.
 MISSED_BY_HELD_PLANS = 1e-2
 
 
@@ -211,14 +236,19 @@ class LedFlight:
     c: Array
 
     def late(self) -> Arrivals:
-        """Return all plans with a delay of LATE ticks: the true first input, held, and the true corrections."""
+        """Return all plans with a delay of LATE ticks.
+
+        The true first input, held, and the true corrections.
+        """
         arrivals = arriving(self.flight, lambda k: k + LATE)
         owned = self.flight.run.owned
 
         def held(message: Plan) -> Plan:
             own = state.input_indices(owned[message.agent - 1])
             corrections = self.c[message.tick : message.tick + HELD, own]
-            return replace(message, inputs=np.repeat(message.inputs, HELD, axis=0), corrections=corrections)
+            return replace(
+                message, inputs=np.repeat(message.inputs, HELD, axis=0), corrections=corrections
+            )
 
         return {k: [held(message) for message in messages] for k, messages in arrivals.items()}
 
@@ -226,7 +256,11 @@ class LedFlight:
 @lru_cache
 def led_flight(force_N: float = 0.0) -> LedFlight:
     """All agents follow the control law on a climb, from an initial error, under an unknown payload force."""
-    closed = ("controller.prediction=closed_loop", "controller.terminal=riccati", "controller.preview=true")
+    closed = (
+        "controller.prediction=closed_loop",
+        "controller.terminal=riccati",
+        "controller.preview=true",
+    )
     run = setup(SHORT, *closed)
     regulation = Regulation(run.model, run.hover, run.settings, run.X_ref)
     rng = np.random.default_rng(12)
@@ -252,7 +286,8 @@ def led_flight(force_N: float = 0.0) -> LedFlight:
 def test_the_law_makes_late_states_exact() -> None:
     """Under the shared control law the estimate is the true state for any delay and any predicted inputs, (32a).
 
-    By induction: a true state gives the true inputs by the control law, and those the next true state.
+    By induction: a true state gives the true inputs by the control law, and those the next true
+        state.
     """
     led = led_flight()
     plant_state = led.flight

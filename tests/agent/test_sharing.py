@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agent.step import Sharing
-from protocol.scenario.schema import ControllerSection
+from transport.agent.step import Sharing
+from transport.protocol.scenario.schema import ControllerSection
 
 STEPS, RANGE = 4, 8.0
 
@@ -34,7 +34,10 @@ def test_expected_corrections_are_not_shared() -> None:
 
 
 def test_threshold() -> None:
-    """A change is a share of the input's range, the largest over horizon and inputs; more is shared."""
+    """A change is a share of the input's range, the largest over horizon and inputs.
+
+    More is shared.
+    """
     sharing = rule(threshold=0.25)
     assert sharing.decide(0, 0, corrections(), 1)
     assert not sharing.decide(1, 1, corrections(0.0, 0.0, -2.0), 1)
@@ -49,7 +52,9 @@ def test_small_changes_add_up() -> None:
     assert [sharing.decide(k, k, c, 1) for k, c in enumerate(plans)] == [True, False, False, True]
 
 
-@pytest.mark.parametrize(("heartbeat_s", "ticks"), [(1.0, 20), (0.3, 6), (0.35, 7), (0.12, 2), (0.01, 1)])
+@pytest.mark.parametrize(
+    ("heartbeat_s", "ticks"), [(1.0, 20), (0.3, 6), (0.35, 7), (0.12, 2), (0.01, 1)]
+)
 def test_heartbeat(heartbeat_s: float, ticks: int) -> None:
     """Without any change a plan is shared at least that often, and not more often than the ticks allow."""
     sharing = rule(heartbeat_s=heartbeat_s)
@@ -60,5 +65,7 @@ def test_heartbeat(heartbeat_s: float, ticks: int) -> None:
 def test_a_new_roster() -> None:
     """The first plan under each roster is shared: control law or receivers may be new."""
     sharing = rule()
-    shared = [sharing.decide(k, k, corrections(), version) for k, version in enumerate([1, 1, 2, 2, 4, 4])]
+    shared = [
+        sharing.decide(k, k, corrections(), version) for k, version in enumerate([1, 1, 2, 2, 4, 4])
+    ]
     assert shared == [True, False, True, False, True, False]

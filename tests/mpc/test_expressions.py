@@ -6,16 +6,18 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from model import state
-from model.arrays import Array
-from model.dynamics import Symbols
-from mpc.expressions import Relation, compile_constraints, read
-from mpc.settings import Constraint, SettingsError
 from tests.support.systems import disturbed, paper_setup
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.dynamics import Symbols
+from transport.mpc.expressions import Relation, compile_constraints, read
+from transport.mpc.settings import Constraint, SettingsError
 
-# Hand computation and compiled expression differ by rounding only; the largest value here is about 500.
+# Hand computation and compiled expression differ by rounding only; the largest value here is about
+# 500.
 ROUNDING = 1e-11
-# Central differences: truncation about step^2 times a third derivative, rounding about 1e-13 / step.
+# Central differences: truncation about step^2 times a third derivative, rounding about 1e-13 /
+# step.
 STEP, SLOPE_AGREEMENT = 1e-5, 1e-6
 
 SYMBOLS = Symbols.of(4)
@@ -38,10 +40,14 @@ def uav_position(x: Array, i: int) -> Array:
     """r_i by the kinematics (1), 0-based, with R0 from elementary rotations about z, y and x."""
     roll, pitch, yaw = x[state.THETA0]
     Rx = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
-    Ry = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
+    Ry = np.array(
+        [[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]]
+    )
     Rz = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
     uav = paper_setup().system.uavs[i]
-    return np.asarray(x[state.R0] + Rz @ Ry @ Rx @ (uav.rho - uav.rod_length * x[state.uav_slice(i)][state.E]))
+    return np.asarray(
+        x[state.R0] + Rz @ Ry @ Rx @ (uav.rho - uav.rod_length * x[state.uav_slice(i)][state.E])
+    )
 
 
 def block(x: Array, i: int) -> Array:
@@ -94,7 +100,9 @@ def test_slopes_by_finite_differences(text: str) -> None:
     compiled, point = (on_state, x) if len(on_state) else (on_input, u)
     assert len(on_state) + len(on_input) == 1
     moved = np.eye(len(point)) * STEP
-    differences = [(compiled.at(point + d)[0][0] - compiled.at(point - d)[0][0]) / (2.0 * STEP) for d in moved]
+    differences = [
+        (compiled.at(point + d)[0][0] - compiled.at(point - d)[0][0]) / (2.0 * STEP) for d in moved
+    ]
     assert np.abs(compiled.at(point)[1][0] - differences).max() < SLOPE_AGREEMENT
     assert compiled.at(point)[0][0] == pytest.approx(GOOD[text](x, u), abs=ROUNDING)
 

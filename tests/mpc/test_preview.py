@@ -1,4 +1,7 @@
-"""The preview against the explicit tracking problem: one dense least-squares problem over the whole maneuver."""
+"""The preview against the explicit tracking problem.
+
+One dense least-squares problem over the whole maneuver.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -7,22 +10,29 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from model import state
-from model.arrays import Array
-from model.hover import Hover, hover
-from model.linearisation import Model
-from model.maneuver import Profile
-from model.parameters import System, table_1
-from model.state import input_indices
-from mpc.cost import Cost
-from mpc.fail_safe import FailSafe
-from mpc.feedback import Regulator, preview, regulator
-from mpc.regulation import Regulation
-from mpc.settings import ControllerSettings, CostTerm, Weights
 from tests.support import naive
-from tests.support.linear_model import PERIOD_S, Difference, difference, reference_states, small_state
+from tests.support.linear_model import (
+    PERIOD_S,
+    Difference,
+    difference,
+    reference_states,
+    small_state,
+)
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.hover import Hover, hover
+from transport.model.linearisation import Model
+from transport.model.maneuver import Profile
+from transport.model.parameters import System, table_1
+from transport.model.state import input_indices
+from transport.mpc.cost import Cost
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.feedback import Regulator, preview, regulator
+from transport.mpc.regulation import Regulation
+from transport.mpc.settings import ControllerSettings, CostTerm, Weights
 
-# Relative to the largest value: two solutions of one linear problem whose Hessian has a condition of around 1e5.
+# Relative to the largest value: two solutions of one linear problem whose Hessian has a condition
+# of around 1e5.
 AGREEMENT = 1e-8
 # N and N m, and per unit of state: rounding of products of the entries of P, which reach 1e3.
 ROUNDING = 1e-10
@@ -55,7 +65,9 @@ class Problem:
 
 
 @lru_cache
-def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: Weights = PAYLOAD) -> Problem:
+def problem(
+    profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: Weights = PAYLOAD
+) -> Problem:
     """The paper's system on a short move, with a pull that passes, one that lasts, or none."""
     system = table_1()
     at = hover(system)
@@ -94,12 +106,16 @@ def slope_at_the_end(of: Problem) -> Array:
 
 
 def dense(of: Problem, xi0: Array) -> tuple[Array, Array, Array]:
-    """The optimum over the whole maneuver from stacked matrices: no recursion, no coordinates of the manifold.
+    """The optimum over the whole maneuver from stacked matrices.
 
-    min over du of sum_{k<K} (xi' C'QC xi + 2 pull' xi + du' R du) + xi(K)' P xi(K) + 2 p(K)' xi(K) subject to
-    xi(k+1) = A xi(k) + B du(k) + A x_ref(k) - x_ref(k+1), the deviations of the reference from hover.
+    No recursion, no coordinates of the manifold.
 
-    Returns: du (K, m_c), xi (K + 1, n), and half the derivative of the optimal cost with respect to xi0, (n,).
+    min over du of sum_{k<K} (xi' C'QC xi + 2 pull' xi + du' R du) + xi(K)' P xi(K) + 2 p(K)' xi(K)
+    subject to xi(k+1) = A xi(k) + B du(k) + A x_ref(k) - x_ref(k+1), the deviations of the
+    reference from hover.
+
+    Returns: du (K, m_c), xi (K + 1, n), and half the derivative of the optimal cost with respect to
+        xi0, (n,).
     """
     steps, n = len(of.X_ref), len(of.at.x)
     A, B, C = of.model.A, of.model.B, of.model.C
@@ -135,7 +151,9 @@ PARAMETERS = [
 
 
 @pytest.mark.parametrize("case", PARAMETERS)
-def test_preview_is_the_optimum_of_the_tracking_problem(case: tuple[Profile, str, tuple[int, ...]]) -> None:
+def test_preview_is_the_optimum_of_the_tracking_problem(
+    case: tuple[Profile, str, tuple[int, ...]],
+) -> None:
     """Along the optimal path every input is K xi + feedforward, from any first deviation, (36b), (36c).
 
     Half the derivative of the optimal cost with respect to that deviation is P xi + p(0).
@@ -161,7 +179,9 @@ def test_a_reference_at_rest_asks_for_nothing(rods: str) -> None:
     e = None
     if rods == "leaning":
         outwards = np.array([uav.rho for uav in system.uavs]) * [1.0, 1.0, 0.0]
-        e = np.array([0.0, 0.0, 1.0]) - 0.8 * outwards  # the UAVs stand wider than their attachment points
+        e = (
+            np.array([0.0, 0.0, 1.0]) - 0.8 * outwards
+        )  # the UAVs stand wider than their attachment points
         e /= np.linalg.norm(e, axis=1)[:, None]
     at = hover(system, e)
     law = regulator(Model(system), at, Cost(PAYLOAD, system, at), PERIOD_S)
@@ -174,7 +194,10 @@ def test_a_reference_at_rest_asks_for_nothing(rods: str) -> None:
 
 @pytest.mark.parametrize("pulled", ["none", "passing", "lasting"])
 def test_a_long_rest_at_the_end_changes_nothing(pulled: str) -> None:
-    """Instants at rest after the maneuver leave the ones before as they are; without a lasting pull they are zero."""
+    """Instants at rest after the maneuver leave the ones before as they are.
+
+    Without a lasting pull they are zero.
+    """
     of = problem("min_jerk", pulled)
     rest = 200
     X_ref = np.concatenate([of.X_ref, np.repeat(of.X_ref[-1:], rest, axis=0)])
@@ -197,7 +220,9 @@ def test_beyond_the_maneuver_its_last_instant_counts() -> None:
     assert ahead.shape == (6, len(of.at.u))
     assert ahead[1].any()
     np.testing.assert_array_equal(ahead[1:], np.tile(ahead[1], (5, 1)))
-    ends = [regulation.cost_to_go(of.at.x, of.at.x, None, k) for k in (INSTANTS - 1, INSTANTS + 100)]
+    ends = [
+        regulation.cost_to_go(of.at.x, of.at.x, None, k) for k in (INSTANTS - 1, INSTANTS + 100)
+    ]
     assert ends[0] is not None
     assert ends[1] is not None
     np.testing.assert_array_equal(ends[0].slope, ends[1].slope)

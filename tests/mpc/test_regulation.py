@@ -1,7 +1,9 @@
-"""Control law, cost-to-go and preview are one problem: without active constraints no agent leaves the control law.
+"""Control law, cost-to-go and preview are one problem.
 
-The theorem of docs/equations.md (36a)-(36e): on the linear model about hover, with no constraint active, c = 0 is the
-optimum of every agent's program, for any owned UAVs and any horizon.
+Without active constraints no agent leaves the control law.
+
+The theorem of docs/equations.md (36a)-(36e): on the linear model about hover, with no constraint
+active, c = 0 is the optimum of every agent's program, for any owned UAVs and any horizon.
 """
 
 from collections.abc import Sequence
@@ -11,17 +13,6 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from model import state
-from model.arrays import Array
-from model.hover import Hover, hover
-from model.linearisation import Model
-from model.parameters import System, table_1
-from model.state import input_indices, input_slice
-from mpc.controller import Controller, StepResult
-from mpc.cost import Cost
-from mpc.fail_safe import FailSafe
-from mpc.regulation import Regulation
-from mpc.settings import ControllerSettings, CostTerm, Limits, Weights
 from tests.support.linear_model import (
     LinearModel,
     difference,
@@ -31,24 +22,41 @@ from tests.support.linear_model import (
     uneven,
 )
 from tests.support.systems import changed
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.hover import Hover, hover
+from transport.model.linearisation import Model
+from transport.model.parameters import System, table_1
+from transport.model.state import input_indices, input_slice
+from transport.mpc.controller import Controller, StepResult
+from transport.mpc.cost import Cost
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.regulation import Regulation
+from transport.mpc.settings import ControllerSettings, CostTerm, Limits, Weights
 
-# Relative to the largest deviation of the inputs from hover: two solutions of one linear problem with condition around
-# 1e5, one by the Riccati recursion, one by condensing and a solver.
+# Relative to the largest deviation of the inputs from hover: two solutions of one linear problem
+# with condition around 1e5, one by the Riccati recursion, one by condensing and a solver.
 NO_CORRECTION = 1e-8
-# Share of the same deviation: above any rounding; a program with another cost has larger corrections.
+# Share of the same deviation: above any rounding; a program with another cost has larger
+# corrections.
 A_CORRECTION = 1e-2
-# Relative, the same sum of 5000 products in another order; the slowest mode that costs has died out by then.
+# Relative, the same sum of 5000 products in another order; the slowest mode that costs has died out
+# by then.
 SAME_COST = 1e-8
 STEPS_TO_REST = 5000
-# Modes without damping have modulus 1: headings, and equal rods against each other. Rounding of their eigenvalues.
+# Modes without damping have modulus 1: headings, and equal rods against each other. Rounding of
+# their eigenvalues.
 MODE_TOLERANCE = 1e-6
 
 INSTANTS = 80
-# In the hover before the maneuver, within a leg, shortly before a corner, at rest behind it, beyond the last instant.
+# In the hover before the maneuver, within a leg, shortly before a corner, at rest behind it, beyond
+# the last instant.
 STARTS = (0, 15, 23, 40, INSTANTS + 3)
 
 # So wide that no bound or rate limit is active.
-WIDE = Limits(thrust_N=(0.0, 100.0), moments_Nm=(1e2,) * 3, thrust_rate_N_s=1e4, moment_rates_Nm_s=(1e4,) * 3)
+WIDE = Limits(
+    thrust_N=(0.0, 100.0), moments_Nm=(1e2,) * 3, thrust_rate_N_s=1e4, moment_rates_Nm_s=(1e4,) * 3
+)
 LQ = ControllerSettings(prediction="closed_loop", terminal="riccati", preview=True, limits=WIDE)
 PAYLOAD = Weights(position=0.1, payload_position=1.0, payload_velocity=0.1)
 # One of them pulls at the reference itself for ever: its value there is not zero.
@@ -98,7 +106,9 @@ def held(X: Array, start: int, count: int) -> Array:
     return np.asarray(X[np.minimum(np.arange(start, start + count), len(X) - 1)])
 
 
-def optimum(one: Controller, X_ref: Array, k: int, x: Array, u0: Array, forces: Array | None) -> StepResult:
+def optimum(
+    one: Controller, X_ref: Array, k: int, x: Array, u0: Array, forces: Array | None
+) -> StepResult:
     """One step of a controller at an instant of the maneuver, all announced corrections zero."""
     steps = one.settings.horizon
     window = held(X_ref, k, steps + 1)
@@ -108,7 +118,9 @@ def optimum(one: Controller, X_ref: Array, k: int, x: Array, u0: Array, forces: 
     return one.step(x, u0, U, reference_outputs(one.model, window), law, forces, end=end)
 
 
-def corrections(case: Case, settings: ControllerSettings, starts: Sequence[int] = STARTS) -> list[float]:
+def corrections(
+    case: Case, settings: ControllerSettings, starts: Sequence[int] = STARTS
+) -> list[float]:
     """Largest correction an agent finds from random small states, relative to the largest input deviation."""
     at = hover(case.system)
     model = LinearModel(case.system, at)
@@ -127,7 +139,9 @@ def corrections(case: Case, settings: ControllerSettings, starts: Sequence[int] 
             x = np.concatenate([x, at.u + 0.1 * rng.standard_normal(len(at.u))])
         found = optimum(one, X_ref, k, x, u0, forces)
         assert found.solution.status == "solved"
-        assert not np.any(found.solution.row_multipliers), "a constraint is active: the theorem says nothing"
+        assert not np.any(found.solution.row_multipliers), (
+            "a constraint is active: the theorem says nothing"
+        )
         deviation = float(np.abs(found.U - at.u[one.own]).max())
         assert deviation > 0.1, "nothing to do: the comparison shows nothing"
         shares.append(float(np.abs(found.c).max()) / deviation)
@@ -151,13 +165,22 @@ def test_no_agent_leaves_the_law(case: Case, horizon: int) -> None:
     ],
 )
 def test_no_agent_leaves_the_law_of_motors(name: str, lag_s: float, horizon: int) -> None:
-    """With motors that lag, c = 0 is the optimum as well: gain, preview, cost-to-go and prediction are of (55)."""
-    assert max(corrections(CASES[name], changed(LQ, horizon=horizon, motor_lag_s=lag_s))) < NO_CORRECTION
+    """With motors that lag, c = 0 is the optimum as well.
+
+    Gain, preview, cost-to-go and prediction are of (55).
+    """
+    assert (
+        max(corrections(CASES[name], changed(LQ, horizon=horizon, motor_lag_s=lag_s)))
+        < NO_CORRECTION
+    )
 
 
 @pytest.mark.parametrize("change", [{"terminal": "multiple"}, {"preview": False}])
 def test_another_cost_has_corrections(change: dict[str, object]) -> None:
-    """Without the cost-to-go or the preview the same program leaves the control law: the guarantee assumes them."""
+    """Without the cost-to-go or the preview the same program leaves the control law.
+
+    The guarantee assumes them.
+    """
     assert min(corrections(Case(), changed(LQ, **change), [15])) > A_CORRECTION
 
 
@@ -194,7 +217,9 @@ def uneven_hover() -> Hover:
 
 @pytest.mark.parametrize("terms", [(), TERMS[:1]])
 @pytest.mark.parametrize("gone", [[], [2]])
-def test_cost_to_go_is_the_sum_of_the_costs_to_come(gone: list[int], terms: tuple[CostTerm, ...]) -> None:
+def test_cost_to_go_is_the_sum_of_the_costs_to_come(
+    gone: list[int], terms: tuple[CostTerm, ...]
+) -> None:
     """|root (x - x_hover)|^2 is the cost of the closed loop summed until it rests, docs/equations.md (36d)."""
     system, at = uneven(), uneven_hover()
     model = difference(system, at)
@@ -208,7 +233,9 @@ def test_cost_to_go_is_the_sum_of_the_costs_to_come(gone: list[int], terms: tupl
     total = 0.0
     for _ in range(STEPS_TO_REST):
         y, u = model.C @ x, law.K @ x
-        total += float(y @ (cost.Q * y) + u @ (R * u)) + sum(term.weight * x[state.V0.start] ** 2 for term in terms)
+        total += float(y @ (cost.Q * y) + u @ (R * u)) + sum(
+            term.weight * x[state.V0.start] ** 2 for term in terms
+        )
         x = model.A @ x + model.B @ u
     end = regulation.cost_to_go(at.x + deviation, at.x, None, 0)
     assert end is not None
@@ -218,10 +245,12 @@ def test_cost_to_go_is_the_sum_of_the_costs_to_come(gone: list[int], terms: tupl
 
 @pytest.mark.parametrize("gone", [[2, 3], [1, 3], [1, 2, 3]])
 def test_equal_uavs_without_agents(gone: list[int]) -> None:
-    """Two equal UAVs without agents swing against each other for ever: the others' gain is found all the same, (45).
+    """Two equal UAVs without agents swing against each other for ever.
 
-    No other UAV feels that mode, and it has a cost; with a discount of the far future the cost is finite. Rows of those
-    without agents are the fail-safe's, and no mode of the closed loop grows.
+    The others' gain is found all the same, (45).
+
+    No other UAV feels that mode, and it has a cost; with a discount of the far future the cost is
+    finite. Rows of those without agents are the fail-safe's, and no mode of the closed loop grows.
     """
     system = table_1()
     at, model = hover(system), Model(system)
@@ -237,7 +266,13 @@ def test_equal_uavs_without_agents(gone: list[int]) -> None:
 
 
 # UAVs without agents, without motors, cut loose.
-TEAMS = (((), (2,), (2,)), ((0,), (2,), (2,)), ((0, 1), (2,), (2,)), ((0,), (2,), ()), ((1, 3), (), ()))
+TEAMS = (
+    ((), (2,), (2,)),
+    ((0,), (2,), (2,)),
+    ((0, 1), (2,), (2,)),
+    ((0,), (2,), ()),
+    ((1, 3), (), ()),
+)
 
 
 @pytest.mark.parametrize("team", TEAMS)
@@ -261,7 +296,10 @@ def test_the_team_alone_decides(team: tuple[tuple[int, ...], ...]) -> None:
 
 
 def test_no_gain_exists_through_rounding_alone() -> None:
-    """UAV 3 cut loose and agent 1 dead: two rods in a line cannot hold the payload, and no gain pretends to, (45)."""
+    """UAV 3 cut loose and agent 1 dead.
+
+    Two rods in a line cannot hold the payload, and no gain pretends to, (45).
+    """
     system = table_1()
     at, model = hover(system), Model(system)
     whole = Regulation(model, at, LQ).regulator

@@ -1,4 +1,7 @@
-"""A controller of the user among real processes: the same bits as in memory, and its failures in the report."""
+"""A controller of the user among real processes.
+
+The same bits as in memory, and its failures in the report.
+"""
 
 import json
 from pathlib import Path
@@ -8,10 +11,10 @@ import numpy as np
 import pytest
 
 import transport
-from protocol.wire.exit_codes import EXIT_SCENARIO
-from protocol.wire.messages import Note, PlantState
 from tests.support.commands import SHORT, settings
 from tests.support.commands import transport as command
+from transport.protocol.wire.exit_codes import EXIT_SCENARIO
+from transport.protocol.wire.messages import Note, PlantState
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 FAILS = """
@@ -30,10 +33,15 @@ class Fails:
 
 
 @pytest.mark.slow
-def test_processes_and_memory_have_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_and_memory_have_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Plant states and numbers for the log are equal, with delay, loss, and an agent killed and restarted."""
     monkeypatch.chdir(EXAMPLES)
-    faults = [{"at_s": 0.5, "do": "kill", "target": "agent2"}, {"at_s": 1.0, "do": "restart", "target": "agent2"}]
+    faults = [
+        {"at_s": 0.5, "do": "kill", "target": "agent2"},
+        {"at_s": 1.0, "do": "restart", "target": "agent2"},
+    ]
     phases = [{"name": "climb", "duration_s": 2.0, "displacement_m": [0.0, 0.0, -0.5]}]
     given: dict[str, Any] = {
         "controller": "pid:PID",
@@ -43,13 +51,17 @@ def test_processes_and_memory_have_the_same_bits(tmp_path: Path, monkeypatch: py
         "on_agent_loss": "continue",
     }
     runs = [
-        transport.fly("resilient", phases=phases, processes=processes, folder=folder, progress=False, **given)
+        transport.fly(
+            "resilient", phases=phases, processes=processes, folder=folder, progress=False, **given
+        )
         for processes, folder in ((False, None), (True, tmp_path / "run"))
     ]
     paths = [np.array([state.x for state in run.log.of(PlantState)]) for run in runs]
     assert len(paths[0]) == 40
     assert paths[0].tobytes() == paths[1].tobytes()
-    notes = [{(note.agent, note.tick): note.values.tolist() for note in run.log.of(Note)} for run in runs]
+    notes = [
+        {(note.agent, note.tick): note.values.tolist() for note in run.log.of(Note)} for run in runs
+    ]
     assert len(notes[0]) == 4 * 40 - 10
     assert notes[0] == notes[1]
     assert {run.summary["controller"]["name"] for run in runs} == {"pid:PID 1"}
@@ -57,10 +69,15 @@ def test_processes_and_memory_have_the_same_bits(tmp_path: Path, monkeypatch: py
 
 @pytest.mark.slow
 def test_a_failing_class_among_processes(tmp_path: Path) -> None:
-    """The run completes; summary and log name class, error, file and line; a class that is none is refused at once."""
+    """The run completes; summary and log name class, error, file and line.
+
+    A class that is none is refused at once.
+    """
     (tmp_path / "mine.py").write_text(FAILS, encoding="utf-8")
     options = settings(SHORT, "agents.controller=mine:Fails")
-    done = command("run", "paper", *options, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path)
+    done = command(
+        "run", "paper", *options, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert summary["solver"]["failures"] == 1

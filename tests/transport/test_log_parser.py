@@ -36,11 +36,15 @@ def entries() -> Iterator[Entry]:
 def written(path: Path, count: int, compression: CompressionType, *, finished: bool = True) -> Path:
     """Return a file of `entries`."""
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=compression, enable_data_crcs=True)
+        writer = Writer(
+            file, chunk_size=CHUNK_BYTES, compression=compression, enable_data_crcs=True
+        )
         writer.start(library="tests")
         writer.add_metadata("run", {"run_id": "r1", "note": "Ω0"})
         for number in range(CHANNELS):
-            writer.register_channel(f"/topic/{number}", "json", writer.register_schema(f"schema {number}", "", b""))
+            writer.register_channel(
+                f"/topic/{number}", "json", writer.register_schema(f"schema {number}", "", b"")
+            )
         for entry in islice(entries(), count):
             writer.add_message(**entry)
         (writer.finish if finished else writer.flush)()  # type: ignore[no-untyped-call]

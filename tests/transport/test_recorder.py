@@ -7,12 +7,6 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from protocol.admission.gate import Gate
-from protocol.network.bus import BusEvent, Place
-from protocol.scenario.setup import Setup
-from protocol.wire.codec import encode
-from protocol.wire.keys import Keys
-from protocol.wire.messages import Control, Message, Presence
 from tests.support import runs
 from tests.support.logs import HEADER, with_scenario
 from tests.support.runs import setup
@@ -20,6 +14,12 @@ from transport.flight import recorder as recorder_module
 from transport.flight.recorder import Recorder
 from transport.log.run_log import read_log
 from transport.log.writer import LogWriter
+from transport.protocol.admission.gate import Gate
+from transport.protocol.network.bus import BusEvent, Place
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.codec import encode
+from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.messages import Control, Message, Presence
 
 RUN = setup("controller.horizon=5", runs.ticks(40))
 KEYS = Keys(RUN.scenario.name)
@@ -75,7 +75,9 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recording:
     def recorded(
         *said: Message | tuple[str, bytes] | Presence | Callable[[], None] | None, run: Setup = RUN
     ) -> list[Message]:
-        script = [(KEYS.of(item), encode(item)) if isinstance(item, Message) else item for item in said]
+        script = [
+            (KEYS.of(item), encode(item)) if isinstance(item, Message) else item for item in said
+        ]
         gone = [Presence(name, 0, alive=False) for name in reversed(PROCESSES)]
         monkeypatch.setattr(ScriptedBus, "script", (*script, *gone))
         path = tmp_path / "run.mcap"

@@ -8,12 +8,12 @@ import typer
 from rich.text import Text
 from typer import Argument, Option
 
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import KINDS, Control
 from transport.cli.options import FormatOption, complete_run, run_folder
 from transport.cli.output import Format, blame, facts, fail, rows, show
 from transport.log.run_log import RunLog, missing, read_log, setup_in, topic_of
 from transport.log.tables import INPUT_NAMES, RATE_NAMES, columns, tables
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import KINDS, Control
 
 LogArgument = Annotated[
     Path | None,
@@ -73,15 +73,23 @@ def _lost(log: RunLog) -> list[str]:
 
 def export(
     path: LogArgument = None,
-    out: Path | None = Option(None, metavar="FOLDER", help="Folder for the tables, created if missing."),
+    out: Path | None = Option(
+        None, metavar="FOLDER", help="Folder for the tables, created if missing."
+    ),
     parquet: bool = Option(
-        False, "--parquet/--csv", help="Parquet (needs the extra: pip install 'payload-transport[parquet]')."
+        False,
+        "--parquet/--csv",
+        help="Parquet (needs the extra: pip install 'payload-transport[parquet]').",
     ),
     kinds: list[str] | None = Option(
         None, "--kind", metavar="KIND", help="Kind of message: plant_state, plan, ... Repeatable."
     ),
-    foxglove: Path | None = Option(None, metavar="FILE", help="Write a copy with a 3D scene for Foxglove."),
-    ros2: Path | None = Option(None, metavar="FILE", help="Write a bag for ROS 2: an MCAP file with CDR messages."),
+    foxglove: Path | None = Option(
+        None, metavar="FILE", help="Write a copy with a 3D scene for Foxglove."
+    ),
+    ros2: Path | None = Option(
+        None, metavar="FILE", help="Write a bag for ROS 2: an MCAP file with CDR messages."
+    ),
     output: FormatOption = Format.text,
 ) -> None:
     """Write a log as tables, for Foxglove, or as a bag for ROS 2.
@@ -90,7 +98,11 @@ def export(
 
     Example: transport log export runs/20260102-101500-paper --parquet --out tables
     """
-    scenes = {option: file for option, file in (("--foxglove", foxglove), ("--ros2", ros2)) if file is not None}
+    scenes = {
+        option: file
+        for option, file in (("--foxglove", foxglove), ("--ros2", ros2))
+        if file is not None
+    }
     if out is None and not scenes:
         fail("expected --out, --foxglove, --ros2 or several of them, got none")
     unknown = sorted(set(kinds or []) - set(KINDS))
@@ -115,7 +127,11 @@ def export(
         typer.echo(f"warning: {sentence}", err=True)
     content = [{"file": str(target), "rows": count} for target, count in written.items()]
     units = {target: "ticks" if target in scenes.values() else "rows" for target in written}
-    show(output, {"files": content}, *(f" {target}  {count} {units[target]}" for target, count in written.items()))
+    show(
+        output,
+        {"files": content},
+        *(f" {target}  {count} {units[target]}" for target, count in written.items()),
+    )
 
 
 def _export_tables(

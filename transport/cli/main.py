@@ -67,26 +67,41 @@ app = lazy_group(
         },
         "Act on an active run": {
             "top": ("top:top", "Watch the agents of an active run."),
-            "status": ("operate:status", "Show the progress of a run, or the health of one process."),
+            "status": (
+                "operate:status",
+                "Show the progress of a run, or the health of one process.",
+            ),
             "target": ("operate:target", "Send the payload of an active run to a target."),
             "link": lazy_group(
                 {"Commands": _LINK},
                 help="Change the links of an active run.",
             ),
-            "fault": ("operate:fault", "Kill, stop, continue or restart a process of an active run."),
+            "fault": (
+                "operate:fault",
+                "Kill, stop, continue or restart a process of an active run.",
+            ),
         },
         "Start processes by hand": {
-            "coordinator": ("processes:coordinator", "Run the coordinator: sampling clock and roster."),
+            "coordinator": (
+                "processes:coordinator",
+                "Run the coordinator: sampling clock and roster.",
+            ),
             "plant": ("processes:plant", "Run the plant: dynamics and actuators."),
             "agent": ("processes:agent", "Run one agent: the controller of the UAVs it owns."),
-            "record": ("processes:record", "Record and report a run whose processes were started by hand."),
+            "record": (
+                "processes:record",
+                "Record and report a run whose processes were started by hand.",
+            ),
         },
         "Connect hosts": {
             "deploy": lazy_group(
                 {"Commands": _DEPLOY},
                 help="Deploy a run to several hosts.",
             ),
-            "router": ("processes:router", "Route messages between hosts without a direct connection."),
+            "router": (
+                "processes:router",
+                "Route messages between hosts without a direct connection.",
+            ),
             "metrics": ("operate:metrics", "Export process metrics to Prometheus."),
             "ros2": ("ros2:ros2", "Publish an active run for ROS 2 over rmw_zenoh."),
         },
@@ -109,6 +124,8 @@ def _version(is_given: bool) -> None:
 
 @app.callback()
 def options(
-    version: bool = Option(False, "--version", help="Show the version and exit.", callback=_version, is_eager=True),
+    version: bool = Option(
+        False, "--version", help="Show the version and exit.", callback=_version, is_eager=True
+    ),
 ) -> None:
     """Options without a command."""

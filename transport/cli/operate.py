@@ -11,39 +11,55 @@ from typing import Annotated, Any, Literal, get_origin
 import typer
 from typer import Argument, Option
 
-from protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
-from protocol.network.session import BusError, ask
-from protocol.scenario.errors import requested
-from protocol.scenario.files import points_of
-from protocol.scenario.keys import key_of, meanings
-from protocol.scenario.link_sections import LinkSection
-from protocol.scenario.links import PERFECT, link_change
-from protocol.scenario.schema import Scenario, TargetSection
-from protocol.wire.keys import Keys
-from protocol.wire.names import COORDINATOR, PLANT, RECORDER
 from transport.cli.lazy import with_options
 from transport.cli.options import RUNS, FormatOption, ScenarioOption, SetOption, read_setup
 from transport.cli.output import Format, blame, facts, fail, show
 from transport.flight import live
 from transport.flight.live import request
+from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names, security_of
+from transport.protocol.network.session import BusError, ask
+from transport.protocol.scenario.errors import requested
+from transport.protocol.scenario.files import points_of
+from transport.protocol.scenario.keys import key_of, meanings
+from transport.protocol.scenario.link_sections import LinkSection
+from transport.protocol.scenario.links import PERFECT, link_change
+from transport.protocol.scenario.schema import Scenario, TargetSection
+from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
 
 RunOption = Annotated[
     str | None,
-    Option("--run", metavar="RUN", help="Run folder or name; by default the most recent active run in runs/."),
+    Option(
+        "--run",
+        metavar="RUN",
+        help="Run folder or name; by default the most recent active run in runs/.",
+    ),
 ]
 ConnectOption = Annotated[
     list[str] | None,
-    Option("--connect", metavar="ENDPOINT", help="Zenoh endpoint of a process; then --run is the run's name."),
+    Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="Zenoh endpoint of a process; then --run is the run's name.",
+    ),
 ]
 KeysOption = Annotated[
-    Path | None, Option("--keys", metavar="FOLDER", help="Folder of keys, with --connect; a run folder knows its keys.")
+    Path | None,
+    Option(
+        "--keys",
+        metavar="FOLDER",
+        help="Folder of keys, with --connect; a run folder knows its keys.",
+    ),
 ]
 
 
 def find_active(run: str | None, advice: str) -> tuple[Path, live.LiveRun]:
     """Return folder and addresses of an active run, the most recent one by default; or end the command with advice."""
     folders = [live.newest_folder(RUNS)] if run is None else [Path(run), RUNS / run]
-    found = next(((at, there) for at in folders if at is not None and (there := live.read(at)) is not None), None)
+    found = next(
+        ((at, there) for at in folders if at is not None and (there := live.read(at)) is not None),
+        None,
+    )
     if found is None:
         fail(f"no active run in {f'{RUNS}/' if run is None else run}; {advice}")
     return found
@@ -63,7 +79,9 @@ class ActiveRun:
             if not (self.run and Keys.allows(self.run)):
                 fail(f"--run: expected the name of a run with --connect, got {self.run!r}")
             return request(self.run, self.connect, name, what, arguments, self.keys)
-        _, there = find_active(self.run, "name its folder with --run, or its endpoints with --connect")
+        _, there = find_active(
+            self.run, "name its folder with --run, or its endpoints with --connect"
+        )
         if name not in there.endpoints:
             fail(f"--process: expected one of {', '.join(there.endpoints)}, got {name!r}")
         return there.ask(name, what, arguments, self.keys)
@@ -87,7 +105,9 @@ _TIMEOUT_S = 1.0
 @with_options(ActiveRun)
 def status(
     run: ActiveRun,
-    process: str | None = Option(None, metavar="PROCESS", help="Process, such as plant, agent1 or recorder."),
+    process: str | None = Option(
+        None, metavar="PROCESS", help="Process, such as plant, agent1 or recorder."
+    ),
     output: FormatOption = Format.text,
 ) -> None:
     """Show the progress of a run, or the health of one process.
@@ -96,7 +116,9 @@ def status(
 
     Example: transport status --process agent2
     """
-    answer = run.ask(COORDINATOR, "status", {}) if process is None else run.ask(process, "health", {})
+    answer = (
+        run.ask(COORDINATOR, "status", {}) if process is None else run.ask(process, "health", {})
+    )
     show(output, answer, facts(answer.items()))
 
 
@@ -113,7 +135,9 @@ class Exporter:
         answers: dict[str, dict[str, Any]] = {}
         for name, place in self._places.items():
             try:
-                answer = ask(self._run, place.connect, name, "health", {}, _TIMEOUT_S, place.security)
+                answer = ask(
+                    self._run, place.connect, name, "health", {}, _TIMEOUT_S, place.security
+                )
                 answers[name] = {**answer, "up": 1.0}
             except BusError:
                 answers[name] = {"up": 0.0}
@@ -129,11 +153,17 @@ class Exporter:
 def metrics(
     scenario: ScenarioOption = "paper",
     settings: SetOption = None,
-    run: str | None = Option(None, metavar="NAME", help="Name of the run; the scenario's by default."),
-    connect: list[str] | None = Option(
-        None, metavar="ENDPOINT", help="Endpoints of coordinator, plant, agent 1, ... in this order."
+    run: str | None = Option(
+        None, metavar="NAME", help="Name of the run; the scenario's by default."
     ),
-    port: int = Option(9464, metavar="PORT", min=1, max=65535, help="Port to serve on, at 127.0.0.1."),
+    connect: list[str] | None = Option(
+        None,
+        metavar="ENDPOINT",
+        help="Endpoints of coordinator, plant, agent 1, ... in this order.",
+    ),
+    port: int = Option(
+        9464, metavar="PORT", min=1, max=65535, help="Port to serve on, at 127.0.0.1."
+    ),
     output: FormatOption = Format.text,
 ) -> None:
     """Export process metrics to Prometheus.
@@ -159,7 +189,9 @@ def metrics(
         thread.join()
 
 
-def process_endpoints(scenario: Scenario, connect: Sequence[str] | None = None) -> dict[str, Endpoints]:
+def process_endpoints(
+    scenario: Scenario, connect: Sequence[str] | None = None
+) -> dict[str, Endpoints]:
     """Return the endpoints at which to ask each process of a scenario, by name.
 
     Given endpoints, in the order of the mesh, replace the default ones.
@@ -205,7 +237,9 @@ def _options() -> Iterator[inspect.Parameter]:
             kind: Any = str if get_origin(field.annotation) is Literal else float
             text = f"{meaning[name][0].upper()}{meaning[name][1:]}.".replace("`", "")
             annotation = Annotated[kind | None, Option(option, help=text)]
-            yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+            yield inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation
+            )
 
 
 def _settings(**given: Any) -> dict[str, Any]:
@@ -221,9 +255,14 @@ def set_links(
     settings: dict[str, Any],
     run: ActiveRun,
     sender: str | None = Option(
-        None, "--from", metavar="PROCESS", help="Sender: number of an agent, or plant; else all agents."
+        None,
+        "--from",
+        metavar="PROCESS",
+        help="Sender: number of an agent, or plant; else all agents.",
     ),
-    receiver: str | None = Option(None, "--to", metavar="PROCESS", help="Receiver, in the same way."),
+    receiver: str | None = Option(
+        None, "--to", metavar="PROCESS", help="Receiver, in the same way."
+    ),
     output: FormatOption = Format.text,
 ) -> None:
     """Impair or repair links from the next tick on.
@@ -260,10 +299,14 @@ def _process_name(end: str | None) -> str:
 @with_options(ActiveRun)
 def target(
     run: ActiveRun,
-    x: float | None = Argument(None, metavar="X", help="Position in the inertial frame, m: forwards."),
+    x: float | None = Argument(
+        None, metavar="X", help="Position in the inertial frame, m: forwards."
+    ),
     y: float | None = Argument(None, metavar="Y", help="To the right."),
     z: float | None = Argument(None, metavar="Z", help="Downwards."),
-    speed: float | None = Option(None, metavar="MPS", min=1e-3, help="Largest speed; else up to 1 m/s, if feasible."),
+    speed: float | None = Option(
+        None, metavar="MPS", min=1e-3, help="Largest speed; else up to 1 m/s, if feasible."
+    ),
     file: Path | None = Option(
         None, metavar="CSV", help="Way points instead: columns x,y,z, or t,x,y,z without --speed."
     ),

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
 from transport.cli.output import Format, fail
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
 
 # Runs are recorded here, and runs are looked for here, unless an option names another folder.
 RUNS = Path("runs")
@@ -40,14 +40,25 @@ ScenarioArgument = Annotated[
 ]
 ScenarioOption = Annotated[
     str,
-    Option(metavar="SCENARIO", help="Scenario file or name; the same for all processes.", autocompletion=_scenarios),
+    Option(
+        metavar="SCENARIO",
+        help="Scenario file or name; the same for all processes.",
+        autocompletion=_scenarios,
+    ),
 ]
 SetOption = Annotated[
     list[str] | None,
-    Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=10. Repeatable."),
+    Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a scenario value, e.g. controller.horizon=10. Repeatable.",
+    ),
 ]
 LargeOption = Annotated[
-    bool, Option("--allow-large", help="Accept a run beyond the limits on size, memory, log and computation.")
+    bool,
+    Option(
+        "--allow-large", help="Accept a run beyond the limits on size, memory, log and computation."
+    ),
 ]
 RunArgument = Annotated[
     Path | None,
@@ -57,16 +68,25 @@ RunArgument = Annotated[
         autocompletion=complete_run,
     ),
 ]
-FormatOption = Annotated[Format, Option("--format", metavar="FORMAT", help="Output format: text or json.")]
+FormatOption = Annotated[
+    Format, Option("--format", metavar="FORMAT", help="Output format: text or json.")
+]
 FiguresOption = Annotated[bool, Option("--figures/--no-figures", help="Draw the figures.")]
 HostOption = Annotated[
     str,
-    Option(metavar="ADDRESS", help="Address to listen on. Any host that reaches it can view and change the run."),
+    Option(
+        metavar="ADDRESS",
+        help="Address to listen on. Any host that reaches it can view and change the run.",
+    ),
 ]
-PortOption = Annotated[int, Option(metavar="PORT", min=0, max=65535, help="Port, or the next free one.")]
+PortOption = Annotated[
+    int, Option(metavar="PORT", min=0, max=65535, help="Port, or the next free one.")
+]
 
 
-def read_setup(scenario: str, settings: Sequence[str] | None = None, *, allow_large: bool = False) -> Setup:
+def read_setup(
+    scenario: str, settings: Sequence[str] | None = None, *, allow_large: bool = False
+) -> Setup:
     """Return the setup of a scenario, file or name, with changes KEY=VALUE.
 
     With `allow_large` the run may exceed the limits of `protocol.scenario.budget`. The last setup is kept until its
@@ -86,8 +106,12 @@ def _setup(path: Path, settings: tuple[str, ...], allow_large: bool, _: int) -> 
 
 def newest_runs() -> list[Path]:
     """Return the folders below runs/ that hold a log, the most recently written first."""
-    logs = [path for path in RUNS.glob(f"*/{_LOG}") if not path.parent.is_symlink()]  # `latest` is one of them
-    return [path.parent for path in sorted(logs, key=lambda path: path.stat().st_mtime, reverse=True)]
+    logs = [
+        path for path in RUNS.glob(f"*/{_LOG}") if not path.parent.is_symlink()
+    ]  # `latest` is one of them
+    return [
+        path.parent for path in sorted(logs, key=lambda path: path.stat().st_mtime, reverse=True)
+    ]
 
 
 def run_folder(given: Path | None) -> Path:

@@ -8,17 +8,17 @@ from typing import Any
 import typer
 from typer import Option
 
-from agent.node import AgentNode
-from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_DIFFERENT
-from protocol.wire.messages import Measurement
+from transport.agent.node import AgentNode
 from transport.analysis.replay import Comparison, Replay
 from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, rows, show
 from transport.flight.run_files import machine, versions
 from transport.log.run_log import RecordedRun, open_run
 from transport.log.tables import INPUT_NAMES, RATE_NAMES
+from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.exit_codes import EXIT_DIFFERENT
+from transport.protocol.wire.messages import Measurement
 from transport.report.figures import draw_replay
 
 # Smaller differences of inputs, N or N m, are rounding: other numbers on the way to the same decision.
@@ -29,9 +29,15 @@ _FIXED = (
     ("agents.owned", lambda setup: [[uav + 1 for uav in group] for group in setup.owned]),
     ("system.uav", lambda setup: f"{setup.system.N} UAVs"),
     ("controller.sampling_period_s", lambda setup: setup.settings.sampling_period_s),
-    ("controller.negotiation_iterations", lambda setup: setup.scenario.controller.negotiation_iterations),
+    (
+        "controller.negotiation_iterations",
+        lambda setup: setup.scenario.controller.negotiation_iterations,
+    ),
     ("clock.mode", lambda setup: setup.scenario.clock.mode),
-    ("clock.actuation", lambda setup: "next_tick" if setup.scenario.clock.next_tick else "immediate"),
+    (
+        "clock.actuation",
+        lambda setup: "next_tick" if setup.scenario.clock.next_tick else "immediate",
+    ),
 )
 
 
@@ -41,13 +47,23 @@ def replay(
     settings: list[str] | None = Option(
         None, "--set", metavar="KEY=VALUE", help="Replay with this change. Repeatable."
     ),
-    against: str | None = Option(None, metavar="SCENARIO", help="Replay with this scenario's controller."),
+    against: str | None = Option(
+        None, metavar="SCENARIO", help="Replay with this scenario's controller."
+    ),
     begin: int = Option(
-        0, "--from", metavar="TICK", min=0, help="First tick to compare; earlier ticks are replayed too."
+        0,
+        "--from",
+        metavar="TICK",
+        min=0,
+        help="First tick to compare; earlier ticks are replayed too.",
     ),
     end: int | None = Option(None, "--to", metavar="TICK", min=0, help="Last tick to compare."),
-    stop_at: int | None = Option(None, "--pdb", metavar="TICK", min=0, help="Open the debugger before this tick."),
-    out: Path | None = Option(None, metavar="FOLDER", help="Folder for a figure of the differences, if plans differ."),
+    stop_at: int | None = Option(
+        None, "--pdb", metavar="TICK", min=0, help="Open the debugger before this tick."
+    ),
+    out: Path | None = Option(
+        None, metavar="FOLDER", help="Folder for a figure of the differences, if plans differ."
+    ),
     output: FormatOption = Format.text,
 ) -> None:
     """Feed a recorded run to one agent and compare its plans.
@@ -81,7 +97,10 @@ def replay(
     if not comparison.ticks:
         why = "; ".join(again.notes) or f"the log has no plan of agent {agent} between those ticks"
         fail(f"{run.folder}: nothing to compare: {why}")
-    notes, first = list(_notes(run, again, comparison, is_changed=bool(settings or against))), comparison.first
+    notes, first = (
+        list(_notes(run, again, comparison, is_changed=bool(settings or against))),
+        comparison.first,
+    )
     files: list[Path] = []
     if out is not None and first is not None:
         with blame("--out"):
@@ -121,7 +140,10 @@ def replay(
         ]
     for note in notes if output is Format.text else ():
         typer.echo(f"note: {note}", err=True)
-    shown = [{**row, "largest": row["largest"]["size"], "where": row["largest"]["where"]} for row in fields]
+    shown = [
+        {**row, "largest": row["largest"]["size"], "where": row["largest"]["where"]}
+        for row in fields
+    ]
     tables = [rows(shown, "field", "where")] if shown else []
     show(output, content, *lines, *tables, *(f" {file}" for file in files))
     raise typer.Exit(0 if first is None else EXIT_DIFFERENT)
@@ -149,7 +171,9 @@ def _changed_setup(run: RecordedRun, settings: list[str], against: str | None) -
     return setup
 
 
-def _notes(run: RecordedRun, again: Replay, comparison: Comparison, *, is_changed: bool) -> Iterator[str]:
+def _notes(
+    run: RecordedRun, again: Replay, comparison: Comparison, *, is_changed: bool
+) -> Iterator[str]:
     """Yield the limits of the comparison, one sentence each."""
     yield from again.notes
     if comparison.unrecorded:

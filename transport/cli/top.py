@@ -12,18 +12,28 @@ from rich.live import Live
 from rich.text import Text
 from typer import Option
 
-from model.state import StateView
-from plant.actuators import FAIL_SAFE
-from protocol.scenario.setup import Setup
-from protocol.scenario.stage_cost import StageCost
-from protocol.scenario.targets import with_targets
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from protocol.wire.messages import Control, Message, PlantState, Rejected, Roster, StepReport, Target, Tick, agent_name
 from transport.cli.operate import RunOption, find_active
 from transport.cli.options import run_folder
 from transport.cli.output import Format, fail, rows, show
 from transport.flight import live
 from transport.log.run_log import LogTail, setup_of
+from transport.model.state import StateView
+from transport.plant.actuators import FAIL_SAFE
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.stage_cost import StageCost
+from transport.protocol.scenario.targets import with_targets
+from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.messages import (
+    Control,
+    Message,
+    PlantState,
+    Rejected,
+    Roster,
+    StepReport,
+    Target,
+    Tick,
+    agent_name,
+)
 
 # Number of steps for the longest step time, and of kept notices.
 _RECENT, _NOTICES = 100, 5
@@ -56,7 +66,9 @@ class Watch:
         self.control: Control | None = None  # end of the run
         self.notices: deque[str] = deque(maxlen=_NOTICES)  # latest changes of the roster
         self.rejections = Counter[str]()  # rejected messages by receiver
-        self._recent_ms: dict[int, deque[float]] = {agent: deque(maxlen=_RECENT) for agent in setup.agents}
+        self._recent_ms: dict[int, deque[float]] = {
+            agent: deque(maxlen=_RECENT) for agent in setup.agents
+        }
         self._opened: Tick | None = None
         self._cost = StageCost(setup)
 
@@ -90,7 +102,9 @@ class Watch:
     def state_of(self, agent: int) -> str:
         """Return the state of an agent: active, silent, off (the roster), or fail-safe; "-" while unknown."""
         uavs = self.setup.owned[agent - 1]
-        if self.plant_state is not None and any(self.plant_state.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
+        if self.plant_state is not None and any(
+            self.plant_state.plan_ticks[uav] == FAIL_SAFE for uav in uavs
+        ):
             return "fail-safe"
         if self.members is not None and agent not in self.members:
             return "off"
@@ -99,7 +113,12 @@ class Watch:
 
     def content(self) -> dict[str, Any]:
         """Return the status as JSON data."""
-        period_s, state, cost, attitude_deg = self.setup.settings.sampling_period_s, self.plant_state, None, None
+        period_s, state, cost, attitude_deg = (
+            self.setup.settings.sampling_period_s,
+            self.plant_state,
+            None,
+            None,
+        )
         if state is not None:
             y_ref = self.setup.reference.outputs(np.array([state.tick * period_s]))[0]
             cost = self._cost.at(state.tick, self.setup.model.outputs(state.x), y_ref, state.u)
@@ -116,7 +135,8 @@ class Watch:
             "rejections": dict(self.rejections),
             "notices": list(self.notices),
             "agents": [
-                agent | {"state": self.state_of(number), "rejected": self.rejections[agent_name(number)]}
+                agent
+                | {"state": self.state_of(number), "rejected": self.rejections[agent_name(number)]}
                 for number, agent in self.agents.items()
             ],
         }
@@ -134,7 +154,9 @@ class Watch:
         agent, recent_ms = self.agents[report.agent], self._recent_ms[report.agent]
         recent_ms.append(float(report.times_ms[-1]))
         agent |= {"tick": report.tick, "step_ms": recent_ms[-1], "worst_ms": max(recent_ms)}
-        agent["plan_ages"] = list(report.plan_ages)  # of the other agents, in their order; -1 for none
+        agent["plan_ages"] = list(
+            report.plan_ages
+        )  # of the other agents, in their order; -1 for none
         agent["lost"] += report.lost
         agent["late"] += report.late
         agent["fallbacks"] += report.fallback
@@ -144,7 +166,9 @@ class Watch:
 def top(
     run: RunOption = None,
     once: bool = Option(False, "--once", help="Print one table and exit."),
-    output: Format = Option(Format.text, "--format", metavar="FORMAT", help="Output format, with --once."),
+    output: Format = Option(
+        Format.text, "--format", metavar="FORMAT", help="Output format, with --once."
+    ),
 ) -> None:
     """Watch the agents of an active run.
 
@@ -157,12 +181,17 @@ def top(
     """
     if output is Format.json and not once:
         fail("--format json: expected it with --once, got it without")
-    folder = find_active(None, "name its folder with --run")[0] if run is None else run_folder(Path(run))
+    folder = (
+        find_active(None, "name its folder with --run")[0] if run is None else run_folder(Path(run))
+    )
     if not (folder / "run.mcap").exists():
         fail(f"--run: expected a run folder with a log, got {folder}")
     os.nice(_NICE)
     watch, tail = Watch(setup_of(folder)), LogTail(folder / "run.mcap")
-    name, is_marked = folder.resolve().name, live.read(folder) is not None  # not marked: started by hand
+    name, is_marked = (
+        folder.resolve().name,
+        live.read(folder) is not None,
+    )  # not marked: started by hand
     with Live(auto_refresh=False, transient=True) as shown:
         while not once and not tail.ended and (live.read(folder) is not None) == is_marked:
             watch.read(tail)
@@ -189,8 +218,14 @@ def table_of(watch: Watch, run: str) -> Group:
         | {"": Text(", ".join(f"{agent[name]} {name}" for name in _RARE if agent[name]), "yellow")}
         for agent in content["agents"]
     ]
-    lines = [Text(line, "yellow") for line in (*(f" {notice}" for notice in content["notices"]), *refused)]
+    lines = [
+        Text(line, "yellow")
+        for line in (*(f" {notice}" for notice in content["notices"]), *refused)
+    ]
     colour = "bold green" if outcome == "completed" else "bold red"
     return Group(
-        Text.assemble((run, "bold"), (end, colour)), Text(head), rows(cells, "uavs", "state", "plan ages", ""), *lines
+        Text.assemble((run, "bold"), (end, colour)),
+        Text(head),
+        rows(cells, "uavs", "state", "plan ages", ""),
+        *lines,
     )

@@ -11,14 +11,14 @@ from typing import Literal, NamedTuple
 import joblib
 import threadpoolctl
 
-from agent.node import AgentNode
-from model import compiler, native
-from protocol.network.endpoints import Endpoints, default_mesh, process_names
-from protocol.network.session import fetch_answer, open_session
-from protocol.scenario.setup import Setup
-from protocol.wire.keys import WATCHER, Keys
-from protocol.wire.names import RECORDER
+from transport.agent.node import AgentNode
 from transport.flight.harness import HarnessError, reserved_ports
+from transport.model import compiler, native
+from transport.protocol.network.endpoints import Endpoints, default_mesh, process_names
+from transport.protocol.network.session import fetch_answer, open_session
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.keys import WATCHER, Keys
+from transport.protocol.wire.names import RECORDER
 
 _LATE_MS, _NAPS = 2.0, 40
 # Longest round trip of an undisturbed loopback interface, number of them, time for all of them.
@@ -29,7 +29,9 @@ _STEPS = 10  # and two that warm up
 class Finding(NamedTuple):
     """Result of a check: its status, the measured state, and advice if there is any."""
 
-    status: Literal["ok", "warn", "fail"]  # warn: a run works, with restrictions; fail: a run does not work
+    status: Literal[
+        "ok", "warn", "fail"
+    ]  # warn: a run works, with restrictions; fail: a run does not work
     found: str
     advice: str = ""
 
@@ -46,7 +48,11 @@ def checks(setup: Setup) -> Iterator[tuple[str, Finding]]:
             finding = check(setup)
         except Exception as error:  # noqa: BLE001  # named in the finding
             found = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-            finding = Finding("fail", found, "pip check; install the package in the message again, or report the error")
+            finding = Finding(
+                "fail",
+                found,
+                "pip check; install the package in the message again, or report the error",
+            )
         yield name, finding
 
 

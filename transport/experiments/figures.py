@@ -77,7 +77,10 @@ def _draw_maps(figure: Figure, x: Axis, y: Axis, scenarios: Scenarios) -> None:
     for panel, (scenario, own) in zip(panels, scenarios.items(), strict=True):
         shown = np.full((len(rows), len(columns)), np.nan)
         for m in own:
-            column, row = (where.index(float(m.point.labels[one.label])) for where, one in ((columns, x), (rows, y)))
+            column, row = (
+                where.index(float(m.point.labels[one.label]))
+                for where, one in ((columns, x), (rows, y))
+            )
             how: Any = {"ha": "center", "va": "center", "fontsize": SMALL, "linespacing": 1.0}
             cost = m.mean("cost_mean")
             if cost is None:
@@ -88,7 +91,9 @@ def _draw_maps(figure: Figure, x: Axis, y: Axis, scenarios: Scenarios) -> None:
                 text = f"{1e3 * cost:.2f}" + f"\n{m.completed} of {m.runs}" * (m.completed < m.runs)
                 how["color"] = "#ffffff" if scale(shown[row, column]) < 0.55 else "#000000"
             panel.text(column, row, text, **how)
-        panel.patch.set(hatch="////", edgecolor="#c8c8c8", linewidth=0.0)  # behind cells without a completed run
+        panel.patch.set(
+            hatch="////", edgecolor="#c8c8c8", linewidth=0.0
+        )  # behind cells without a completed run
         panel.imshow(shown, norm=scale, aspect="auto", origin="lower")
         head(panel, scenario, legend=False)
         panel.set_xticks(range(len(columns)), [f"{x.factor * value:g}" for value in columns])
@@ -109,7 +114,9 @@ def _draw_variants(figure: Figure, scenarios: Scenarios) -> None:
 
     Points with diverged runs have a mark beside the panel.
     """
-    networks = list(dict.fromkeys(str(m.point.labels["network"]) for own in scenarios.values() for m in own))
+    networks = list(
+        dict.fromkeys(str(m.point.labels["network"]) for own in scenarios.values() for m in own)
+    )
     styles: list[dict[str, Any]] = [
         {"color": colour, "marker": marker, "markersize": MARKER, "linestyle": "none"}
         for colour, marker, _ in CURVES[: len(networks)]
@@ -118,7 +125,10 @@ def _draw_variants(figure: Figure, scenarios: Scenarios) -> None:
     panels = column_panels(
         figure,
         [_ROW_IN * len(names) for names in rows],
-        legend=[Line2D([], [], label=name, **style) for name, style in zip(networks, styles, strict=True)],
+        legend=[
+            Line2D([], [], label=name, **style)
+            for name, style in zip(networks, styles, strict=True)
+        ],
         x_label="mean cost over that of the unchanged scenario\non a perfect network",
         left_in=max(text_width_in(name) for names in rows for name in names) + 0.08,
         right_in=0.5,  # for marks of diverged runs
@@ -126,29 +136,47 @@ def _draw_variants(figure: Figure, scenarios: Scenarios) -> None:
         gap_in=0.28,
         bottom_in=0.42,
     )
-    ratios = [1.0, *(m.cost_ratio for own in scenarios.values() for m in own if m.cost_ratio is not None)]
+    ratios = [
+        1.0,
+        *(m.cost_ratio for own in scenarios.values() for m in own if m.cost_ratio is not None),
+    ]
     for panel, (scenario, own), names in zip(panels, scenarios.items(), rows, strict=True):
         for m in own:
             network = networks.index(str(m.point.labels["network"]))
-            y, style = names.index(_name(m)) + 0.25 * (2 * network - (len(networks) - 1)), styles[network]
+            y, style = (
+                names.index(_name(m)) + 0.25 * (2 * network - (len(networks) - 1)),
+                styles[network],
+            )
             if m.cost_ratio is not None:
                 panel.plot([m.cost_ratio], [y], **style)
             if m.completed < m.runs:
-                beside = panel.get_yaxis_transform() + ScaledTranslation(0.12, 0.0, figure.dpi_scale_trans)
+                beside = panel.get_yaxis_transform() + ScaledTranslation(
+                    0.12, 0.0, figure.dpi_scale_trans
+                )
                 panel.plot([1.0], [y], transform=beside, clip_on=False, **style | DIVERGED)
         if any(m.completed < m.runs for m in own):
-            panel.annotate("diverged", (1.0, 1.0), (8.0, 2.0), "axes fraction", "offset points", fontsize=SMALL)
+            panel.annotate(
+                "diverged", (1.0, 1.0), (8.0, 2.0), "axes fraction", "offset points", fontsize=SMALL
+            )
         head(panel, scenario, legend=False)
         panel.axvline(1.0, color=REFERENCE, linewidth=0.8, zorder=0)
         panel.set_yticks(range(len(names)), names)
-        panel.set(xscale="log", xlim=(min(ratios) / 1.15, max(ratios) * 1.15), ylim=(len(names) - 0.5, -0.5))
+        panel.set(
+            xscale="log",
+            xlim=(min(ratios) / 1.15, max(ratios) * 1.15),
+            ylim=(len(names) - 0.5, -0.5),
+        )
         label_decades(panel.xaxis)
 
 
 def _name(m: PointStatistics) -> str:
     """Return the name of a variant: its texts, and its numbers with their names."""
     labels = {name: value for name, value in m.point.labels.items() if name != "network"}
-    numbers = [f"{axis(name).name} {value:g}" for name, value in labels.items() if not isinstance(value, str)]
+    numbers = [
+        f"{axis(name).name} {value:g}"
+        for name, value in labels.items()
+        if not isinstance(value, str)
+    ]
     texts = [value for value in labels.values() if isinstance(value, str) and value]
     return ", ".join([*numbers, ": ".join(texts)] if texts else numbers).replace("_", " ")
 
@@ -203,7 +231,9 @@ def _draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) -
     values = list(dict.fromkeys(m.point.labels[x.label] for own in scenarios.values() for m in own))
     is_few = len(values) <= _MOST_TICKS
     is_number = is_growth or (isinstance(values[0], float) and experiment.drawn_as != "sharing")
-    places = {value: x.factor * float(value) if is_number else float(i) for i, value in enumerate(values)}
+    places = {
+        value: x.factor * float(value) if is_number else float(i) for i, value in enumerate(values)
+    }
     curves = list(_curves(experiment, scenarios, joined=is_few and not isinstance(values[0], str)))
     diverged_s = [time_s for own in scenarios.values() for m in own for time_s in m.diverged_s]
     shown = _PANELS[experiment.drawn_as]
@@ -215,11 +245,16 @@ def _draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) -
         top_in=_ABOVE_IN,
     )
     span = max(places.values()) - min(places.values()) or 1.0
-    gap = min((high - low for low, high in itertools.pairwise(sorted(places.values()))), default=span)
+    gap = min(
+        (high - low for low, high in itertools.pairwise(sorted(places.values()))), default=span
+    )
     # Distance between neighbouring curves, so that markers and error bars do not overlap.
     apart = 0.0 if is_growth else min(0.035 * span, 0.7 * gap / len(curves))
     xs = [
-        [places[m.point.labels[x.label]] + apart * (index - (len(curves) - 1) / 2.0) for m in curve.points]
+        [
+            places[m.point.labels[x.label]] + apart * (index - (len(curves) - 1) / 2.0)
+            for m in curve.points
+        ]
         for index, curve in enumerate(curves)
     ]
     for panel in panels:
@@ -229,7 +264,9 @@ def _draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) -
             panel.set_xscale("log")
             panel.xaxis.set_minor_locator(NullLocator())
         if is_few or not is_number:
-            names = [value if isinstance(value, str) else f"{x.factor * value:g}" for value in values]
+            names = [
+                value if isinstance(value, str) else f"{x.factor * value:g}" for value in values
+            ]
             panel.set_xticks(list(places.values()), names)
     if diverged_s:
         _draw_divergence(panels.pop(0), curves, xs, 1.25 * max(diverged_s))
@@ -259,11 +296,23 @@ def _curves(experiment: Experiment, scenarios: Scenarios, *, joined: bool) -> It
             }
             text = value if isinstance(value, str) or column is None else axis(column).text(value)
             name = experiment.legend.get(value, text)
-            label = scenario if column is None else name if len(scenarios) == 1 else f"{scenario}, {name}"
+            label = (
+                scenario
+                if column is None
+                else name
+                if len(scenarios) == 1
+                else f"{scenario}, {name}"
+            )
             shape = index if column else place
-            colour = shape if len(scenarios) == 1 else place  # with one scenario, curves have colours of their own
+            colour = (
+                shape if len(scenarios) == 1 else place
+            )  # with one scenario, curves have colours of their own
             _, marker, line = CURVES[(shape + shape // len(CURVES)) % len(CURVES)]
-            style = {"color": CURVES[colour % len(CURVES)][0], "marker": marker, "linestyle": line if joined else ""}
+            style = {
+                "color": CURVES[colour % len(CURVES)][0],
+                "marker": marker,
+                "linestyle": line if joined else "",
+            }
             yield _Curve(list(own.values()), {**style, "markersize": MARKER, "label": label})
 
 
@@ -277,10 +326,14 @@ def _scale(axes: Axes, means: Sequence[float], *, is_ratio: bool, is_growth: boo
         axes.set_ylim(lowest / 1.4, 1.4 * highest)
         label_decades(axes.yaxis)
     else:
-        axes.set_ylim(0.0, min(max(axes.get_ylim()[1], 1.12 * highest), 2.0 * highest) or 1.0)  # cuts wide intervals
+        axes.set_ylim(
+            0.0, min(max(axes.get_ylim()[1], 1.12 * highest), 2.0 * highest) or 1.0
+        )  # cuts wide intervals
 
 
-def _draw_divergence(axes: Axes, curves: Sequence[_Curve], xs: Sequence[Sequence[float]], never_s: float) -> None:
+def _draw_divergence(
+    axes: Axes, curves: Sequence[_Curve], xs: Sequence[Sequence[float]], never_s: float
+) -> None:
     """Draw the mean time at which runs diverged and its range; a run that completes at the height of "never"."""
     for x, (points, style) in zip(xs, curves, strict=True):
         dots = style | {"linestyle": "none"}
@@ -288,7 +341,12 @@ def _draw_divergence(axes: Axes, curves: Sequence[_Curve], xs: Sequence[Sequence
             if m.completed:
                 axes.plot([at], [never_s], **dots)
             if m.diverged_s:
-                axes.plot([at, at], [m.diverged_s[0], m.diverged_s[-1]], color=style["color"], linewidth=0.8)
+                axes.plot(
+                    [at, at],
+                    [m.diverged_s[0], m.diverged_s[-1]],
+                    color=style["color"],
+                    linewidth=0.8,
+                )
                 axes.plot([at], [statistics.fmean(m.diverged_s)], **dots | DIVERGED)
     head(axes, "time at which runs diverge (s, hollow), or never", legend=False)
     axes.set_ylim(0.0, 1.12 * never_s)

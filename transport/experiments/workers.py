@@ -10,9 +10,9 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 
-from protocol.scenario.budget import most_workers
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.experiments.cases import Case, ExperimentError, Result, refused, simulate
+from transport.protocol.scenario.budget import most_workers
+from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 
 # Timeout of the cluster, and period at which a worker checks that its parent lives, s.
 _ANSWER_S, _CHECK_S = 15.0, 0.5
@@ -42,7 +42,9 @@ def on_cores(cases: Sequence[Case], jobs: int | None = None) -> Iterator[Result]
     try:
         yield from team(joblib.delayed(simulate)(case) for case in cases)
     except TerminatedWorkerError as error:
-        raise ExperimentError(f"a worker process died: {str(error).splitlines()[0]}", EXIT_UNREACHABLE) from error
+        raise ExperimentError(
+            f"a worker process died: {str(error).splitlines()[0]}", EXIT_UNREACHABLE
+        ) from error
     finally:
         get_reusable_executor().shutdown(wait=True, kill_workers=True)
 
@@ -55,7 +57,9 @@ def check_cluster(address: str) -> None:
     if "://" not in address:
         raise refused("--dask", "an address such as tcp://host:8786", repr(address))
     if importlib.util.find_spec("distributed") is None:
-        raise refused("--dask", "the package distributed (pip install 'payload-transport[cluster]')", "none")
+        raise refused(
+            "--dask", "the package distributed (pip install 'payload-transport[cluster]')", "none"
+        )
 
 
 def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
@@ -68,16 +72,30 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
     try:
         client = Client(address, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise refused("--dask", f"a scheduler at {address}", f"no answer ({error})", EXIT_UNREACHABLE) from error
+        raise refused(
+            "--dask", f"a scheduler at {address}", f"no answer ({error})", EXIT_UNREACHABLE
+        ) from error
     with client:
-        threads = [worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values()]
+        threads = [
+            worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values()
+        ]
         if not threads or max(threads) > 1:
-            expected = f"workers with one thread each at {address} (dask worker {address} --nthreads 1)"
-            raise refused("--dask", expected, f"some with {max(threads)}" if threads else "none", EXIT_UNREACHABLE)
+            expected = (
+                f"workers with one thread each at {address} (dask worker {address} --nthreads 1)"
+            )
+            raise refused(
+                "--dask",
+                expected,
+                f"some with {max(threads)}" if threads else "none",
+                EXIT_UNREACHABLE,
+            )
         futures = [client.submit(simulate, case, pure=False) for case in cases]
         for future in as_completed(futures, loop=client.loop):
             if future.status != "finished":
-                raise ExperimentError(f"--dask: the cluster at {address} fails: {future.exception()}", EXIT_UNREACHABLE)
+                raise ExperimentError(
+                    f"--dask: the cluster at {address} fails: {future.exception()}",
+                    EXIT_UNREACHABLE,
+                )
             yield future.result()
 
 

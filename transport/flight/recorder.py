@@ -10,20 +10,20 @@ from collections import deque
 from collections.abc import Callable, Collection, Set
 from contextlib import suppress
 
-from protocol.admission.gate import Gate, Sample
-from protocol.admission.plausibility import check_plausible
-from protocol.network.bus import Bus, BusEvent, Interrupted, Left, Place
-from protocol.network.session import BusError
-from protocol.scenario.setup import Setup
-from protocol.scenario.targets import check_target, with_targets
-from protocol.wire import messages as wire
-from protocol.wire.codec import Header, decode, encode
-from protocol.wire.errors import MessageError
-from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.names import COORDINATOR
-from protocol.wire.node import Outbox, lost
 from transport.log.run_log import channel_of
 from transport.log.writer import LogWriter
+from transport.protocol.admission.gate import Gate, Sample
+from transport.protocol.admission.plausibility import check_plausible
+from transport.protocol.network.bus import Bus, BusEvent, Interrupted, Left, Place
+from transport.protocol.network.session import BusError
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.targets import check_target, with_targets
+from transport.protocol.wire import messages as wire
+from transport.protocol.wire.codec import Header, decode, encode
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.names import COORDINATOR
+from transport.protocol.wire.node import Outbox, lost
 
 # Kinds of messages that the recorder reads; of the others it reads the header.
 _READ = (wire.Roster, wire.LinkChange, wire.Target, wire.Control, wire.Rejected)
@@ -31,13 +31,18 @@ _UNREAD = {kind for kind, cls in {**wire.KINDS, **wire.BUNDLES}.items() if cls n
 # Kinds among these that tell of the newest tick, and of the plant's state.
 _OF_TICKS, _OF_PLANT = (wire.Tick.kind, wire.Relay.kind), (wire.PlantState.kind, wire.Record.kind)
 
-# Messages of the plant kept to find its newest state in: not every record has one, and one may be garbled.
+# Messages of the plant kept to find its newest state in: not every record has one, and one may be
+# garbled.
 _KEPT = 4
-# Wake-ups cost the run processor time, so messages are gathered in batches; in a paced run for less than a tick.
+# Wake-ups cost the run processor time, so messages are gathered in batches; in a paced run for less
+# than a tick.
 _GATHER_S, _GATHER_PACED_S = 0.03, 0.01
-_PAUSE_S = 0.02  # the log file is flushed after a pause this long, less than the period of most runs
-# After the end of the run the recorder waits for the last message of each process, until none comes for this long;
-# where the tokens of all missing ones are gone; and, once the coordinator's token is gone, for the end of the run.
+_PAUSE_S = (
+    0.02  # the log file is flushed after a pause this long, less than the period of most runs
+)
+# After the end of the run the recorder waits for the last message of each process, until none comes
+# for this long; where the tokens of all missing ones are gone; and, once the coordinator's token is
+# gone, for the end of the run.
 _TRAIL_S, _QUIET_S, _OVERTAKEN_S = 2.0, 0.05, 0.5
 
 
@@ -45,14 +50,20 @@ class Recorder:
     """Recorder of one run, with its open log; its attributes show the progress."""
 
     def __init__(
-        self, setup: Setup, place: Place, writer: LogWriter, say: Callable[[str], None] = lambda _: None
+        self,
+        setup: Setup,
+        place: Place,
+        writer: LogWriter,
+        say: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.started_s: float | None = None  # steady-clock time of the first plant state
         self.control: wire.Control | None = None  # how the run ended, once it has
         self.error: str | None = None  # why recording ended early
         self.received = 0  # messages in the log
         self.tick = -1  # the newest open one
-        self.requests: queue.SimpleQueue[wire.Request] = queue.SimpleQueue()  # to the parent of the run's processes
+        self.requests: queue.SimpleQueue[wire.Request] = (
+            queue.SimpleQueue()
+        )  # to the parent of the run's processes
         self.setup = setup  # with its targets so far
         self._say = say  # about roster changes after the start, faults, processes not there yet; on any thread
         self.writer, self._writing = writer, threading.Lock()  # notes come from another thread
@@ -61,18 +72,25 @@ class Recorder:
         self.gate = Gate(RECORDER, self._keys, setup.shape, self._check_moment, _UNREAD)
         self._newest = deque[bytes](maxlen=_KEPT)
         gather_s = _GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S
-        self._bus = Bus(RECORDER, place, setup.scenario.digest(), self.gate, serves=True, gather_s=gather_s)
+        self._bus = Bus(
+            RECORDER, place, setup.scenario.digest(), self.gate, serves=True, gather_s=gather_s
+        )
         self._out = Outbox(RECORDER, place.incarnation)
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._expected: Set[str] = frozenset()
 
     @property
     def plant_state(self) -> wire.PlantState | None:
-        """The newest state of the plant, or None; decoded when it is asked for, also on another thread."""
+        """The newest state of the plant, or None.
+
+        Decoded when it is asked for, also on another thread.
+        """
         for data in reversed(self._newest.copy()):
             with suppress(MessageError):  # garbled or forged
                 message = decode(data)
-                for state in map(decode, message.parts) if isinstance(message, wire.Record) else [message]:
+                for state in (
+                    map(decode, message.parts) if isinstance(message, wire.Record) else [message]
+                ):
                     if isinstance(state, wire.PlantState):
                         check_plausible(state, self.setup.shape)
                         return state
@@ -92,10 +110,14 @@ class Recorder:
         self._thread.join(timeout_s)
         return self._thread.is_alive()
 
-    def note(self, target: str, what: str, origin: wire.FaultOrigin, tick: int | None = None) -> None:
+    def note(
+        self, target: str, what: str, origin: wire.FaultOrigin, tick: int | None = None
+    ) -> None:
         """Log a fault of a process at a tick, by default the newest."""
         tick = max(self.tick, 0) if tick is None else tick
-        self._take(self._out.stamp(wire.FaultNote, tick=tick, target=target, what=what, origin=origin))
+        self._take(
+            self._out.stamp(wire.FaultNote, tick=tick, target=target, what=what, origin=origin)
+        )
 
     def close(self) -> None:
         """Leave the network and finish the log."""
@@ -122,7 +144,9 @@ class Recorder:
         while self.control is None or not left >= self._expected:
             timeout_s = None
             if self.control is not None:
-                timeout_s = _TRAIL_S if (self._expected - left) & self._bus.alive.keys() else _QUIET_S
+                timeout_s = (
+                    _TRAIL_S if (self._expected - left) & self._bus.alive.keys() else _QUIET_S
+                )
             elif COORDINATOR not in self._bus.alive:
                 timeout_s = _OVERTAKEN_S
             match event := self._next(timeout_s):
@@ -132,7 +156,9 @@ class Recorder:
                     return
                 case Left(name=name):
                     left.add(name)
-                case wire.Presence(name=name, alive=alive):  # also again, after a standstill of that process or of this
+                case wire.Presence(
+                    name=name, alive=alive
+                ):  # also again, after a standstill of that process or of this
                     left -= {name} if alive else set()
                 case wire.Request():
                     self.requests.put(event)
@@ -162,7 +188,9 @@ class Recorder:
         header = message.header
         key = self._keys.end(message.key)
         self._write(f"/{key}", message.data, header, at_ns)
-        if header.tick >= self.setup.ticks or key != header.kind:  # kinds of progress have keys of their own
+        if (
+            header.tick >= self.setup.ticks or key != header.kind
+        ):  # kinds of progress have keys of their own
             return
         if header.kind in _OF_TICKS:
             self.tick = max(header.tick, self.tick)
@@ -188,7 +216,9 @@ class Recorder:
             case wire.FaultNote():
                 self._say(f"fault: {message.target} {message.what}")
 
-    def _write(self, topic: str, data: bytes, header: Header | wire.Message, at_ns: int | None) -> None:
+    def _write(
+        self, topic: str, data: bytes, header: Header | wire.Message, at_ns: int | None
+    ) -> None:
         with self._writing:
             self.writer.add(topic, data, header, time.time_ns() if at_ns is None else at_ns)
         self.received += 1

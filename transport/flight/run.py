@@ -13,16 +13,6 @@ from typing import Any
 
 from rich.console import Console
 
-from protocol.network.bus import Place
-from protocol.network.endpoints import mesh, process_names
-from protocol.network.security import Security
-from protocol.network.session import check_usable
-from protocol.scenario.faults import OF_UAVS
-from protocol.scenario.setup import Setup
-from protocol.wire import exit_codes as codes
-from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.messages import FaultOrigin, Request
-from protocol.wire.names import COORDINATOR
 from transport.flight import live
 from transport.flight.harness import Child, Harness, keys_setting, reserved_ports
 from transport.flight.progress import RunProgress, compile_model
@@ -30,9 +20,30 @@ from transport.flight.recorder import Recorder
 from transport.flight.run_files import RunError, checked, create, existing, own_keys, run_header
 from transport.flight.signals import collected_signals
 from transport.log.writer import LogWriter
+from transport.protocol.network.bus import Place
+from transport.protocol.network.endpoints import mesh, process_names
+from transport.protocol.network.security import Security
+from transport.protocol.network.session import check_usable
+from transport.protocol.scenario.faults import OF_UAVS
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire import exit_codes as codes
+from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.messages import FaultOrigin, Request
+from transport.protocol.wire.names import COORDINATOR
 
-_ORDERLY_ENDS = {0, codes.EXIT_UNREACHABLE, codes.EXIT_OVERRUN, codes.EXIT_DIVERGED, codes.EXIT_INTERRUPTED}
-_SIGNALS = {"kill": signal.SIGKILL, "stop": signal.SIGSTOP, "continue": signal.SIGCONT, "restart": signal.SIGKILL}
+_ORDERLY_ENDS = {
+    0,
+    codes.EXIT_UNREACHABLE,
+    codes.EXIT_OVERRUN,
+    codes.EXIT_DIVERGED,
+    codes.EXIT_INTERRUPTED,
+}
+_SIGNALS = {
+    "kill": signal.SIGKILL,
+    "stop": signal.SIGSTOP,
+    "continue": signal.SIGCONT,
+    "restart": signal.SIGKILL,
+}
 _NOTES = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
 
 
@@ -52,7 +63,11 @@ class FaultScript:
             if code >= 0 or child.is_noted:
                 continue
             child.is_noted = True
-            kills = [fault for fault in self._kills if fault.target == child.name and code == -signal.SIGKILL]
+            kills = [
+                fault
+                for fault in self._kills
+                if fault.target == child.name and code == -signal.SIGKILL
+            ]
             if kills:
                 self._kills.remove(kills[0])
                 self._recorder.note(child.name, _NOTES["kill"], "script", kills[0].tick)
@@ -72,7 +87,10 @@ class FaultScript:
         # Without ticks, as while the coordinator is stopped, the wall clock of a paced run tells.
         clock, started_s = self._setup.scenario.clock, self._recorder.started_s
         since_s = 0.0 if started_s is None else (time.monotonic() - started_s) * clock.speed
-        return self._recorder.tick >= tick or since_s >= (tick + 1) * self._setup.settings.sampling_period_s
+        return (
+            self._recorder.tick >= tick
+            or since_s >= (tick + 1) * self._setup.settings.sampling_period_s
+        )
 
     def _answer(self, request: Request) -> dict[str, Any]:
         action, target = (str(request.given.get(key, "")) for key in ("do", "target"))
@@ -82,7 +100,9 @@ class FaultScript:
             if got not in allowed:
                 return {"error": f"{key}: expected one of {', '.join(allowed)}, got {got!r}"}
         if action == "restart" and not target.startswith("agent"):
-            return {"error": f"target: expected an agent to restart, as a run ends with its {target}"}
+            return {
+                "error": f"target: expected an agent to restart, as a run ends with its {target}"
+            }
         if not self._do(target, action, "person"):
             return {"error": f"{target} is not running"}
         return {"tick": self._recorder.tick}
@@ -101,7 +121,8 @@ class FaultScript:
 
 
 _POLL_S = 0.05
-# Times for the processes to end after the run, and for the recorder to receive the messages of ended processes.
+# Times for the processes to end after the run, and for the recorder to receive the messages of
+# ended processes.
 _LEAVE_S, _CATCH_UP_S = 3.0, 2.0
 
 
@@ -124,8 +145,9 @@ def simulate(
 ) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end and theirs.
 
-    `started` is called once the processes are started; before the first tick they wait for `ready` to return. Processes
-    that are `external` join from elsewhere. Raises: TransportError. KeyboardInterrupt.
+    `started` is called once the processes are started; before the first tick they wait for `ready`
+    to return. Processes that are `external` join from elsewhere. Raises: TransportError.
+    KeyboardInterrupt.
     """
     scenario, names = setup.scenario, process_names(setup.scenario)
     if folder.exists():  # told before a first compilation
@@ -163,7 +185,9 @@ def simulate(
             for name in external:
                 ends = f"listens on {', '.join(places[name].listen)}, connects to {', '.join(places[name].connect)}"
                 needs = f"; it needs --set '{keys_setting(keys)}'" if keys else ""
-                progress.say(f"waiting for {name} of run {run}, digest {scenario.digest()}; it {ends}{needs}")
+                progress.say(
+                    f"waiting for {name} of run {run}, digest {scenario.digest()}; it {ends}{needs}"
+                )
             started()
             _watch(recorder, progress, harness, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
@@ -176,9 +200,15 @@ def simulate(
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
     """Record a run whose processes are started elsewhere, in a new folder. Raises: TransportError."""
     names = process_names(setup.scenario)
-    classes = {"engine": setup.scenario.plant.engine, "controller": setup.scenario.agents.controller}
+    classes = {
+        "engine": setup.scenario.plant.engine,
+        "controller": setup.scenario.agents.controller,
+    }
     header = run_header(setup, place.run, len(names), create(folder, setup), classes)
-    with RunProgress(setup, console) as progress, _recorded(place, folder, header, progress) as recorder:
+    with (
+        RunProgress(setup, console) as progress,
+        _recorded(place, folder, header, progress) as recorder,
+    ):
         recorder.start(names)
         _watch(recorder, progress)
     return _finished(folder, recorder)
@@ -186,18 +216,29 @@ def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finis
 
 @contextmanager
 def _recorded(
-    place: Place, folder: Path, header: Mapping[str, str], progress: RunProgress, harness: Harness | None = None
+    place: Place,
+    folder: Path,
+    header: Mapping[str, str],
+    progress: RunProgress,
+    harness: Harness | None = None,
 ) -> Iterator[Recorder]:
-    """Open log and recorder of a run; remove a folder without any message in the end, unless its processes tell why."""
+    """Open log and recorder of a run.
+
+    Remove a folder without any message in the end, unless its processes tell why.
+    """
     recorder = None
     try:
-        writer = LogWriter(folder / "run.mcap", header, period_ns=progress.setup.period_ns, say=progress.say)
+        writer = LogWriter(
+            folder / "run.mcap", header, period_ns=progress.setup.period_ns, say=progress.say
+        )
         with closing(writer):
             recorder = Recorder(progress.setup, place, writer, progress.say)
             with closing(recorder):
                 yield recorder
     finally:
-        is_told = harness is not None and recorder is not None and (recorder.error or harness.ended())
+        is_told = (
+            harness is not None and recorder is not None and (recorder.error or harness.ended())
+        )
         if recorder is None or not (recorder.received or is_told):
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -206,9 +247,13 @@ def _finished(folder: Path, recorder: Recorder) -> Finished:
     """Return how a run ended; raise RunError if it did not begin or was not recorded."""
     control = recorder.control
     if recorder.error is not None or (control is None and recorder.started_s is None):
-        raise RunError(recorder.error or "the run ended before its first tick", codes.EXIT_UNREACHABLE)
+        raise RunError(
+            recorder.error or "the run ended before its first tick", codes.EXIT_UNREACHABLE
+        )
     if control is None:
-        return Finished(folder, codes.EXIT_INTERRUPTED, "recording interrupted; the run may continue without it")
+        return Finished(
+            folder, codes.EXIT_INTERRUPTED, "recording interrupted; the run may continue without it"
+        )
     if lost := recorder.writer.lost:
         text = f"{lost}; the run {control.outcome} {control.reason}".rstrip()
         raise RunError(text, control.exit_code or codes.EXIT_UNRECORDED)
@@ -216,9 +261,15 @@ def _finished(folder: Path, recorder: Recorder) -> Finished:
 
 
 def _watch(
-    recorder: Recorder, progress: RunProgress, harness: Harness | None = None, faults: FaultScript | None = None
+    recorder: Recorder,
+    progress: RunProgress,
+    harness: Harness | None = None,
+    faults: FaultScript | None = None,
 ) -> None:
-    """Show progress until the run has ended; forward Ctrl-C; refuse processes started here that end too early."""
+    """Show progress until the run has ended.
+
+    Forward Ctrl-C; refuse processes started here that end too early.
+    """
     interrupted, ended_s, goes_on = 0, math.inf, True
     with collected_signals() as signals:
         while goes_on:  # once more after the end
@@ -239,7 +290,8 @@ def _watch(
             if harness is None or recorder.control is not None or recorder.started_s is not None:
                 continue
             for child in harness.ended():
-                # A run may end within its first ticks: its messages can reach the recorder after a process has ended.
+                # A run may end within its first ticks: its messages can reach the recorder after a
+                # process has ended.
                 ended_s = min(ended_s, time.monotonic())
                 if child.code not in _ORDERLY_ENDS or time.monotonic() - ended_s > _CATCH_UP_S:
                     raise _ended_early(child)
@@ -247,8 +299,13 @@ def _watch(
 
 def _ended_early(child: Child) -> RunError:
     code = child.code or 0
-    how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+    how = (
+        f"was killed by {signal.Signals(-code).name}"
+        if code < 0
+        else f"ended with exit code {code}"
+    )
     last_line = child.log.read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
-    # A child refuses the same options and scenario as this command would; any other end is that of a peer.
+    # A child refuses the same options and scenario as this command would; any other end is that of
+    # a peer.
     passed_on = code if code in (codes.EXIT_USAGE, codes.EXIT_SCENARIO) else codes.EXIT_UNREACHABLE
     return RunError(f"{child.name} {how} before the run began: {last_line}", passed_on)

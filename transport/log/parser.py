@@ -26,10 +26,15 @@ class Parser:
         self._channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}  # by name
         self.ended = False  # whether the data section has come to its proper end
-        self.damaged = 0  # records that cannot be decoded, and messages of a channel that is not known
+        self.damaged = (
+            0  # records that cannot be decoded, and messages of a channel that is not known
+        )
 
     def entries(self) -> Iterator[tuple[Channel, Message]]:
-        """Yield the messages of the whole chunks not read yet, in order. Raises: OSError. McapError: no MCAP file."""
+        """Yield the messages of the whole chunks not read yet, in order.
+
+        Raises: OSError. McapError: no MCAP file.
+        """
         with self._path.open("rb") as file:
             start = file.read(len(MCAP0_MAGIC))
             if not MCAP0_MAGIC.startswith(start):
@@ -43,9 +48,13 @@ class Parser:
                 except Exception:  # noqa: BLE001  # whatever damaged bytes lead to
                     self.damaged += 1
                     continue
-                self._channels |= {record.id: record for record in found if isinstance(record, Channel)}
+                self._channels |= {
+                    record.id: record for record in found if isinstance(record, Channel)
+                }
                 for record in (record for record in found if isinstance(record, Message)):
-                    if record.channel_id not in self._channels:  # its record is in a damaged chunk, and in the summary
+                    if (
+                        record.channel_id not in self._channels
+                    ):  # its record is in a damaged chunk, and in the summary
                         self._channels |= getattr(self._summary(), "channels", {})
                     if record.channel_id in self._channels:
                         yield self._channels[record.channel_id], record
@@ -61,7 +70,9 @@ class Parser:
         if opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.metadata.setdefault(metadata.name, metadata.metadata)
-        return breakup_chunk(Chunk.read(stream), validate_crc=True) if opcode == Opcode.CHUNK else []
+        return (
+            breakup_chunk(Chunk.read(stream), validate_crc=True) if opcode == Opcode.CHUNK else []
+        )
 
     def _summary(self) -> Any:
         """Return the summary of a file with a proper end; otherwise None."""
@@ -79,7 +90,9 @@ def records(file: BinaryIO, offset: int) -> Iterator[tuple[int, int, bytes]]:
         file.seek(offset)
         opcode, length = _RECORD.unpack(file.read(_RECORD.size))
         offset += _RECORD.size
-        if opcode == 0 or length > size - offset:  # file systems leave zeros behind an unfinished file
+        if (
+            opcode == 0 or length > size - offset
+        ):  # file systems leave zeros behind an unfinished file
             return
         yield opcode, offset, file.read(length)
         offset += length

@@ -12,16 +12,16 @@ from typing import TypeVar, cast
 import msgspec
 from mcap.exceptions import McapError
 
-from protocol.admission.gate import Gate
-from protocol.scenario.file import ScenarioError, read_scenario, validate
-from protocol.scenario.setup import Setup
-from protocol.wire import messages as wire
-from protocol.wire.codec import VERSION, decode
-from protocol.wire.errors import MessageError, TransportError
-from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.messages import LinkChange, Message, Plan, Target
-from protocol.wire.names import COORDINATOR
 from transport.log.parser import Parser
+from transport.protocol.admission.gate import Gate
+from transport.protocol.scenario.file import ScenarioError, read_scenario, validate
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire import messages as wire
+from transport.protocol.wire.codec import VERSION, decode
+from transport.protocol.wire.errors import MessageError, TransportError
+from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.messages import LinkChange, Message, Plan, Target
+from transport.protocol.wire.names import COORDINATOR
 
 METADATA = "run"  # name of the metadata record that describes the run
 ENCODING = f"payload-transport/{VERSION}"  # of the bytes of messages; each version of the protocol has another
@@ -32,11 +32,18 @@ _KEYS = Keys("log")
 
 def channel_of(message: Message) -> str:
     """Return the channel in which a message is in the log if it came alone."""
-    return _OWN + message.kind if message.sender == RECORDER else _KEYS.of(message).removeprefix(_KEYS.prefix)
+    return (
+        _OWN + message.kind
+        if message.sender == RECORDER
+        else _KEYS.of(message).removeprefix(_KEYS.prefix)
+    )
 
 
 def topic_of(message: Message) -> str:
-    """Return the channel of a message in descriptions and exports; each kind has its own, in bundles or not."""
+    """Return the channel of a message in descriptions and exports.
+
+    Each kind has its own, in bundles or not.
+    """
     match message:
         case LinkChange() | Target():  # share the key of the rosters
             return f"/{message.kind}"
@@ -90,12 +97,15 @@ class RunLog:
 class LogTail:
     """Reader of one log, which may still be written or not exist yet.
 
-    Every message passes the gate of the run, whose setup is taken from the header unless given; refused ones are
-    reported in the name of the recorder.
+    Every message passes the gate of the run, whose setup is taken from the header unless given;
+    refused ones are reported in the name of the recorder.
     """
 
     def __init__(self, path: Path, setup: Setup | None = None) -> None:
-        self.parser, self.unknown = Parser(path), list[str]()  # descriptions of the entries of other versions
+        self.parser, self.unknown = (
+            Parser(path),
+            list[str](),
+        )  # descriptions of the entries of other versions
         self._path, self._setup = path, setup
         self._gate: Gate | None = None
 
@@ -112,11 +122,16 @@ class LogTail:
         return found + self.last_notices() if self.ended else found
 
     def entries(self) -> Iterator[Recorded]:
-        """Yield the messages of the entries that are whole and were not read yet. Raises: LogError: no such file."""
+        """Yield the messages of the entries that are whole and were not read yet.
+
+        Raises: LogError: no such file.
+        """
         try:
             for channel, entry in self.parser.entries():
                 if channel.message_encoding != ENCODING:
-                    self.unknown.append(f"a channel {channel.topic!r} with encoding {channel.message_encoding!r}")
+                    self.unknown.append(
+                        f"a channel {channel.topic!r} with encoding {channel.message_encoding!r}"
+                    )
                     continue
                 try:
                     for message in self._accepted(channel.topic, entry.data, entry.publish_time):
@@ -124,7 +139,9 @@ class LogTail:
                 except MessageError as error:
                     self.unknown.append(f"{channel.topic}: {error}")
         except OSError as error:
-            raise LogError(f"{self._path}: cannot read the log ({error.strerror or error})") from error
+            raise LogError(
+                f"{self._path}: cannot read the log ({error.strerror or error})"
+            ) from error
         except McapError as error:
             raise LogError(f"{self._path}: {error}") from error
 
@@ -138,9 +155,13 @@ class LogTail:
             yield decode(data)
             return
         if self._gate is None:
-            setup = self._setup or setup_in(self.parser.metadata.get(METADATA, {}), self._path.parent)
+            setup = self._setup or setup_in(
+                self.parser.metadata.get(METADATA, {}), self._path.parent
+            )
             # The log of an in-memory run has no bundles.
-            self._gate = Gate(RECORDER, _KEYS, None if setup is None else replace(setup.shape, relayed=False))
+            self._gate = Gate(
+                RECORDER, _KEYS, None if setup is None else replace(setup.shape, relayed=False)
+            )
         for message in self._gate.accept(_KEYS.prefix + topic, data):
             if isinstance(message, Message):
                 yield message
@@ -159,7 +180,8 @@ def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:
 def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -> RunLog:
     """Read all that can be read of a log, also of one cut or damaged (`cut`), each message checked (`LogTail`).
 
-    Without `horizons` plans have their first step only and no corrections, which saves most of the memory.
+    Without `horizons` plans have their first step only and no corrections, which saves most of the
+    memory.
     Raises: LogError: no such file, not an MCAP file, or not the log of a run.
     """
     tail = LogTail(path, setup=setup)
@@ -175,17 +197,30 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
     parser, unknown, is_whole = tail.parser, tail.unknown, tail.parser.is_whole()
     header = parser.metadata.get(METADATA)
     if header is None and is_whole and not parser.damaged:
-        raise LogError(f'{path}: an MCAP file, but not the log of a run (no metadata record "{METADATA}")')
-    problems = [] if is_whole else ["only its index is missing" if parser.ended else "it stops before its end"]
+        raise LogError(
+            f'{path}: an MCAP file, but not the log of a run (no metadata record "{METADATA}")'
+        )
+    problems = (
+        []
+        if is_whole
+        else ["only its index is missing" if parser.ended else "it stops before its end"]
+    )
     problems += [f"damaged parts left out: {parser.damaged}"] if parser.damaged else []
-    problems += [f"{len(unknown)} entries are not of this version, the first {unknown[0]}"] if unknown else []
+    problems += (
+        [f"{len(unknown)} entries are not of this version, the first {unknown[0]}"]
+        if unknown
+        else []
+    )
     last = f", up to tick {max(entry.message.tick for entry in messages)}" if messages else ""
     readable = f"{len(messages) or 'no'} messages are readable{last}"
     cut = f"the log is incomplete ({'; '.join(problems)}): {readable}" if problems else ""
     return RunLog(header=header or {}, messages=tuple(messages), cut=cut)
 
 
-_RUNS, LATEST = "runs", "latest"  # folder whose runs have a link to the most recent one, and the name of the link
+_RUNS, LATEST = (
+    "runs",
+    "latest",
+)  # folder whose runs have a link to the most recent one, and the name of the link
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,13 +256,18 @@ def setup_of(folder: Path) -> Setup:
 def missing(log: RunLog) -> str:
     """Return a sentence with the ticks between which messages are missing; empty if none is.
 
-    Every process numbers its messages; ticks after the last plant state are known from other messages.
+    Every process numbers its messages; ticks after the last plant state are known from other
+    messages.
     """
     # The recorder's own notes cannot get lost; rejections have numbers of their own.
-    messages = [entry.message for entry in log.messages if not isinstance(entry.message, wire.Rejected)]
+    messages = [
+        entry.message for entry in log.messages if not isinstance(entry.message, wire.Rejected)
+    ]
     ticks: dict[tuple[str, int], dict[int, int]] = {}  # by sender and incarnation, then by number
     for message in (message for message in messages if message.sender != RECORDER):
-        ticks.setdefault((message.sender, message.incarnation), {-1: 0})[message.sequence] = message.tick
+        ticks.setdefault((message.sender, message.incarnation), {-1: 0})[message.sequence] = (
+            message.tick
+        )
     gaps = [
         tick_of[number]
         for tick_of in ticks.values()
@@ -237,10 +277,22 @@ def missing(log: RunLog) -> str:
     ]
     recorded = max((plant_state.tick for plant_state in log.of(wire.PlantState)), default=-1)
     # The plant measures at a tick after simulating the one before.
-    later = [message.tick - 1 for message in messages if isinstance(message, wire.Measurement | Plan | wire.StepReport)]
-    later += [end.tick for end in log.of(wire.Control) if end.outcome == "completed" and end.sender == COORDINATOR]
+    later = [
+        message.tick - 1
+        for message in messages
+        if isinstance(message, wire.Measurement | Plan | wire.StepReport)
+    ]
+    later += [
+        end.tick
+        for end in log.of(wire.Control)
+        if end.outcome == "completed" and end.sender == COORDINATOR
+    ]
     gaps += [recorded + 1, max(later)] if max(later, default=-1) > recorded else []
-    return f"some messages of ticks {min(gaps)} to {max(gaps)} did not reach the recorder" if gaps else ""
+    return (
+        f"some messages of ticks {min(gaps)} to {max(gaps)} did not reach the recorder"
+        if gaps
+        else ""
+    )
 
 
 def point_latest(folder: Path) -> None:

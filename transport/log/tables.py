@@ -3,10 +3,20 @@
 from collections.abc import Iterator
 from typing import Any
 
-from model.arrays import Array
-from model.state import INPUTS, PAYLOAD, PER_UAV, SENSED
-from protocol.wire.messages import KINDS, STAGES, ActualInputs, Measurement, Message, Note, Plan, PlantState, StepReport
 from transport.log.run_log import RunLog
+from transport.model.arrays import Array
+from transport.model.state import INPUTS, PAYLOAD, PER_UAV, SENSED
+from transport.protocol.wire.messages import (
+    KINDS,
+    STAGES,
+    ActualInputs,
+    Measurement,
+    Message,
+    Note,
+    Plan,
+    PlantState,
+    StepReport,
+)
 
 Row = dict[str, Any]
 
@@ -34,16 +44,30 @@ RATE_NAMES = ("thrust_N", "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 
 # Fields that are spread over several columns or rows.
 _SPREAD = {
-    *("payload", "uavs", "uav_states", "inputs", "corrections", "x", "u", "plan_ticks", "cables", "tensions"),
+    *(
+        "payload",
+        "uavs",
+        "uav_states",
+        "inputs",
+        "corrections",
+        "x",
+        "u",
+        "plan_ticks",
+        "cables",
+        "tensions",
+    ),
     *("peers", "plan_ages", "state_ages", "force", "times_ms", "names", "values"),
 }
 
 
-def tables(log: RunLog, period_s: float | None, commands: tuple[str, ...] = INPUT_NAMES) -> dict[str, list[Row]]:
+def tables(
+    log: RunLog, period_s: float | None, commands: tuple[str, ...] = INPUT_NAMES
+) -> dict[str, list[Row]]:
     """Return the messages of a log by kind, each row as values by column (docs/log.md).
 
-    Measurements, plans and actual inputs have one row per UAV, other messages one row. Tuples of numbers become text
-    with blanks in between. An unknown sampling period, s, leaves `t_s` empty. Commands have the given names.
+    Measurements, plans and actual inputs have one row per UAV, other messages one row. Tuples of
+    numbers become text with blanks in between. An unknown sampling period, s, leaves `t_s` empty.
+    Commands have the given names.
     """
     found: dict[str, list[Row]] = {kind: [] for kind in KINDS}
     for entry in log.messages:
@@ -56,7 +80,9 @@ def tables(log: RunLog, period_s: float | None, commands: tuple[str, ...] = INPU
             "incarnation": message.incarnation,
             "sequence": message.sequence,
         }
-        for name in (field for field in message.__struct_fields__ if field not in row.keys() | _SPREAD):
+        for name in (
+            field for field in message.__struct_fields__ if field not in row.keys() | _SPREAD
+        ):
             value = getattr(message, name)
             row[name] = " ".join(map(str, value)) if isinstance(value, tuple) else value
         found[message.kind] += [row | spread for spread in _spread(message, commands)]
@@ -73,7 +99,9 @@ def _spread(message: Message, commands: tuple[str, ...]) -> Iterator[Row]:
     match message:
         case Measurement():
             payload = _named("payload_", PAYLOAD_NAMES[: len(message.payload)], message.payload)
-            for uav, states, inputs in zip(message.uavs, message.uav_states, message.inputs, strict=True):
+            for uav, states, inputs in zip(
+                message.uavs, message.uav_states, message.inputs, strict=True
+            ):
                 yield {"uav": uav, **payload, **_of_uav(states), **_named("", commands, inputs)}
         case Plan():
             for i, (uav, states) in enumerate(zip(message.uavs, message.uav_states, strict=True)):
@@ -86,7 +114,10 @@ def _spread(message: Message, commands: tuple[str, ...]) -> Iterator[Row]:
             row = _named("force_", ("x_N", "y_N", "z_N"), message.force)
             row |= _named("", tuple(f"{stage}_ms" for stage in STAGES), message.times_ms)
             for peer, plan_age, state_age in ages:
-                row |= {f"plan_age_agent{peer}_ticks": plan_age, f"state_age_agent{peer}_ticks": state_age}
+                row |= {
+                    f"plan_age_agent{peer}_ticks": plan_age,
+                    f"state_age_agent{peer}_ticks": state_age,
+                }
             yield row
         case Note():
             yield _named("", message.names, message.values)
@@ -120,7 +151,10 @@ def _named(prefix: str, names: tuple[str, ...], values: Array) -> Row:
 
 
 def _over_horizon(prefix: str, commands: tuple[str, ...], sequence: Array) -> Row:
-    """Return the inputs of one UAV over the horizon, (steps, 4), by quantity: thrust_N[0], thrust_N[1], ..."""
+    """Return the inputs of one UAV over the horizon, (steps, 4), by quantity.
+
+    Thrust_N[0], thrust_N[1], ...
+    """
     return {
         f"{prefix}{name}[{step}]": float(value)
         for name, values in zip(commands, sequence.T, strict=True)
