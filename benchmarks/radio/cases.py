@@ -11,7 +11,7 @@ Position = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """Stations that each send one message per period, spread evenly over the first `scatter_s` of the period."""
+    """Stations that each send one message per period, spread over its first `scatter_s`."""
 
     name: str
     positions: tuple[Position, ...]
@@ -49,7 +49,11 @@ def sends(case: Case) -> list[Send]:
     spread_ns = random.uniform(0.0, case.scatter_s * 1e9, (case.periods, stations)).astype(int)
     instants_ns = spread_ns + PERIOD_NS * np.arange(1, case.periods + 1)[:, None]
     unsorted = [
-        Send(int(instants_ns[period, station]), station, (station + 1) % stations if case.unicast else -1)
+        Send(
+            int(instants_ns[period, station]),
+            station,
+            (station + 1) % stations if case.unicast else -1,
+        )
         for period in range(case.periods)
         for station in range(stations)
     ]
@@ -62,14 +66,18 @@ def end_ns(case: Case) -> int:
 
 
 def circle(stations: int, diameter_m: float) -> tuple[Position, ...]:
-    """Return stations on a circle, at heights that differ by a few centimetres as those of UAVs in flight do.
+    """Return stations on a circle, at heights that differ by a few centimetres.
 
     No two distances are equal: equal powers are a case that occurs in no team.
     """
     radius = diameter_m / 2.0
-    angles = [2.0 * math.pi * (station + 0.13 * math.sin(7.0 * station)) / stations for station in range(stations)]
+    angles = [
+        2.0 * math.pi * (station + 0.13 * math.sin(7.0 * station)) / stations
+        for station in range(stations)
+    ]
     return tuple(
-        (radius * math.cos(angle), radius * math.sin(angle), 0.05 * station) for station, angle in enumerate(angles)
+        (radius * math.cos(angle), radius * math.sin(angle), 0.05 * station)
+        for station, angle in enumerate(angles)
     )
 
 

@@ -2,10 +2,10 @@
 
 from benchmarks.radio.cases import PERIOD_NS, Case, end_ns, sends
 from benchmarks.radio.reference import Arrivals
-from protocol.radio.channel import ChannelParameters, ChannelState, advance
-from protocol.radio.frames import Frame, Result
-from protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
-from protocol.radio.standard import STANDARDS
+from transport.protocol.radio.channel import ChannelParameters, ChannelState, advance
+from transport.protocol.radio.frames import Frame, Result
+from transport.protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
+from transport.protocol.radio.standard import STANDARDS
 
 
 def parameters(case: Case) -> ChannelParameters:
@@ -40,19 +40,25 @@ def run(case: Case) -> tuple[Arrivals, dict[str, int]]:
             send.sender,
             number,
             case.message_bytes,
-            tuple(j for j in everyone if j != send.sender) if send.receiver < 0 else (send.receiver,),
+            tuple(j for j in everyone if j != send.sender)
+            if send.receiver < 0
+            else (send.receiver,),
         )
         for number, send in enumerate(sends(case))
     ]
     state = ChannelState.idle(stations, STANDARDS[case.standard])
     arrivals: Arrivals = {}
-    counts = dict.fromkeys(("transmissions", "repetitions", *(result.name.lower() for result in Result)), 0)
+    counts = dict.fromkeys(
+        ("transmissions", "repetitions", *(result.name.lower() for result in Result)), 0
+    )
     place = 0
     for until in range(2 * PERIOD_NS, end_ns(case) + PERIOD_NS, PERIOD_NS):
         begin = place
         while place < len(frames) and frames[place].sent_ns < until:
             place += 1
-        state, outcomes, counted = advance(parameters(case), state, powers, frames[begin:place], until)
+        state, outcomes, counted = advance(
+            parameters(case), state, powers, frames[begin:place], until
+        )
         for outcome in outcomes:
             counts[outcome.result.name.lower()] += 1
             if outcome.result is Result.DELIVERED:

@@ -20,7 +20,14 @@ def lines(case: Case, control_mbps: float) -> Iterator[str]:
     yield f"standard {case.standard}"
     yield f"data_mode {mode(case.standard, case.rate_mbps)}"
     yield f"control_mode {mode(case.standard, control_mbps)}"
-    for name in ("power_dbm", "exponent", "reference_loss_db", "sensitivity_dbm", "preamble_snr_db", "carrier_sense_dbm"):
+    for name in (
+        "power_dbm",
+        "exponent",
+        "reference_loss_db",
+        "sensitivity_dbm",
+        "preamble_snr_db",
+        "carrier_sense_dbm",
+    ):
         yield f"{name} {getattr(case, name)}"
     yield f"queue {case.queue_length}"
     yield f"attempts {case.attempts}"

@@ -54,7 +54,8 @@ class Transmission:
 def enter(new: Transmission, air: Iterable[Transmission]) -> int:
     """Enter a transmission among those on the air, and return the stations that miss its preamble.
 
-    A sender stops receiving; a station that transmits, or is locked to another transmission, cannot detect the new one.
+    A sender stops receiving. A station that transmits, or is locked to another transmission, cannot
+    detect the new one.
     """
     sender = 1 << new.sender
     occupied = 0
@@ -69,8 +70,10 @@ def enter(new: Transmission, air: Iterable[Transmission]) -> int:
     return missed
 
 
-def sensed_until(air: Iterable[Transmission], station: int, powers: Powers, threshold_mw: float) -> int:
-    """Return the instant until which the total power at a station is above a threshold, ns; 0 if it is not."""
+def sensed_until(
+    air: Iterable[Transmission], station: int, powers: Powers, threshold_mw: float
+) -> int:
+    """Return until when the total power at a station is above a threshold, ns; 0: it is not."""
     total_mw = 0.0
     for transmission in sorted(air, key=_latest_end_first):
         if transmission.sender == station:

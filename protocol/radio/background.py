@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from protocol.radio.draws import exponential
-from protocol.radio.frames import Frame
-from protocol.radio.propagation import Powers
-from protocol.radio.standard import Standard
+from transport.protocol.radio.draws import exponential
+from transport.protocol.radio.frames import Frame
+from transport.protocol.radio.propagation import Powers
+from transport.protocol.radio.standard import Standard
 
 
 @dataclass(frozen=True, slots=True)

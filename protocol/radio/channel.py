@@ -1,7 +1,7 @@
 """Event model of one shared half-duplex 802.11 channel.
 
-Stations are numbered from 0. Times are integers, ns, of one common clock. docs/radio.md describes the model and states
-what is simplified.
+Stations are numbered from 0. Times are integers, ns, of one common clock. docs/radio.md describes
+the model and states what is simplified.
 """
 
 from collections.abc import Iterable
@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from typing import NamedTuple
 
-from protocol.radio.air import Powers, Transmission, enter, mask_of, members, sensed_until
-from protocol.radio.draws import uniform
-from protocol.radio.frames import Frame, Outcome, Result
-from protocol.radio.reception import CERTAIN_MARGIN, Interference, Signal, success
-from protocol.radio.standard import ACK_BYTES, OVERHEAD_BYTES, Standard
-from protocol.radio.station import BROADCAST, NEVER, Pending, Station
+from transport.protocol.radio.air import Powers, Transmission, enter, mask_of, members, sensed_until
+from transport.protocol.radio.draws import uniform
+from transport.protocol.radio.frames import Frame, Outcome, Result
+from transport.protocol.radio.reception import CERTAIN_MARGIN, Interference, Signal, success
+from transport.protocol.radio.standard import ACK_BYTES, OVERHEAD_BYTES, Standard
+from transport.protocol.radio.station import BROADCAST, NEVER, Pending, Station
 
 # Kinds of events, in their order within an instant.
 _END, _DETECT, _TIMEOUT, _ACKNOWLEDGE, _SEND, _ATTEMPT = range(6)
@@ -32,7 +32,9 @@ class ChannelParameters:
     noise_mw: float
     sensitivity_mw: float  # a weaker preamble is not detected
     carrier_sense_mw: float  # total power from which the medium is busy without a detected preamble
-    preamble_ratio: float = 2.5118864315095797  # signal over noise and interference that detection needs, 4 dB
+    preamble_ratio: float = (
+        2.5118864315095797  # signal over noise and interference that detection needs, 4 dB
+    )
     interrupted_wait_draws: bool = True  # docs/radio.md, "A frame that meets an idle medium"
     seed: int = 0
 
@@ -42,12 +44,14 @@ class ChannelParameters:
 
 
 class Event(NamedTuple):
-    """Something that happens at an instant; events of one instant happen in the order of these fields."""
+    """Something that happens at an instant; those of one instant in the order of these fields."""
 
     time_ns: int
     kind: int
     station: int
-    number: int = 0  # of the frame sent, of the attempt that times out, or the station to acknowledge
+    number: int = (
+        0  # of the frame sent, of the attempt that times out, or the station to acknowledge
+    )
     frame: Frame | None = None
 
 
@@ -97,16 +101,22 @@ class _Window:
         self._ratio = parameters.required_ratio(parameters.rate_mbps)
         self._acknowledgement_ratio = parameters.required_ratio(self._acknowledgement_mbps)
 
-        # Stations that detect a sender on an idle channel, and those that then certainly decode its payload.
-        detected_mw = max(parameters.sensitivity_mw, parameters.preamble_ratio * parameters.noise_mw)
-        certain_mw = CERTAIN_MARGIN * max(self._ratio, self._acknowledgement_ratio) * parameters.noise_mw
+        # On an idle channel: stations that detect a sender, and that certainly decode its payload.
+        detected_mw = max(
+            parameters.sensitivity_mw, parameters.preamble_ratio * parameters.noise_mw
+        )
+        certain_mw = (
+            CERTAIN_MARGIN * max(self._ratio, self._acknowledgement_ratio) * parameters.noise_mw
+        )
         self._detecting = [mask_of([power >= detected_mw for power in row]) for row in powers]
         self._certain = [mask_of([power >= certain_mw for power in row]) for row in powers]
 
     def run(self, frames: Iterable[Frame], until_ns: int) -> None:
         """Process all events before an instant."""
         events = self.events
-        events.extend([Event(frame.sent_ns, _SEND, frame.sender, frame.sequence, frame) for frame in frames])
+        events.extend(
+            [Event(frame.sent_ns, _SEND, frame.sender, frame.sequence, frame) for frame in frames]
+        )
         heapify(events)
 
         while events and events[0].time_ns < until_ns:
@@ -150,7 +160,7 @@ class _Window:
             heappush(self.events, Event(due, _ATTEMPT, station.number))
 
     def _attempt(self, station: Station, now: int) -> None:
-        """Transmit if the backoff has ended; if it was frozen meanwhile, try again at its new end."""
+        """Transmit if the backoff has ended; try again at its new end if it was frozen."""
         if now != station.attempt_ns:
             return
         station.attempt_ns = NEVER
@@ -175,13 +185,18 @@ class _Window:
 
         frame_bytes = pending.frame.message_bytes + OVERHEAD_BYTES
         end = now + self._standard.airtime_ns(frame_bytes, self._parameters.rate_mbps)
-        self._start(Transmission(station.number, station.next_transmission(), now, end, frame_bytes), now)
+        self._start(
+            Transmission(station.number, station.next_transmission(), now, end, frame_bytes), now
+        )
 
     def _acknowledge(self, station: Station, sender: int, now: int) -> None:
         """Acknowledge a frame, whatever the medium: SIFS is shorter than all other waits."""
         self.counts.acknowledgements += 1
         end = now + self._standard.acknowledgement_airtime_ns(self._parameters.rate_mbps)
-        self._start(Transmission(station.number, station.next_transmission(), now, end, ACK_BYTES, sender), now)
+        self._start(
+            Transmission(station.number, station.next_transmission(), now, end, ACK_BYTES, sender),
+            now,
+        )
 
     def _start(self, new: Transmission, now: int) -> None:
         sender = self.stations[new.sender]
@@ -222,12 +237,18 @@ class _Window:
         station = 1 << number
         powers = self._powers
         power = powers[transmission.sender][number]
-        rivals = [other for other in self.air if other.candidates & station and other is not transmission]
+        rivals = [
+            other for other in self.air if other.candidates & station and other is not transmission
+        ]
         if any(powers[rival.sender][number] > power for rival in rivals):
             return  # the stronger one is decided at its own detection
 
-        others_mw = sum([powers[other.sender][number] for other in self.air if other is not transmission])
-        stands_out = power >= self._parameters.preamble_ratio * (self._parameters.noise_mw + others_mw)
+        others_mw = sum(
+            [powers[other.sender][number] for other in self.air if other is not transmission]
+        )
+        stands_out = power >= self._parameters.preamble_ratio * (
+            self._parameters.noise_mw + others_mw
+        )
         if stands_out and self._detecting[transmission.sender] & station:
             for rival in rivals:
                 rival.candidates &= ~station
@@ -279,15 +300,19 @@ class _Window:
             uncertain &= ~self._certain[transmission.sender]
         decoded = transmission.locked & ~uncertain
         for number in members(uncertain):
-            if self._payload_draw(transmission, number) < self._payload_success(transmission, number):
+            if self._payload_draw(transmission, number) < self._payload_success(
+                transmission, number
+            ):
                 decoded |= 1 << number
         return decoded
 
     def _payload_draw(self, transmission: Transmission, number: int) -> float:
-        """Return the random number of a transmission at a receiver, which no other transmission changes."""
+        """Return the random number of a transmission at a receiver; no other one changes it."""
         return uniform(self._seed, transmission.sender, f"payload at {number}", transmission.number)
 
-    def _payload_success(self, transmission: Transmission, number: int, *, alone: bool = False) -> float:
+    def _payload_success(
+        self, transmission: Transmission, number: int, *, alone: bool = False
+    ) -> float:
         """Return the probability that a locked station decodes the payload."""
         ratio = self._ratio if transmission.acknowledged < 0 else self._acknowledgement_ratio
         signal = Signal(
@@ -305,7 +330,9 @@ class _Window:
         ]
         return success(signal, interference)
 
-    def _end_broadcast(self, sender: Station, transmission: Transmission, decoded: int, now: int) -> None:
+    def _end_broadcast(
+        self, sender: Station, transmission: Transmission, decoded: int, now: int
+    ) -> None:
         frame = sender.queue.pop(0).frame
         for receiver in frame.receivers:
             if decoded >> receiver & 1:
@@ -324,22 +351,30 @@ class _Window:
             return True
         if self._certain[transmission.sender] & station:
             return False
-        return self._payload_draw(transmission, number) >= self._payload_success(transmission, number, alone=True)
+        return self._payload_draw(transmission, number) >= self._payload_success(
+            transmission, number, alone=True
+        )
 
     def _end_unicast(self, sender: Station, decoded: int, now: int) -> None:
-        """Let the receiver acknowledge, and all others that decoded the frame keep quiet meanwhile."""
+        """Let the receiver acknowledge; all others that decoded the frame keep quiet meanwhile."""
         standard = self._standard
         pending = sender.queue[0]
         receiver = 1 << pending.receiver
-        reserved_until = now + standard.sifs_ns + standard.acknowledgement_airtime_ns(self._parameters.rate_mbps)
+        reserved_until = (
+            now + standard.sifs_ns + standard.acknowledgement_airtime_ns(self._parameters.rate_mbps)
+        )
         for number in members(decoded & ~receiver):
             self.stations[number].sense(reserved_until, now, redraw_seed=self._redraw_seed)
 
         if decoded & receiver:
             if not pending.delivered:
-                self.outcomes.append(Outcome(pending.frame, pending.receiver, Result.DELIVERED, now))
+                self.outcomes.append(
+                    Outcome(pending.frame, pending.receiver, Result.DELIVERED, now)
+                )
                 sender.queue[0] = pending._replace(delivered=True)
-            acknowledgement = Event(now + standard.sifs_ns, _ACKNOWLEDGE, pending.receiver, sender.number)
+            acknowledgement = Event(
+                now + standard.sifs_ns, _ACKNOWLEDGE, pending.receiver, sender.number
+            )
             heappush(self.events, acknowledgement)
 
         timeout_ns = now + standard.sifs_ns + standard.slot_ns + standard.preamble_ns
@@ -384,21 +419,27 @@ class _Window:
 
 
 def advance(
-    parameters: ChannelParameters, state: ChannelState, powers: Powers, frames: Iterable[Frame], until_ns: int
+    parameters: ChannelParameters,
+    state: ChannelState,
+    powers: Powers,
+    frames: Iterable[Frame],
+    until_ns: int,
 ) -> tuple[ChannelState, list[Outcome], ChannelCounts]:
     """Return the channel at a later instant, with what was decided meanwhile.
 
     Args:
         parameters: Settings of the channel.
         state: The channel at the end of the last window; it is not changed.
-        powers: Received power, mW, of each sender (row) at each station (column); in force during the window.
+        powers: Received power, mW, of each sender (row) at each station (column) in the window.
         frames: Frames sent from the state's instant on, in any order, also after `until_ns`.
         until_ns: End of the window; events at this instant belong to the next one.
 
-    Returns: The state at `until_ns`, outcomes in the order of their instants, and counts. Each frame has one outcome for
-        each of its receivers, in this window or a later one.
+    Returns: The state at `until_ns`, outcomes in the order of their instants, and counts. Each frame
+        has one outcome for each of its receivers, in this window or a later one.
     """
     window = _Window(parameters, state, powers)
     window.run(frames, until_ns)
-    later = ChannelState(tuple(window.stations), tuple(window.air), tuple(sorted(window.events)), until_ns)
+    later = ChannelState(
+        tuple(window.stations), tuple(window.air), tuple(sorted(window.events)), until_ns
+    )
     return later, window.outcomes, window.counts

@@ -1,4 +1,4 @@
-"""Random numbers of the radio, from counters: number n of a stream is the same whatever else was drawn."""
+"""Random numbers from counters: number n of a stream is the same whatever else was drawn."""
 
 import hashlib
 import math

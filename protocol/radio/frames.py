@@ -15,7 +15,7 @@ class Result(IntEnum):
 
 
 class Frame(NamedTuple):
-    """One message for the air: broadcast to all receivers, or sent to each of them in turn if unicast."""
+    """One message for the air: broadcast to all receivers, or unicast to each of them in turn."""
 
     sent_ns: int  # instant at which the sender queues the frame
     sender: int

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from protocol.radio.draws import normal
+from transport.protocol.radio.draws import normal
 
 _BOLTZMANN = 1.380649e-23  # J/K
 _TEMPERATURE_K = 290.0
@@ -31,7 +31,7 @@ def noise_mw(bandwidth_hz: float, figure_db: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Propagation:
-    """Log-distance path loss: L = L_1 + 10 n log10(d / 1 m) + X, with X constant for each pair in a run."""
+    """Log-distance path loss: L = L_1 + 10 n log10(d / 1 m) + X, X constant for each pair."""
 
     power_dbm: float
     exponent: float = 3.0
@@ -47,14 +47,22 @@ class Propagation:
         return self.shadowing_db * normal(self.seed, low, "shadowing", high)
 
     def at_reference(self, stations: int) -> Powers:
-        """Return the power of each sender at each station if they were 1 m apart, mW; it is constant in a run."""
+        """Return the power of each sender at each station at a distance of 1 m, mW."""
         return [
-            [milliwatts(self.power_dbm - self.reference_loss_db - self.shadowing(i, j)) for j in range(stations)]
+            [
+                milliwatts(self.power_dbm - self.reference_loss_db - self.shadowing(i, j))
+                for j in range(stations)
+            ]
             for i in range(stations)
         ]
 
     def powers(self, at_reference: Powers, positions_m: Positions) -> Powers:
-        """Return the power of each sender (row) at each station (column), mW, from positions, m, (N, 3)."""
+        """Return the power of each sender (row) at each station (column), mW.
+
+        Args:
+            at_reference: Power at 1 m, mW, (N, N).
+            positions_m: Positions, m, (N, 3).
+        """
         half = -0.5 * self.exponent
         powers = [[0.0] * len(positions_m) for _ in positions_m]
         for i, (x, y, z) in enumerate(positions_m):

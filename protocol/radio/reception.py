@@ -1,16 +1,19 @@
-"""Probability that the payload of a frame is decoded, from its signal over noise and interference."""
+"""Probability that the payload of a frame is decoded, from signal, noise and interference."""
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
-# One shape fits the curves of success over signal to noise of all rates within 0.2 dB: the exponent of the losses falls
-# by a factor of ten within this many dB (docs/radio.md, "Decoding").
+# One shape fits the curves of success over signal to noise of all rates within 0.2 dB: the exponent
+# of the losses falls by a factor of ten within this many dB (docs/radio.md, "Decoding").
 _DECADE_DB = 0.85
 _STEEPNESS = 10.0 / _DECADE_DB
 _REFERENCE_BYTES = 1536  # of `Standard.required_sinr_db`
 _CERTAIN = 1e-6  # a smaller exponent counts as none
-CERTAIN_MARGIN = _CERTAIN ** (-1.0 / _STEEPNESS)  # ratio to the required signal from which a payload is always decoded
+CERTAIN_MARGIN = _CERTAIN ** (
+    -1.0 / _STEEPNESS
+)  # ratio to the required signal from which a payload is always decoded
 
 
 class Interference(NamedTuple):
@@ -22,7 +25,7 @@ class Interference(NamedTuple):
 
 
 class Signal(NamedTuple):
-    """A frame at a receiver: its time on the air, ns, length, power, and the power required without interference."""
+    """A frame at a receiver."""
 
     start_ns: int
     end_ns: int
@@ -35,8 +38,8 @@ class Signal(NamedTuple):
 def success(signal: Signal, interference: Sequence[Interference]) -> float:
     """Return the probability that a payload is decoded.
 
-    exp(-L / L_ref * sum_k f_k (q_k / q)^-s) with length L, and for the part f_k of the frame with constant
-    interference its ratio q_k of signal over noise and interference, over the required one q.
+    exp(-L / L_ref * sum_k f_k (q_k / q)^-s) with length L; in the part f_k of the frame the
+    interference is constant, and q_k the ratio of signal over noise and interference; q is required.
     """
     edges = {signal.start_ns, signal.end_ns}
     for other in interference:
@@ -46,8 +49,14 @@ def success(signal: Signal, interference: Sequence[Interference]) -> float:
 
     duration_ns = signal.end_ns - signal.start_ns
     exponent = 0.0
-    for begin, end in zip(ordered, ordered[1:], strict=False):
-        others_mw = sum([other.power_mw for other in interference if other.start_ns <= begin and end <= other.end_ns])
+    for begin, end in pairwise(ordered):
+        others_mw = sum(
+            [
+                other.power_mw
+                for other in interference
+                if other.start_ns <= begin and end <= other.end_ns
+            ]
+        )
         margin = signal.power_mw / (signal.required_mw + signal.required_ratio * others_mw)
         exponent += (end - begin) / duration_ns * _losses(margin)
     return math.exp(-signal.frame_bytes / _REFERENCE_BYTES * exponent)

@@ -6,7 +6,7 @@ The time of computation is a random number, not a measurement: the speed of the 
 from dataclasses import dataclass
 from typing import Literal
 
-from protocol.radio.draws import normal, uniform
+from transport.protocol.radio.draws import normal, uniform
 
 Offsets = Literal["none", "slots", "random"]
 
@@ -17,12 +17,12 @@ _SLOTS_AFTER_DEVIATIONS = 3.0  # slots begin when all but 0.1 % of the computati
 class SendTimes:
     """Instants of the sends of a team within each sampling period.
 
-    A period has `exchanges` exchanges of equal length: one, or one for each iteration of the negotiation. In each, a
-    station sends when its computation has ended and its offset has passed:
+    A period has `exchanges` exchanges of equal length: one, or one for each iteration of the
+    negotiation. In each, a station sends when its computation has ended and its offset has passed:
 
     none: no offset; all stations send when they are ready.
-    slots: station i of N waits for its own slot. Slots follow a time that the computation of all others takes, too, and
-        share the rest of the exchange evenly. They need no messages.
+    slots: station i of N waits for its own slot. Slots follow a time in which the computation of all
+        stations ends, and share the rest of the exchange evenly. They need no messages.
     random: an offset that is uniform over the same rest, drawn for each exchange.
     """
 
@@ -42,7 +42,9 @@ class SendTimes:
     @property
     def computation_allowance_ns(self) -> int:
         """Time from the start of an exchange to its first slot, ns."""
-        return self.computation_mean_ns + round(_SLOTS_AFTER_DEVIATIONS * self.computation_deviation_ns)
+        return self.computation_mean_ns + round(
+            _SLOTS_AFTER_DEVIATIONS * self.computation_deviation_ns
+        )
 
     @property
     def spread_ns(self) -> int:
@@ -55,7 +57,11 @@ class SendTimes:
         deviation = self.computation_deviation_ns
         if deviation == 0:
             return self.computation_mean_ns
-        return max(0, self.computation_mean_ns + round(deviation * normal(self.seed, station, "computation", number)))
+        return max(
+            0,
+            self.computation_mean_ns
+            + round(deviation * normal(self.seed, station, "computation", number)),
+        )
 
     def offset_ns(self, station: int, tick: int, exchange: int = 0) -> int:
         """Return the earliest send of a station after the start of an exchange, ns."""
@@ -64,7 +70,9 @@ class SendTimes:
         if self.offsets == "slots":
             return self.computation_allowance_ns + station * self.spread_ns // self.stations
         number = tick * self.exchanges + exchange
-        return self.computation_allowance_ns + int(self.spread_ns * uniform(self.seed, station, "offset", number))
+        return self.computation_allowance_ns + int(
+            self.spread_ns * uniform(self.seed, station, "offset", number)
+        )
 
     def instant_ns(self, station: int, tick: int, exchange: int = 0) -> int:
         """Return the instant of a send, ns after the start of the run."""

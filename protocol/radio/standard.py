@@ -30,12 +30,12 @@ class Standard:
     cw_max: int
     bandwidth_hz: float
     basic_rates_mbps: tuple[float, ...]  # rates of acknowledgements
-    # Signal over noise and interference at which 37 % of frames of 1536 bytes arrive, dB, by rate in Mb/s.
+    # Signal over noise and interference at which 37 % of frames of 1536 bytes arrive, dB, by rate.
     required_sinr_db: Mapping[float, float]
 
     @property
     def difs_ns(self) -> int:
-        """Idle time before the backoff counts (distributed interframe space), ns: SIFS + 2 slots."""
+        """Idle time before backoff counts (distributed interframe space), ns: SIFS + 2 slots."""
         return self.sifs_ns + 2 * self.slot_ns
 
     @property
@@ -48,7 +48,7 @@ class Standard:
         return max(rate for rate in self.basic_rates_mbps if rate <= rate_mbps)
 
     def airtime_ns(self, frame_bytes: int, rate_mbps: float) -> int:
-        """Return the duration of a frame on the air, ns; `frame_bytes` includes all headers of the MAC."""
+        """Return the duration of a frame on the air, ns; its bytes include all headers."""
         if self.name == "802.11b":
             return self.preamble_ns + _dsss_payload_ns(frame_bytes, rate_mbps)
         return self.preamble_ns + _ofdm_payload_ns(frame_bytes, rate_mbps)
@@ -63,7 +63,7 @@ class Standard:
 
     @property
     def eifs_extra_ns(self) -> int:
-        """Time by which EIFS exceeds DIFS, ns: SIFS and an acknowledgement at the lowest basic rate."""
+        """Excess of EIFS over DIFS, ns: SIFS and an acknowledgement at the lowest basic rate."""
         return self.sifs_ns + self.airtime_ns(ACK_BYTES, min(self.basic_rates_mbps))
 
 
@@ -90,7 +90,16 @@ OFDM = Standard(
     cw_max=1023,
     bandwidth_hz=20e6,
     basic_rates_mbps=(6.0, 12.0, 24.0),
-    required_sinr_db={6.0: 0.2, 9.0: 2.1, 12.0: 3.2, 18.0: 5.7, 24.0: 8.8, 36.0: 11.9, 48.0: 16.1, 54.0: 17.4},
+    required_sinr_db={
+        6.0: 0.2,
+        9.0: 2.1,
+        12.0: 3.2,
+        18.0: 5.7,
+        24.0: 8.8,
+        36.0: 11.9,
+        48.0: 16.1,
+        54.0: 17.4,
+    },
 )
 DSSS = Standard(
     name="802.11b",

@@ -6,9 +6,9 @@ Source: distributed coordination function, IEEE 802.11-2020, 10.3.4.
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from protocol.radio.draws import uniform
-from protocol.radio.frames import Frame
-from protocol.radio.standard import Standard
+from transport.protocol.radio.draws import uniform
+from transport.protocol.radio.frames import Frame
+from transport.protocol.radio.standard import Standard
 
 BROADCAST = -1
 NEVER = 2**62
@@ -38,9 +38,13 @@ class Station:
     slots: int = 0
     backoff_from: int = 0  # no idle slot counts before
     busy_until: int = 0  # end of own and sensed transmissions, and of reserved time
-    error_until: int = 0  # a frame could not be decoded: the medium counts as busy for an acknowledgement (EIFS)
+    error_until: int = (
+        0  # a frame could not be decoded: the medium counts as busy for an acknowledgement (EIFS)
+    )
     sending: bool = False  # a frame is on the air or waits for its acknowledgement
-    waits_without_backoff: bool = False  # the frame met an idle medium, which must stay idle for DIFS
+    waits_without_backoff: bool = (
+        False  # the frame met an idle medium, which must stay idle for DIFS
+    )
     attempt_ns: int = NEVER  # instant of the next attempt in the events of the channel
     backoffs: int = 0  # backoffs drawn so far
     transmissions: int = 0  # numbers of transmissions used so far
@@ -70,7 +74,7 @@ class Station:
         )
 
     def count_from(self) -> int:
-        """Return the instant from which idle slots count: DIFS, or EIFS after an error, behind the last activity."""
+        """Return the instant from which idle slots count: DIFS, or EIFS, behind the activity."""
         busy_until = self.busy_until
         if self.error_until > busy_until:
             busy_until = self.error_until
@@ -95,7 +99,8 @@ class Station:
         Args:
             until_ns: End of the activity.
             now: Start of the activity, as sensed.
-            redraw_seed: Seed of the backoff of a frame whose wait of DIFS is interrupted; None: it needs none.
+            redraw_seed: Seed of the backoff of a frame whose wait of DIFS is interrupted; None: it
+                keeps none.
         """
         if self.slots:
             self.count_down(now)
@@ -107,8 +112,8 @@ class Station:
     def request(self, seed: int, now: int) -> None:
         """Ask for the medium for the first frame of an empty queue.
 
-        A running backoff goes on. Without one, a frame that meets an idle medium is sent after DIFS, and one that
-        meets a busy medium after a random backoff.
+        A running backoff goes on. Without one, a frame that meets an idle medium is sent after DIFS,
+        and one that meets a busy medium after a random backoff.
         """
         self.count_down(now)
         if self.slots > 0:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from protocol.radio.channel import ChannelCounts
-from protocol.radio.frames import Outcome, Result
+from transport.protocol.radio.channel import ChannelCounts
+from transport.protocol.radio.frames import Outcome, Result
 
 _NS_PER_MS = 1e6
 _QUANTILES = (50.0, 99.0)
@@ -22,7 +22,9 @@ class LinkStatistics:
     frames: int
     delivered: int
     lost: Mapping[Result, int]
-    delay_p50_ms: float | None  # of delivered frames, from the send to the arrival; None without any
+    delay_p50_ms: (
+        float | None
+    )  # of delivered frames, from the send to the arrival; None without any
     delay_p99_ms: float | None
 
     @property
@@ -64,18 +66,26 @@ class ChannelStatistics:
         results: Counter[Result] = Counter()
         for counted in self.results.values():
             results.update(counted)
-        return _statistics(results, [delay for delays in self.delays_ns.values() for delay in delays])
+        return _statistics(
+            results, [delay for delays in self.delays_ns.values() for delay in delays]
+        )
 
 
 def _statistics(results: Counter[Result], delays_ns: list[int]) -> LinkStatistics:
     p50_ms: float | None = None
     p99_ms: float | None = None
     if delays_ns:
-        p50_ms, p99_ms = (float(value) for value in np.percentile(delays_ns, _QUANTILES) / _NS_PER_MS)
+        p50_ms, p99_ms = (
+            float(value) for value in np.percentile(delays_ns, _QUANTILES) / _NS_PER_MS
+        )
     return LinkStatistics(
         frames=results.total(),
         delivered=results[Result.DELIVERED],
-        lost={result: count for result, count in sorted(results.items()) if result is not Result.DELIVERED},
+        lost={
+            result: count
+            for result, count in sorted(results.items())
+            if result is not Result.DELIVERED
+        },
         delay_p50_ms=p50_ms,
         delay_p99_ms=p99_ms,
     )
