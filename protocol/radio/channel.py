@@ -434,8 +434,8 @@ def advance(
         frames: Frames sent from the state's instant on, in any order, also after `until_ns`.
         until_ns: End of the window; events at this instant belong to the next one.
 
-    Returns: The state at `until_ns`, outcomes in the order of their instants, and counts. Each frame
-        has one outcome for each of its receivers, in this window or a later one.
+    Returns: The state at `until_ns`, outcomes in the order of their instants, and counts. Each
+        frame has one outcome for each of its receivers, in this window or a later one.
     """
     window = _Window(parameters, state, powers)
     window.run(frames, until_ns)
