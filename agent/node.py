@@ -19,7 +19,15 @@ from transport.protocol.admission.arrivals import Arrivals
 from transport.protocol.admission.participant import Participant
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.messages import Measurement, Message, Plan, Roster, Target
+from transport.protocol.wire.messages import (
+    NO_NEWS,
+    Airtime,
+    Measurement,
+    Message,
+    Plan,
+    Roster,
+    Target,
+)
 from transport.protocol.wire.names import agent_name
 
 
@@ -42,6 +50,8 @@ class AgentNode(Participant):
         self._targets: deque[tuple[int, Setup]] = (
             deque()
         )  # those still to come: the tick, the run with it
+        self._hears_by_radio = setup.scenario.radio is not None
+        self._air_tick = 0  # until which the radio's news are here
         super().__init__(setup, agent_name(agent), incarnation, after=1, own=agent)
 
     def _begin(self, incarnation: int) -> None:
@@ -54,6 +64,8 @@ class AgentNode(Participant):
         self._proposals: dict[
             tuple[int, int], dict[int, Plan]
         ] = {}  # by tick and exchanges to come, and agent
+        # With a radio: agents whose proposals came through the air in time, by the same.
+        self._heard: dict[tuple[int, int], set[int]] = {}
 
     @property
     def wake_ns(self) -> int | None:
@@ -80,6 +92,27 @@ class AgentNode(Participant):
         if isinstance(message, Measurement):
             self._measurement = message
             self._measurements.put(message, now_ns)
+        elif isinstance(message, Airtime):
+            self._take_airtime(message)
+
+    def _take_airtime(self, news: Airtime) -> None:
+        """Note which plans have come through the air, and which of the proposals of an exchange."""
+        heard = set()
+        arrivals_s = news.arrivals[:, self._agent - 1].tolist()
+        rows = zip(news.agents, news.plan_ticks, news.exchanges, arrivals_s, strict=True)
+        for agent, tick, exchange, arrival_s in rows:
+            if arrival_s == NO_NEWS:
+                continue
+            if exchange == 0:
+                arrived_s = arrival_s if arrival_s >= 0.0 else None
+                self._plans.air(agent_name(agent), tick, arrived_s)
+            elif (tick, exchange) == (news.tick, news.negotiation) and arrival_s >= 0.0:
+                heard.add(agent)
+
+        if news.negotiation > 0:
+            self._heard[news.tick, news.negotiation] = heard
+        else:
+            self._air_tick = news.tick
 
     def _take_plan(self, plan: Plan, now_ns: int) -> None:
         if plan.tick < self._membership.since[self._agent]:
@@ -153,6 +186,7 @@ class AgentNode(Participant):
         plans, lost_plans = self._plans.take(k, now_ns)
         self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick >= k}
         self._proposals = {at: proposals for at, proposals in self._proposals.items() if at[0] >= k}
+        self._heard = {at: heard for at, heard in self._heard.items() if at[0] >= k}
         roster = membership.at(measurement.roster)
         return Known(
             measurement=measurement,
@@ -168,9 +202,15 @@ class AgentNode(Participant):
         )
 
     def _take_proposals(self, step: Step | OwnStep) -> list[Plan]:
-        """Return the others' proposals of the present iteration that their links pass without delay, by agent."""
+        """Return the others' proposals of the present iteration that their links pass without delay, by agent.
+
+        With a radio, of those that came through the air before the end of the iteration.
+        """
         k = step.known.measurement.tick
         proposals = sorted(self._proposals.pop((k, step.negotiation), {}).items())
+        if self._hears_by_radio:
+            heard = self._heard.pop((k, step.negotiation))
+            proposals = [(agent, plan) for agent, plan in proposals if agent in heard]
         links = self._plans.links
         return [
             plan for _, plan in proposals if 0.0 in links[plan.sender].delays(k, step.negotiation)
@@ -182,6 +222,8 @@ class AgentNode(Participant):
             return True
         if measurement.roster > self._membership.version:
             return False
+        if self._hears_by_radio and measurement.tick > self._air_tick:
+            return False
         if measurement.tick - 1 < self._membership.since.get(self._agent, 0):
             return True  # plans of ticks before this process took part are not for it
         senders = set(measurement.shared) & self._membership.took_part(measurement.tick - 1) - {
@@ -191,5 +233,8 @@ class AgentNode(Participant):
 
     def _has_proposals_for(self, step: Step | OwnStep) -> bool:
         """Return whether the proposals of the present iteration are here from all others."""
-        here = self._proposals.get((step.known.measurement.tick, step.negotiation), {})
+        at = step.known.measurement.tick, step.negotiation
+        if self._hears_by_radio and at not in self._heard:
+            return False
+        here = self._proposals.get(at, {})
         return self._membership.incarnations.keys() - {self._agent} <= here.keys()

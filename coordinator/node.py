@@ -10,6 +10,7 @@ when a tick is opened.
 from collections.abc import Collection, Sequence
 from enum import Enum
 
+from transport.coordinator.air import TeamAir
 from transport.coordinator.clock import Clock
 from transport.coordinator.roster import TeamRoster, names
 from transport.protocol.admission.plausibility import check_tick
@@ -73,6 +74,8 @@ class CoordinatorNode:
             int, int
         ] = {}  # negotiation iterations left in the open tick, by agent
         self._plant_tick = -1  # newest tick the plant has recorded
+        radio = setup.scenario.radio
+        self._air = None if radio is None else TeamAir(setup, radio, self._out)
         self._divergence = ""
 
     @property
@@ -101,15 +104,21 @@ class CoordinatorNode:
                 return self._process_gone(event, now_ns)
             case PlantState():
                 self._plant_tick = event.tick
+                if self._air is not None:
+                    self._air.plant_state(event)
                 self._clock.plant_ns = now_ns
                 if event.diverged and not self._divergence:
                     self._divergence = f"{event.diverged} at {self._roster.time(event.tick)}"
                     self.state = State.DIVERGED
             case Plan(negotiation=left) if left > 0:
                 self._negotiating[event.agent] = left
+                if self._air is not None:
+                    self._air.send(event, self._roster.members)
             case Plan():
                 if event.tick == self.tick:
                     self._answered[event.agent] = event.shared
+                    if self._air is not None:
+                        self._air.send(event, self._roster.members)
                 self._clock.answer(event, self.tick, now_ns)
         return self._advance(now_ns)
 
@@ -279,6 +288,12 @@ class CoordinatorNode:
         return [self._roster.message(reason, self.tick), *self._advance(now_ns)]
 
     def _advance(self, now_ns: int) -> Sequence[Message]:
+        """End an exchange whose proposals are all here, and the open tick if it may be closed."""
+        if self._air is None or self.state is State.WAITING:
+            return self._close(now_ns)
+        return [*self._air.exchanged(self.tick, self._roster.members), *self._close(now_ns)]
+
+    def _close(self, now_ns: int) -> Sequence[Message]:
         """Close the open tick if it may be closed: open the next one, or end the run."""
         if self.state is State.WAITING:
             return ()
@@ -289,6 +304,7 @@ class CoordinatorNode:
         if (
             not self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last)
             or self._awaits_plant
+            or not (self._is_last or self._air is None or self._air.may_open(self.tick + 1))
         ):
             return ()
         if (
@@ -313,6 +329,7 @@ class CoordinatorNode:
         """Open the next tick, also for agents that have returned."""
         tick = self.tick + 1
         joined, messages = self._roster.begin(tick)
+        air = [] if self._air is None else self._air.opened(tick)
         late_ns, overrun_ns = self._clock.lateness_ns(tick, now_ns)
         opened = self._out.stamp(
             Tick,
@@ -331,7 +348,7 @@ class CoordinatorNode:
         self._clock.open(tick, self._roster.members, joined, now_ns)
         if self._plant_tick + 1 == tick:
             self._clock.plant_ns = now_ns  # it owes no earlier interval
-        return [*messages, opened]
+        return [*messages, *air, opened]
 
     def _stop(self, exit_code: int, reason: str) -> Sequence[Message]:
         if self.state is State.STOPPED:

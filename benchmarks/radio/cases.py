@@ -84,17 +84,18 @@ def circle(stations: int, diameter_m: float) -> tuple[Position, ...]:
 def team(stations: int, rate_mbps: float, scatter_ms: float, diameter_m: float = 4.0) -> Case:
     """Return a team on a circle."""
     return Case(
-        name=f"N={stations} {rate_mbps:g} Mb/s {scatter_ms:g} ms {diameter_m:g} m",
+        name=f"N = {stations}, {diameter_m:g} m, {rate_mbps:g} Mb/s, {scatter_ms:g} ms",
         positions=circle(stations, diameter_m),
         rate_mbps=rate_mbps,
         scatter_s=scatter_ms / 1e3,
+        periods=1000 if stations <= 8 else 400,
     )
 
 
 def hidden(scatter_ms: float) -> Case:
     """Return two stations that do not hear each other, and one between them that hears both."""
     return Case(
-        name=f"hidden node, 6 Mb/s {scatter_ms:g} ms",
+        name=f"hidden node, 6 Mb/s, {scatter_ms:g} ms",
         positions=((-40.0, 0.0, 0.0), (0.0, 1.0, 0.0), (40.5, 0.0, 0.0)),
         rate_mbps=6.0,
         scatter_s=scatter_ms / 1e3,
@@ -104,3 +105,32 @@ def hidden(scatter_ms: float) -> Case:
 def with_unicast(case: Case) -> Case:
     """Return a case with acknowledged messages."""
     return replace(case, name=f"{case.name}, unicast", unicast=True)
+
+
+def with_dsss(case: Case) -> Case:
+    """Return a case with 802.11b at 2.4 GHz and shorter messages."""
+    return replace(
+        case,
+        name=f"{case.name}, 802.11b",
+        standard="802.11b",
+        message_bytes=500,
+        reference_loss_db=40.0,
+    )
+
+
+SCATTERS_MS = (0.0, 0.1, 1.0, 5.0, 40.0)
+SIZES = (2, 4, 8, 16, 30)
+
+
+def cases() -> list[Case]:
+    """Return all cases of the comparison."""
+    return [
+        *[team(n, rate, scatter) for n in SIZES for rate in (6.0, 24.0) for scatter in SCATTERS_MS],
+        *[team(4, rate, 1.0, d) for d in (25.0, 50.0, 55.0, 75.0, 100.0) for rate in (6.0, 24.0)],
+        *[team(16, rate, 5.0, d) for d in (50.0, 75.0, 100.0, 150.0) for rate in (6.0, 24.0)],
+        *[hidden(scatter) for scatter in SCATTERS_MS],
+        *[with_unicast(team(n, 6.0, scatter)) for n in (4, 16) for scatter in SCATTERS_MS],
+        *[with_unicast(team(8, 24.0, scatter)) for scatter in SCATTERS_MS],
+        *[with_dsss(team(4, rate, scatter)) for rate in (1.0, 11.0) for scatter in SCATTERS_MS],
+        *[team(4, 54.0, 1.0, d) for d in (4.0, 25.0, 35.0)],
+    ]

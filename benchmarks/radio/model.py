@@ -30,7 +30,9 @@ def run(case: Case) -> tuple[Arrivals, dict[str, int]]:
     """Return arrivals by send and receiver, ns, and the counts of a case."""
     stations = len(case.positions)
     propagation = Propagation(
-        power_dbm=case.power_dbm, exponent=case.exponent, reference_loss_db=case.reference_loss_db
+        power_mw=milliwatts(case.power_dbm),
+        exponent=case.exponent,
+        reference_loss_db=case.reference_loss_db,
     )
     powers = propagation.powers(propagation.at_reference(stations), case.positions)
     everyone = range(stations)

@@ -114,7 +114,8 @@ class _Plant(Exchange):
     ] = ()  # accepted plans for the agents since the last measurement
 
     def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
-        if isinstance(event, wire.Plan) and event.shared and bundle is not None:
+        shared = isinstance(event, wire.Airtime) or (isinstance(event, wire.Plan) and event.shared)
+        if shared and bundle is not None:
             key = self._keys.end(self._keys.of(event))
             self._shared = *self._shared, (key, bundle.parts[bundle.keys.index(key)])
 
@@ -132,7 +133,7 @@ class _Coordinator(Exchange):
     At once if all are here and no tick follows yet.
     """
 
-    bundled = (wire.Tick,)
+    bundled = (wire.Airtime, wire.Tick)
 
     _answers: Mapping[int, wire.Answer] = {}  # accepted answers, by agent
     _awaited: Set[int] = frozenset()  # agents that are to answer the open tick

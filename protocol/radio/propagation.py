@@ -33,7 +33,7 @@ def noise_mw(bandwidth_hz: float, figure_db: float) -> float:
 class Propagation:
     """Log-distance path loss: L = L_1 + 10 n log10(d / 1 m) + X, X constant for each pair."""
 
-    power_dbm: float
+    power_mw: float
     exponent: float = 3.0
     reference_loss_db: float = 46.6777  # free space, 1 m, 5.15 GHz
     shadowing_db: float = 0.0  # standard deviation of X
@@ -50,7 +50,7 @@ class Propagation:
         """Return the power of each sender at each station at a distance of 1 m, mW."""
         return [
             [
-                milliwatts(self.power_dbm - self.reference_loss_db - self.shadowing(i, j))
+                self.power_mw / ratio(self.reference_loss_db + self.shadowing(i, j))
                 for j in range(stations)
             ]
             for i in range(stations)

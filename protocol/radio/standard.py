@@ -10,6 +10,8 @@ from dataclasses import dataclass
 # Bytes around a message: LLC/SNAP header 8, MAC header of a data frame 24, frame check sequence 4.
 OVERHEAD_BYTES = 8 + 24 + 4
 ACK_BYTES = 14
+# Longest message of one frame: the largest MSDU, 2304 bytes, with the LLC/SNAP header.
+MESSAGE_BYTES = 2304 - 8
 
 _MICROSECOND_NS = 1_000
 _OFDM_SYMBOL_NS = 4 * _MICROSECOND_NS

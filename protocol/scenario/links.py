@@ -133,15 +133,16 @@ class Link:
             delays.append(self._delay(section, draw[_ECHO : _ECHO + 2]))
         return [min(delay, _LONGEST_S) for delay in delays]
 
-    def usable_ticks(self, tick: int, after: int = 1) -> list[int]:
+    def usable_ticks(self, tick: int, after: int = 1, air_s: float = 0.0) -> list[int]:
         """Return the ticks from which the message of a tick can be used.
 
-        At or after its arrival, and `after` ticks.
+        At or after its arrival, and `after` ticks. It enters the link `air_s` after its tick, when
+        the radio of the team has carried it.
         """
-        if not self._partitions and self._in_force(tick)[1]:
+        if air_s == 0.0 and not self._partitions and self._in_force(tick)[1]:
             return [tick + after]
         return [
-            max(tick + after, math.ceil(tick + delay / self._period_s - _SLACK))
+            max(tick + after, math.ceil(tick + (air_s + delay) / self._period_s - _SLACK))
             for delay in self.delays(tick)
         ]
 

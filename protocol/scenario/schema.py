@@ -27,6 +27,7 @@ from transport.protocol.scenario.files import TableError, way_of
 from transport.protocol.scenario.link_sections import LinksSection
 from transport.protocol.scenario.own_class import or_class
 from transport.protocol.scenario.plant_sections import PlantSection
+from transport.protocol.scenario.radio_section import RadioSection
 from transport.protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS, MAX_POINTS
 from transport.protocol.wire.names import MAX_UAVS
 
@@ -408,6 +409,7 @@ class Scenario(Section):
     agents: AgentsSection = AgentsSection()
     clock: ClockSection = ClockSection()
     links: LinksSection = LinksSection()
+    radio: RadioSection | None = None
     faults: FaultsSection = FaultsSection()
     plant: PlantSection = PlantSection()
     network: NetworkSection = NetworkSection()

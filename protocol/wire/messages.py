@@ -29,6 +29,7 @@ MAX_TICK = 2**48
 MAX_TEXT, MAX_KEY, MAX_PARTS = 1_000, 80, 1_024
 MAX_NAMES, MAX_NAME = 64, 80  # numbers of a note, characters of their names
 MAX_POINTS = 256  # of a target
+MAX_ROWS = 65_536  # plans with news of the radio
 
 _LARGEST = sys.float_info.max
 Count = Annotated[int, Meta(ge=0, le=MAX_TICK)]
@@ -37,6 +38,7 @@ Agent = Annotated[int, Meta(ge=1, le=MAX_UAVS)]
 # Ids of agents or UAVs, 1-based, ascending.
 Ids = Annotated[tuple[Agent, ...], Meta(max_length=MAX_UAVS)]
 Counts = Annotated[tuple[Count, ...], Meta(max_length=MAX_UAVS)]
+Rows = Annotated[tuple[Count, ...], Meta(max_length=MAX_ROWS)]
 Ages = Annotated[tuple[Age, ...], Meta(max_length=MAX_UAVS)]
 PlanTicks = Annotated[
     tuple[Annotated[int, Meta(ge=-3, le=MAX_TICK)], ...], Meta(max_length=MAX_UAVS)
@@ -123,6 +125,8 @@ class Message(
         route = self.route
         return getattr(self, route.grows), -getattr(self, route.falls) if route.falls else 0
 
+
+NO_NEWS = -9.0  # in `Airtime.arrivals`
 
 Outcome = Literal["completed", "diverged", "aborted"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
@@ -239,6 +243,33 @@ class Control(Message, tag="control", frozen=True, kw_only=True):
     outcome: Outcome
     reason: Text  # why, for people; empty when completed
     exit_code: Annotated[int, Meta(ge=0, le=255)]  # the code every process exits with
+
+
+class Airtime(Message, tag="airtime", frozen=True, kw_only=True):
+    """Coordinator to agents: what the radio of the team did with their plans until this tick, or an exchange of it.
+
+    The numbers of a frame count in seconds from the tick of its plan.
+    """
+
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(AGENT, PLANT, RECORDER, WATCHER))
+    as_long: ClassVar[tuple[str, ...]] = "agents", "plan_ticks", "exchanges"
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {
+        "sent": lambda one: (len(one.agents),),
+        "arrivals": lambda one: (len(one.agents), None),
+    }
+
+    # Exchanges that follow within the tick, as in proposals of a negotiation; 0: the tick is open.
+    negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]
+    agents: Rows  # sender of each plan with news, 1-based
+    plan_ticks: Rows  # its tick
+    exchanges: Rows  # its own `negotiation`
+    sent: Array  # instant at which its sender put it into the queue, (F,), s
+    # Instant of its arrival at each agent, (F, agents), s, or why it was lost: -1 collision, -2 too
+    # weak, -3 queue full, -4 attempts exhausted; -9: nothing new, or the agent is no receiver.
+    arrivals: Array
+    busy_s: Annotated[float, Meta(ge=0.0, le=_LARGEST)]  # air occupied since the last report, s
+    transmissions: Count  # of frames since the last report
+    repetitions: Count  # those of them that repeat a frame that was not acknowledged
 
 
 # The control loop
@@ -467,14 +498,14 @@ class Relay(Bundle, tag="relay", frozen=True, kw_only=True):
     """
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(PLANT, RECORDER, WATCHER))
-    carries: ClassVar[tuple[type[Message], ...]] = (Plan, StepReport, Tick)
+    carries: ClassVar[tuple[type[Message], ...]] = (Plan, StepReport, Airtime, Tick)
 
 
 class Instant(Bundle, tag="instant", frozen=True, kw_only=True):
     """Plant to agents: the shared plans of a tick, from the relay, and the measurements of the next tick."""
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(AGENT,))
-    carries: ClassVar[tuple[type[Message], ...]] = (Plan, Measurement)
+    carries: ClassVar[tuple[type[Message], ...]] = (Plan, Airtime, Measurement)
 
 
 class Record(Bundle, tag="record", frozen=True, kw_only=True):

@@ -14,19 +14,19 @@ SIGMAS = 5.0
 
 def test_power_falls_with_the_exponent_of_distance() -> None:
     """Ten times the distance loses ten times the exponent, in dB."""
-    propagation = Propagation(power_dbm=16.0, exponent=3.0, reference_loss_db=46.0)
+    propagation = Propagation(power_mw=40.0, exponent=3.0, reference_loss_db=46.0)
     reference = propagation.at_reference(2)
     near = propagation.powers(reference, [(0.0, 0.0, 0.0), (0.0, 0.0, 4.0)])
     far = propagation.powers(reference, [(0.0, 0.0, 0.0), (0.0, 40.0, 0.0)])
     assert near[0][1] == pytest.approx(
-        milliwatts(16.0 - 46.0 - 30.0 * math.log10(4.0)), rel=ROUNDING
+        40.0 * milliwatts(-46.0 - 30.0 * math.log10(4.0)), rel=ROUNDING
     )
     assert 10.0 * math.log10(near[0][1] / far[0][1]) == pytest.approx(30.0, rel=ROUNDING)
 
 
 def test_power_is_limited_near_the_sender() -> None:
     """Stations nearer than the reference distance receive the power of that distance."""
-    propagation = Propagation(power_dbm=16.0)
+    propagation = Propagation(power_mw=40.0)
     reference = propagation.at_reference(2)
     touching = propagation.powers(reference, [(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
     assert touching[0][1] == reference[0][1]
@@ -34,7 +34,7 @@ def test_power_is_limited_near_the_sender() -> None:
 
 def test_shadowing_is_normal_reciprocal_and_constant() -> None:
     """The shadowing of a pair is the same in both directions, and normal over pairs."""
-    propagation = Propagation(power_dbm=16.0, shadowing_db=6.0, seed=3)
+    propagation = Propagation(power_mw=40.0, shadowing_db=6.0, seed=3)
     shadowing = np.array(
         [[propagation.shadowing(i, j) for j in range(STATIONS)] for i in range(STATIONS)]
     )
@@ -44,7 +44,7 @@ def test_shadowing_is_normal_reciprocal_and_constant() -> None:
     assert abs(values.mean()) < SIGMAS * 6.0 / math.sqrt(count)
     assert abs(values.std() - 6.0) < SIGMAS * 6.0 / math.sqrt(2.0 * count)
     assert propagation.shadowing(2, 7) == Propagation(
-        power_dbm=0.0, shadowing_db=6.0, seed=3
+        power_mw=1.0, shadowing_db=6.0, seed=3
     ).shadowing(7, 2)
 
 
