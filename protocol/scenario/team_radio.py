@@ -145,6 +145,7 @@ class TeamRadio:
             "agents": agents,
             "plan_ticks": ticks,
             "exchanges": exchanges,
+            "receivers": self._setup.agents,
             "sent": [sent_s[plan] for plan in plans],
             "arrivals": np.array([rows[plan] for plan in plans]).reshape(-1, self._agents),
         }

@@ -255,7 +255,7 @@ class Airtime(Message, tag="airtime", frozen=True, kw_only=True):
     as_long: ClassVar[tuple[str, ...]] = "agents", "plan_ticks", "exchanges"
     shapes: ClassVar[Mapping[str, ShapeOf]] = {
         "sent": lambda one: (len(one.agents),),
-        "arrivals": lambda one: (len(one.agents), None),
+        "arrivals": lambda one: (len(one.agents), len(one.receivers)),
     }
 
     # Exchanges that follow within the tick, as in proposals of a negotiation; 0: the tick is open.
@@ -263,8 +263,9 @@ class Airtime(Message, tag="airtime", frozen=True, kw_only=True):
     agents: Rows  # sender of each plan with news, 1-based
     plan_ticks: Rows  # its tick
     exchanges: Rows  # its own `negotiation`
+    receivers: Ids  # the agents of the run, ascending
     sent: Array  # instant at which its sender put it into the queue, (F,), s
-    # Instant of its arrival at each agent, (F, agents), s, or why it was lost: -1 collision, -2 too
+    # Instant of its arrival at each agent, (F, receivers), s, or why it was lost: -1 collision, -2 too
     # weak, -3 queue full, -4 attempts exhausted; -9: nothing new, or the agent is no receiver.
     arrivals: Array
     busy_s: Annotated[float, Meta(ge=0.0, le=_LARGEST)]  # air occupied since the last report, s
