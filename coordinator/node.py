@@ -113,12 +113,12 @@ class CoordinatorNode:
             case Plan(negotiation=left) if left > 0:
                 self._negotiating[event.agent] = left
                 if self._air is not None:
-                    self._air.send(event, self._roster.members)
+                    self._air.send(event)
             case Plan():
                 if event.tick == self.tick:
                     self._answered[event.agent] = event.shared
                     if self._air is not None:
-                        self._air.send(event, self._roster.members)
+                        self._air.send(event)
                 self._clock.answer(event, self.tick, now_ns)
         return self._advance(now_ns)
 
@@ -329,7 +329,7 @@ class CoordinatorNode:
         """Open the next tick, also for agents that have returned."""
         tick = self.tick + 1
         joined, messages = self._roster.begin(tick)
-        air = [] if self._air is None else self._air.opened(tick)
+        air = [] if self._air is None else self._air.opened(tick, self._roster.members - joined)
         late_ns, overrun_ns = self._clock.lateness_ns(tick, now_ns)
         opened = self._out.stamp(
             Tick,

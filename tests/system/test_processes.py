@@ -119,7 +119,9 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
             id="vehicle sensors",
             marks=pytest.mark.slow,
         ),
-        pytest.param((RADIO, *CLOSED_LOOP, ITERATIONS), id="radio, negotiation"),
+        pytest.param(
+            (RADIO, *CLOSED_LOOP, ITERATIONS, "controller.relaxation=0.25"), id="radio, negotiation"
+        ),
         pytest.param(
             (RADIO, *CLOSED_LOOP, *DEATHS), id="radio, deaths, links", marks=pytest.mark.slow
         ),
