@@ -139,7 +139,8 @@ def test_network_equals_memory(changes: tuple[str, ...], tmp_path: Path) -> None
     """Every message except for the wall-clock times of reports is bitwise equal on the network and in memory."""
     assert run_json(tmp_path / "run", "paper", *settings(SHORT, *changes))["rejections"] == []
     memory = runs.recorded(runs.ready("paper", SHORT, *changes))
-    log = [recorded.message for recorded in read_log(tmp_path / "run" / "run.mcap").messages]
+    logged = [recorded.message for recorded in read_log(tmp_path / "run" / "run.mcap").messages]
+    log = [message for message in logged if message.kind != "fault"]  # the recorder's own notes
     assert reproducible(log) == reproducible(memory)
 
 
