@@ -70,6 +70,7 @@ _RANDOM = {
     "noise",
     "empirical",
     "gilbert_elliott",
+    "radio",
 }
 
 

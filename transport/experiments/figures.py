@@ -210,6 +210,12 @@ _PANELS: Mapping[str, Sequence[Panel]] = {
         Panel("largest payload error (cm)", "payload_max_m", 100.0),
         _ATTITUDE,
     ),
+    "radio": (
+        Panel("plans delivered by the radio (%)", "air_delivered_share", 100.0),
+        Panel("airtime (%)", "airtime_share", 100.0),
+        Panel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
+        Panel("mean cost over that without a radio", COST_RATIO),
+    ),
     "scaling": (
         Panel("agent's CPU per step (ms)", "cpu_step_p50_ms"),
         Panel("team's CPU per tick (ms)", "cpu_team_tick_ms"),
