@@ -37,6 +37,7 @@ campaigns: $(VENV)/.installed-test ## search for defects by random runs, by nigh
 	@$(BIN)/python -m tests.campaigns signals --runs 300
 	@$(BIN)/python -m tests.campaigns.wire --messages 1000000
 	@$(BIN)/python -m tests.campaigns.soak --minutes 30
+	@$(BIN)/python -m benchmarks.worst --runs 1000
 
 bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (3 minutes)
 	@$(BIN)/python -m benchmarks

@@ -34,6 +34,7 @@ ROOMS = {
         {"flight", "analysis", "scene"},
         {"report", "viewer", "doctor"},
         {"experiments"},
+        {"search"},
         {"interface"},
         {"cli"},
     ),

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from transport.interface.settings import ArgumentError as ArgumentError
     from transport.interface.sweep import Sweep as Sweep
     from transport.interface.sweep import sweep as sweep
+    from transport.interface.worst import Worst as Worst
+    from transport.interface.worst import worst as worst
     from transport.log.run_log import LogError as LogError
     from transport.protocol.scenario.errors import ScenarioError as ScenarioError
     from transport.protocol.wire.errors import TransportError as TransportError
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "transport.interface.fly": ("fly", "load", "active", "ActiveRun"),
     "transport.interface.sweep": ("sweep", "Sweep"),
+    "transport.interface.worst": ("worst", "Worst"),
     "transport.interface.figure": ("margins", "Margins"),
     "transport.interface.scenario": ("team", "Scenario"),
     "transport.interface.run": ("Run",),

@@ -8,43 +8,63 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
 from transport.experiments.cases import Case, ExperimentError, Result, refused, simulate
 from transport.protocol.scenario.budget import most_workers
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+
+Item = TypeVar("Item")
+Value = TypeVar("Value")
 
 # Timeout of the cluster, and period at which a worker checks that its parent lives, s.
 _ANSWER_S, _CHECK_S = 15.0, 0.5
 
 
 def on_cores(cases: Sequence[Case], jobs: int | None = None) -> Iterator[Result]:
-    """Simulate cases on this machine, by default as many at a time as there are cores, and memory for.
-
-    One job is done in this process.
+    """Simulate cases on this machine, by default as many at a time as cores and memory allow.
 
     Raises: ExperimentError: a worker process has died.
     """
     import joblib
 
     most = jobs or min(joblib.cpu_count(), most_workers(case.scenario for case in cases))
-    if (jobs := min(len(cases), most)) <= 1:
-        yield from map(simulate, cases)
+    return map_on_cores(simulate, cases, most)
+
+
+def map_on_cores(
+    function: Callable[[Item], Value], items: Sequence[Item], jobs: int | None = None
+) -> Iterator[Value]:
+    """Apply a function to items in worker processes, in any order; one job is done in this process.
+
+    Args:
+        function: Picklable; returns one result.
+        items: Its arguments.
+        jobs: Most workers; by default one for each core.
+
+    Raises: ExperimentError: a worker process has died.
+    """
+    import joblib
+
+    cores = joblib.cpu_count()
+    workers = min(len(items), jobs or cores)
+    if workers <= 1:
+        yield from map(function, items)
         return
     from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     # Not loky alone: with all cases in its queue its thread may raise while workers are killed.
     team = joblib.Parallel(
-        n_jobs=jobs, return_as="generator_unordered", batch_size=1, max_nbytes=None,
+        n_jobs=workers, return_as="generator_unordered", batch_size=1, max_nbytes=None,
         initializer=_serve, initargs=(os.getpid(),),
     )  # fmt: skip
     try:
-        yield from team(joblib.delayed(simulate)(case) for case in cases)
+        yield from team(joblib.delayed(function)(item) for item in items)
     except TerminatedWorkerError as error:
-        raise ExperimentError(
-            f"a worker process died: {str(error).splitlines()[0]}", EXIT_UNREACHABLE
-        ) from error
+        first_line = str(error).splitlines()[0]
+        raise ExperimentError(f"a worker process died: {first_line}", EXIT_UNREACHABLE) from error
     finally:
         get_reusable_executor().shutdown(wait=True, kill_workers=True)
 
