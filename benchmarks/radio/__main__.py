@@ -5,7 +5,7 @@ import sys
 import time
 
 from benchmarks.radio import build, model, reference, results
-from benchmarks.radio.cases import Case, cases
+from benchmarks.radio.cases import Case, cases, team
 from benchmarks.radio.results import Numbers, Quantile, differences, numbers
 from benchmarks.runs import origin
 from docs.tables import ROOT, put, table
@@ -13,6 +13,7 @@ from transport.protocol.radio.standard import STANDARDS
 
 DOCUMENT = ROOT / "docs" / "radio.md"
 HEADINGS = ("case", "delivered, %", "", "p50, ms", "", "p99, ms", "", "within")
+DEFERRAL_HEADINGS = ("case", "delivered with a backoff, %", "with the rule of ns-3, %")
 
 
 def main() -> None:
@@ -48,7 +49,18 @@ def main() -> None:
         f"beyond the bars; {clock[1]:.0f} s in protocol/radio, {clock[0]:.0f} s in ns-3. "
         f"{origin()}."
     )
+    put(DOCUMENT, "deferral", table(DEFERRAL_HEADINGS, deferral()))
     put(DOCUMENT, "validation", f"{text}\n\n{table(HEADINGS, rows)}")
+
+
+def deferral() -> list[tuple[str, ...]]:
+    """Return the delivered shares with both rules for a frame that meets an idle medium."""
+    rows = []
+    for stations in (2, 4, 8):
+        case = team(stations, 6.0, 0.1)
+        shares = [numbers(case, model.run(case, draws=draws)[0]).share for draws in (True, False)]
+        rows.append((case.name, *[f"{100 * share:.1f}" for share in shares]))
+    return rows
 
 
 def compared(case: Case, clock: list[float]) -> tuple[Numbers, Numbers]:

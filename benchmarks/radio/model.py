@@ -8,8 +8,8 @@ from transport.protocol.radio.propagation import Propagation, milliwatts, noise_
 from transport.protocol.radio.standard import STANDARDS
 
 
-def parameters(case: Case) -> ChannelParameters:
-    """Return the channel of a case; a frame that meets an idle medium waits as in ns-3."""
+def parameters(case: Case, *, draws: bool) -> ChannelParameters:
+    """Return the channel of a case."""
     standard = STANDARDS[case.standard]
     return ChannelParameters(
         standard=standard,
@@ -21,13 +21,16 @@ def parameters(case: Case) -> ChannelParameters:
         sensitivity_mw=milliwatts(case.sensitivity_dbm),
         carrier_sense_mw=milliwatts(case.carrier_sense_dbm),
         preamble_ratio=ratio(case.preamble_snr_db),
-        interrupted_wait_draws=False,
+        interrupted_wait_draws=draws,
         seed=case.seed,
     )
 
 
-def run(case: Case) -> tuple[Arrivals, dict[str, int]]:
-    """Return arrivals by send and receiver, ns, and the counts of a case."""
+def run(case: Case, *, draws: bool = False) -> tuple[Arrivals, dict[str, int]]:
+    """Return arrivals by send and receiver, ns, and the counts of a case.
+
+    `draws` is the standard's rule for a frame that meets an idle medium; ns-3 has the other one.
+    """
     stations = len(case.positions)
     propagation = Propagation(
         power_mw=milliwatts(case.power_dbm),
@@ -48,6 +51,7 @@ def run(case: Case) -> tuple[Arrivals, dict[str, int]]:
         )
         for number, send in enumerate(sends(case))
     ]
+    given = parameters(case, draws=draws)
     state = ChannelState.idle(stations, STANDARDS[case.standard])
     arrivals: Arrivals = {}
     counts = dict.fromkeys(
@@ -58,9 +62,7 @@ def run(case: Case) -> tuple[Arrivals, dict[str, int]]:
         begin = place
         while place < len(frames) and frames[place].sent_ns < until:
             place += 1
-        state, outcomes, counted = advance(
-            parameters(case), state, powers, frames[begin:place], until
-        )
+        state, outcomes, counted = advance(given, state, powers, frames[begin:place], until)
         for outcome in outcomes:
             counts[outcome.result.name.lower()] += 1
             if outcome.result is Result.DELIVERED:
