@@ -7,6 +7,8 @@ import numpy as np
 
 from transport.protocol.wire.errors import TransportError
 
+LOST_S = -1.0  # delay of a lost message in a trace
+
 
 class TableError(TransportError, ValueError):
     """An invalid file of a scenario: the text has file, expected and got."""
@@ -19,7 +21,9 @@ def anchored(value: Any, key: str) -> Any:
     if isinstance(value, dict):
         return {name: anchored(entry, name) for name, entry in value.items()}
     return (
-        str(Path.cwd() / value) if key in ("samples", "file") and isinstance(value, str) else value
+        str(Path.cwd() / value)
+        if key in ("samples", "trace", "file") and isinstance(value, str)
+        else value
     )
 
 
@@ -32,6 +36,24 @@ def delays_of(path: Path) -> list[float]:
         return sorted(map(float, path.read_text(encoding="utf-8").replace(",", " ").split()))
     except (OSError, ValueError) as error:
         raise TableError(f"{path}: expected delays in seconds ({error})") from error
+
+
+def trace_of(path: Path) -> list[list[float]]:
+    """Return times and delays of a recorded link, s, a negative delay for a lost message.
+
+    A CSV file with the columns t_s,delay_s, whose second one may be `lost`.
+
+    Raises: TableError: it cannot be read.
+    """
+    heading = "t_s,delay_s"
+    try:
+        columns, *lines = path.read_text(encoding="utf-8").replace(" ", "").splitlines() or [""]
+        if columns != heading:
+            raise ValueError(f"expected the heading {heading}, got {columns[:60]!r}")
+        rows = [line.split(",") for line in lines if line]
+        return [[float(t), LOST_S if delay == "lost" else float(delay)] for t, delay in rows]
+    except (OSError, ValueError) as error:
+        raise TableError(f"{path}: expected a trace of a link ({error})") from error
 
 
 def way_of(path: Path) -> list[list[float]]:

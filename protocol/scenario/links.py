@@ -7,7 +7,8 @@ Random numbers come from a counter keyed by seed, link and tick: they do not dep
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
@@ -126,6 +127,13 @@ class Link:
             self._in_burst(tick) and bursts and draw[_BURST] < bursts.loss
         ):
             return []
+        if section.trace is not None:
+            traced_s = traced_delay_s(section.trace, sent_s)
+            if traced_s < 0.0:
+                return []
+            section = section.model_copy(
+                update={"delay_s": traced_s, "jitter_s": 0.0, "distribution": "uniform"}
+            )
         delays = [self._delay(section, draw[_JITTER : _JITTER + 2])]
         if draw[_REORDER] < section.reorder:
             delays[0] += section.reorder_s
@@ -181,6 +189,19 @@ class Link:
             "lognormal": math.exp(normal) * section.jitter_s / math.sqrt((math.e - 1.0) * math.e),
         }[section.distribution]
         return max(0.0, section.delay_s + random)
+
+
+def traced_delay_s(trace: Sequence[Sequence[float]], sent_s: float) -> float:
+    """Return the delay in a trace for a message sent at a time of the run, s; negative if lost.
+
+    The last row, which has the same distance from its end as from the row before, is followed by
+    the first.
+    """
+    begin_s = trace[0][0]
+    duration_s = 2.0 * trace[-1][0] - trace[-2][0] - begin_s
+    at_s = begin_s + sent_s % duration_s
+    row = bisect_right(trace, at_s + _SLACK, key=itemgetter(0)) - 1
+    return trace[max(row, 0)][1]
 
 
 class LinkChanges:
