@@ -65,16 +65,14 @@ def worst(
     ] = False,
     output: FormatOption = Format.text,
 ) -> None:
-    r"""Search for the network that brings the team down.
+    """Search for the network that brings the team down.
 
-    Silences, deaths, gusts or targets. Simulates cases in memory: quasi-random ones first, then those that CMA-ES derives from the
-    worst. A case that fails is made minimal and written as a scenario, which gives the same bits
-    in memory and with processes. Results: minimal.toml, minimal.png, summary.json,
-    evaluations.jsonl.
+    Draws silences, deaths, gusts or targets and simulates them in memory: quasi-random cases first,
+    then those that CMA-ES derives from the worst. A case that fails is made minimal and written as
+    a scenario, which gives the same bits in memory and with processes. Results: minimal.toml,
+    minimal.png, summary.json, evaluations.jsonl.
 
-    \b
-    transport worst resilient --over silence,gusts --budget 200
-    transport run runs/worst-.../minimal.toml
+    Example: transport worst resilient --over silence,gusts --budget 200
     """
     path = find_scenario(scenario)
     options = SearchOptions(
