@@ -114,8 +114,9 @@ class _Plant(Exchange):
     ] = ()  # accepted plans for the agents since the last measurement
 
     def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
-        shared = isinstance(event, wire.Airtime) or (isinstance(event, wire.Plan) and event.shared)
-        if shared and bundle is not None:
+        if bundle is None or not isinstance(event, wire.Plan | wire.Airtime):
+            return
+        if isinstance(event, wire.Airtime) or event.shared:
             key = self._keys.end(self._keys.of(event))
             self._shared = *self._shared, (key, bundle.parts[bundle.keys.index(key)])
 

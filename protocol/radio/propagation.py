@@ -16,12 +16,12 @@ Powers = list[list[float]]
 
 def milliwatts(dbm: float) -> float:
     """Return a power given in dBm, mW."""
-    return 10.0 ** (dbm / 10.0)
+    return float(10.0 ** (dbm / 10.0))
 
 
 def ratio(decibels: float) -> float:
     """Return a ratio of powers given in dB."""
-    return 10.0 ** (decibels / 10.0)
+    return float(10.0 ** (decibels / 10.0))
 
 
 def noise_mw(bandwidth_hz: float, figure_db: float) -> float:

@@ -12,6 +12,7 @@ from transport.protocol.radio.standard import OFDM
 
 OFFSETS = get_args(Offsets)
 SHARING = ("always", "on_change")
+Labels = dict[str, str | float]
 _EXPONENT = 3.0  # of the path loss
 _LOSS_1M_DB = 46.7
 
@@ -51,24 +52,31 @@ def radio(
     _check("--offsets", offsets, OFFSETS)
     _check("--sharing", sharing, SHARING)
     for uavs in [*(size for size in sizes if size < max), max]:
-        team = {"team": (uavs, 1), "scenario": "resilient", "group": f"{uavs} UAVs"}
-        yield Point(
-            {"variant": NONE, "uavs": uavs}, f"{uavs} UAVs without a radio", baseline=True, **team
-        )
+        group = f"{uavs} UAVs"
+        without: Labels = {"variant": NONE, "uavs": uavs}
+        yield _point(without, f"{group} without a radio", (), group, baseline=True)
         for mbps, offset, shared, factor in itertools.product(rate, offsets, sharing, distance):
             words = [f"{mbps:g} Mb/s", _OFFSETS_IN_WORDS[offset]]
             words += ["on change"] * (shared == "on_change")
             words += [f"{factor:g} times the distance"] * (factor != 1.0)
             variant = ", ".join(words)
+
             loss_db = _LOSS_1M_DB + 10.0 * _EXPONENT * math.log10(factor)
             section = (
                 f"radio={{rate_mbps={mbps!r},offsets='{offset}',"
                 f"path_loss_exponent={_EXPONENT},path_loss_1m_db={loss_db!r}}}"
             )
             settings = (section, f"controller.share={shared}")
-            yield Point(
-                {"variant": variant, "uavs": uavs}, f"{uavs} UAVs, {variant}", settings, **team
-            )
+            labels: Labels = {"variant": variant, "uavs": uavs}
+            yield _point(labels, f"{group}, {variant}", settings, group)
+
+
+def _point(
+    labels: Labels, text: str, settings: tuple[str, ...], group: str, *, baseline: bool = False
+) -> Point:
+    """Return a point with a team of one UAV for each agent."""
+    team = int(labels["uavs"]), 1
+    return Point(labels, text, settings, baseline, group, team, "resilient")
 
 
 _OFFSETS_IN_WORDS = {"slots": "slots", "none": "no offsets", "random": "random offsets"}
