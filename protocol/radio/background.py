@@ -47,6 +47,8 @@ class Background:
         return frames, BackgroundState(number, next_ns)
 
     def heard(self, powers: Sequence[Sequence[float]]) -> Powers:
-        """Return the powers of the team with those of this station behind them."""
+        """Return the powers of the team with those of this station behind them, if it sends."""
+        if self.share == 0.0:
+            return [list(row) for row in powers]
         team = [[*row, self.power_mw] for row in powers]
         return [*team, [self.power_mw] * (len(powers) + 1)]

@@ -6,6 +6,7 @@ Sources: IEEE 802.11-2020, clause 17 (OFDM, "802.11a"), clauses 15 and 16 (DSSS 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 # Bytes around a message: LLC/SNAP header 8, MAC header of a data frame 24, frame check sequence 4.
 OVERHEAD_BYTES = 8 + 24 + 4
@@ -69,6 +70,7 @@ class Standard:
         return self.sifs_ns + self.airtime_ns(ACK_BYTES, min(self.basic_rates_mbps))
 
 
+@cache
 def _ofdm_payload_ns(frame_bytes: int, rate_mbps: float) -> int:
     """Return the duration of the OFDM symbols of a frame, ns."""
     bits = _OFDM_SERVICE_BITS + 8 * frame_bytes + _OFDM_TAIL_BITS
@@ -77,6 +79,7 @@ def _ofdm_payload_ns(frame_bytes: int, rate_mbps: float) -> int:
     return symbols * _OFDM_SYMBOL_NS
 
 
+@cache
 def _dsss_payload_ns(frame_bytes: int, rate_mbps: float) -> int:
     """Return the duration of the payload of a DSSS or CCK frame, ns, in whole microseconds."""
     return math.ceil(8 * frame_bytes / rate_mbps) * _MICROSECOND_NS

@@ -60,7 +60,8 @@ class TeamRadio:
         self._rho_P = np.array([uav.rho for uav in uavs])
         self._rod_m = np.array([[uav.rod_length] for uav in uavs])
 
-        self._channel = ChannelState.idle(self._agents + 1, self._standard)
+        stations = self._agents + (section.background > 0.0)
+        self._channel = ChannelState.idle(stations, self._standard)
         self._others = BackgroundState()
         self._waiting: list[Frame] = []  # frames since the last window
         self._sequence = [0] * self._agents  # frames so far, by station
