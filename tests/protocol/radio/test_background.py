@@ -20,7 +20,7 @@ def flown(share: float) -> tuple[float, float]:
     background = Background(share=share, station=3, power_mw=NEAR_MW, seed=5)
     waiting = BackgroundState()
     powers = background.heard(equal_powers(3))
-    state = ChannelState.idle(4, OFDM)
+    state = ChannelState.idle(len(powers), OFDM)
     busy_ns = delivered = 0
     for period in range(1, PERIODS + 1):
         end_ns = period * PERIOD_NS
