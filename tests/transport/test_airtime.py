@@ -1,14 +1,19 @@
 """Radio in summary, report and viewer: the numbers of the coordinator's news."""
 
+import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tests.support.runs import recorded, setup, ticks
 from transport.analysis.airtime import radio_of
+from transport.analysis.series import series_of
 from transport.experiments.cases import run_in_memory
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Airtime
+from transport.report.figures import fill
 from transport.report.report import _radio
+from transport.report.style import RC
 from transport.scene.scene import RunHistory, SceneBuilder
 from transport.viewer import html
 
@@ -81,3 +86,15 @@ def test_the_viewer_of_a_run_without_a_radio() -> None:
     history = RunHistory(run)
     history.add(recorded(run))
     assert "radio" not in html.flight(SceneBuilder(run, history).at(3), 1.0)
+
+
+def test_the_figure_has_airtime_deliveries_and_delays() -> None:
+    """A run with a radio has a figure of it, one without has none."""
+    for settings, expected in (("radio={}",), 3), ((), 0):
+        run = run_of(*settings)
+        log = run_in_memory(run)
+        figure = Figure()
+        with mpl.rc_context(RC):
+            drawn = fill(figure, "radio", run, log, series_of(run, log))
+        assert drawn == bool(expected)
+        assert len(figure.axes) == expected

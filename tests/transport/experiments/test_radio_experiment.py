@@ -27,7 +27,9 @@ def test_every_team_has_a_baseline_and_its_variants() -> None:
 
 def test_distance_is_path_loss() -> None:
     """Ten times the distance is a path loss that is larger by ten times the exponent, in dB."""
-    near, far = (case.scenario.radio for case in cases_of(points(max=3, distance=[1.0, 10.0]), [], 1)[1:3])
+    near, far = (
+        case.scenario.radio for case in cases_of(points(max=3, distance=[1.0, 10.0]), [], 1)[1:3]
+    )
     assert near is not None
     assert far is not None
     assert near.path_loss_1m_db is not None
