@@ -12,6 +12,7 @@ from enum import Enum
 
 from transport.coordinator.air import TeamAir
 from transport.coordinator.clock import Clock
+from transport.coordinator.failed_steps import FailedSteps
 from transport.coordinator.roster import TeamRoster, names
 from transport.protocol.admission.plausibility import check_tick
 from transport.protocol.scenario.errors import RequestError, requested
@@ -20,6 +21,7 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.exit_codes import (
     EXIT_DIVERGED,
+    EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OVERRUN,
     EXIT_UNREACHABLE,
@@ -37,6 +39,9 @@ from transport.protocol.wire.messages import (
 )
 from transport.protocol.wire.names import COORDINATOR, PLANT
 from transport.protocol.wire.node import Outbox
+
+# Outcomes of runs that reach their end, by exit code; a run with another code was aborted.
+_OUTCOMES = {0: "completed", EXIT_DIVERGED: "diverged", EXIT_FAILED: "failed"}
 
 
 class State(Enum):
@@ -77,6 +82,7 @@ class CoordinatorNode:
         radio = setup.scenario.radio
         self._air = None if radio is None else TeamAir(setup, radio, self._out)
         self._divergence = ""
+        self._failed_steps = FailedSteps(setup.scenario.agents.failed_share)
 
     @property
     def wake_ns(self) -> int | None:
@@ -115,6 +121,7 @@ class CoordinatorNode:
                 if self._air is not None:
                     self._air.send(event)
             case Plan():
+                self._failed_steps.count(event)
                 if event.tick == self.tick:
                     self._answered[event.agent] = event.shared
                     if self._air is not None:
@@ -319,9 +326,7 @@ class CoordinatorNode:
         if overrun:
             return self._stop(EXIT_OVERRUN, overrun)
         if self._is_last:
-            return self._stop(
-                EXIT_DIVERGED if self.state is State.DIVERGED else 0, self._divergence
-            )
+            return self._end()
         opened = self._open(now_ns)
         return [*opened, *self._advance(now_ns)] if self.state is State.DIVERGED else opened
 
@@ -350,11 +355,19 @@ class CoordinatorNode:
             self._clock.plant_ns = now_ns  # it owes no earlier interval
         return [*messages, *air, opened]
 
+    def _end(self) -> Sequence[Message]:
+        """End the run at its last tick: diverged, failed or completed."""
+        if self.state is State.DIVERGED:
+            return self._stop(EXIT_DIVERGED, self._divergence)
+
+        failure = self._failed_steps.verdict()
+        return self._stop(EXIT_FAILED if failure else 0, failure)
+
     def _stop(self, exit_code: int, reason: str) -> Sequence[Message]:
         if self.state is State.STOPPED:
             return ()
         self.state = State.STOPPED
-        outcome = {0: "completed", EXIT_DIVERGED: "diverged"}.get(exit_code, "aborted")
+        outcome = _OUTCOMES.get(exit_code, "aborted")
         fields = {"outcome": outcome, "reason": reason, "exit_code": exit_code}
         self.finished = self._out.stamp(Control, tick=max(self.tick, 0), **fields)
         return [self.finished]

@@ -13,7 +13,7 @@ from transport.protocol.scenario.faults import failures
 from transport.protocol.scenario.links import link_change, words_of
 from transport.protocol.scenario.schema import TargetSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import MOST, headed, planned, scripted, target_in_words
+from transport.protocol.scenario.targets import MOST, planned, scripted, target_in_words
 from transport.protocol.wire.messages import (
     MAX_TEXT,
     LinkChange,
@@ -147,7 +147,7 @@ class TeamRoster:
         target = self._out.stamp(
             Target, number=len(self._targets) + 1, **planned(self._setup, section, tick)
         )
-        self._setup = headed(self._setup, target)
+        self._setup = self._setup.after([target])
         self._targets.append(target)
         return [target, self.message(f"{target_in_words(target)}, from {self.time(tick)} on", tick)]
 

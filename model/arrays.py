@@ -82,7 +82,7 @@ def continued(before: T, after: T, kept: int) -> T:
             names = [field.name for field in fields(new) if field.name != "first"]
             found = {name: joined(getattr(old, name), getattr(new, name)) for name in names}
             return replace(new, **found)  # type: ignore[type-var]
-        if callable(new):
+        if callable(new) or isinstance(new, bytes):
             return new
         at = rows(now - first - count, count, len(old))
         if isinstance(new, list):

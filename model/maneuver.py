@@ -11,6 +11,7 @@ from transport.model import jets, state
 from transport.model.arrays import Array, ArrayLike, assign, checked
 from transport.model.curves import ORDERS, Curve
 from transport.model.hover import Hover
+from transport.model.identity import digest
 from transport.model.parameters import ParameterError, System
 
 Profile = Literal["ramp", "min_jerk", "step", "smooth"]
@@ -163,7 +164,7 @@ class Maneuver:
             targets=tuple(targets),
         )
 
-    def headed(self, target: Target) -> "Maneuver":
+    def with_target(self, target: Target) -> "Maneuver":
         """Return the maneuver with a further target."""
         return replace(self, targets=(*self.targets, target))
 
@@ -320,6 +321,15 @@ class Reference:
         self._offsets = np.array(
             [uav.rho - uav.rod_length * e for uav, e in zip(system.uavs, rods, strict=True)]
         )
+
+    @property
+    def key(self) -> bytes:
+        """Digest of the numbers that the reference follows from."""
+        return digest("hover", self._system, self._hover, self.maneuver)
+
+    def with_maneuver(self, maneuver: Maneuver) -> "Reference":
+        """Return the reference of another maneuver of the team."""
+        return Reference(self._system, self._hover, maneuver)
 
     def followed(self, t_s: Array) -> tuple[Array, Array]:
         """Return outputs and states that controllers follow, lower while the payload is on the ground: (59)."""

@@ -1,6 +1,7 @@
 """The cost that every agent minimises and that measures every run."""
 
 from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,19 +31,27 @@ class Cost:
             Q[3 * uav : 3 * uav + 3] = 0.0
         for uav in off:
             Q[3 * N + 3 + uav] = 0.0
-        self.Q, self.R = (
-            Q,
-            weights.R(system),
-        )  # stage weights on the output error, (p,), and on the inputs, (m,)
+        self.Q = Q  # stage weights on the output error, (p,)
+        self.R = weights.R(system)  # on the inputs, (m,)
+
         # Input without cost: hover, or zero, (m,).
-        self.u_target = (
-            hover.u if weights.penalised_input == "deviation" else np.zeros_like(hover.u)
-        )
+        is_deviation = weights.penalised_input == "deviation"
+        self.u_target = hover.u if is_deviation else np.zeros_like(hover.u)
 
     def stage(self, y: Array, y_ref: Array, u: Array) -> float:
-        """Return the cost of y and y_ref, (p,), and u, (m,), SI, at one instant.
+        """Return |y - y_ref|^2_Q + |u - u_target|^2_R at one instant; y, y_ref (p,), u (m,), SI.
 
-        Equations.md (21); paper (17).
+        Source: docs/equations.md (21); paper (17).
         """
-        error, effort = y - y_ref, u - self.u_target
+        error = y - y_ref
+        effort = u - self.u_target
         return float(error @ (self.Q * error) + effort @ (self.R * effort))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CostToGo:
+    """The cost after the horizon: |root (error + dx)|^2 + 2 slope' dx + constant, (36d)."""
+
+    root: Array  # square root of the Riccati solution, (rank, n)
+    error: Array  # x0 - x_ref at step N_p, x_ref shifted by external forces, (n,)
+    slope: Array  # effect of reference and forces, (n,)

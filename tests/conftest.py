@@ -4,7 +4,9 @@ How several pytest workers share the tests, and compiled models.
 """
 
 import os
+import shutil
 import signal
+import tempfile
 from pathlib import Path
 
 import hypothesis
@@ -39,8 +41,11 @@ def pytest_configure(config: pytest.Config) -> None:
     The user's is neither read nor filled.
 
     Kernels and the model of the paper's team are compiled once, before workers start that would all
-    do it.
+    do it. Each worker has a register of active runs, so that it finds no run of another.
     """
+    register = tempfile.mkdtemp(prefix="payload-transport-tests-")
+    os.environ["PAYLOAD_TRANSPORT_ACTIVE"] = register
+    config.add_cleanup(lambda: shutil.rmtree(register, ignore_errors=True))
     if not hasattr(config, "workerinput"):
         assert config.cache is not None
         os.environ["PAYLOAD_TRANSPORT_CACHE"] = str(config.cache.mkdir("models"))

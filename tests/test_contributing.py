@@ -32,8 +32,11 @@ PACKAGES = (
 )
 
 EDIT = re.compile(
-    r" *In `([\w/.]+)`, (?:after `([^`]+)`|at the end):\n\n( *)```python\n(.*?)\n *```", re.DOTALL
+    r" *In (?:the new file )?`([\w/.]+)`(?:, (?:after `([^`]+)`|at the end))?:\n\n"
+    r"( *)```python\n(.*?)\n *```",
+    re.DOTALL,
 )
+NEW = re.compile(r"In the new file `([\w/.]+)`")
 NAMED = re.compile(r"`([a-z_]+/[\w/]+\.(?:py|md))`")
 SEEN = re.compile(r"`(\w+)`")
 
@@ -52,6 +55,39 @@ assert lost == [0, 3, 6, 9, 12, 14, 16, 18], lost
 reports = []
 assert simulate(setup, reports.append).outcome == "completed"
 assert sum(getattr(message, "lost", 0) for message in reports) > 0
+"""
+
+# The key of a scenario, rows about the present state and along a reference, and their effect.
+CONSTRAINT = """
+import numpy as np
+from transport.flight.memory import simulate
+from transport.model.state import THETA0
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import PlantState
+
+MOVE = "{name='move',duration_s=2.4,displacement_m=[1.2,0,0]}"
+
+def largest_deg(name, *settings):
+    path = find_scenario(name)
+    setup = Setup.of(read_scenario(path, [f"maneuver.phase=[{MOVE}]", *settings]), name)
+    angles = []
+    def take(message):
+        if isinstance(message, PlantState):
+            angles.append(np.abs(message.x[THETA0][:2]).max())
+    assert simulate(setup, take).outcome == "completed"
+    return float(np.degrees(max(angles)))
+
+free = largest_deg("resilient")
+limits = ["controller.payload_tilt.limit_deg=%g" % (free / 2), "controller.payload_tilt.penalty=1e4"]
+kept = largest_deg("resilient", *limits)
+assert kept < 0.8 * free, (free, kept)
+
+# Along a flat reference the load is level but for gusts: the same rows, and another plan.
+gusts = ["maneuver.profile=smooth", "plant.wind.gust_mps=[1.0,1.0,1.0]"]
+free = largest_deg("eight", *gusts)
+limits = ["controller.payload_tilt.limit_deg=%g" % (free / 4), "controller.payload_tilt.penalty=1e4"]
+assert largest_deg("eight", *gusts, *limits) != free
 """
 
 # From the sender's outbox over key, bytes and checks to the JSON of the log.
@@ -92,8 +128,12 @@ def section(heading: str) -> str:
 
 @pytest.mark.parametrize(
     ("heading", "script"),
-    [("A new link impairment", IMPAIRMENT), ("A new message", MESSAGE)],
-    ids=["link", "message"],
+    [
+        ("A new link impairment", IMPAIRMENT),
+        ("A new constraint", CONSTRAINT),
+        ("A new message", MESSAGE),
+    ],
+    ids=["link", "constraint", "message"],
 )
 def test_recipe(heading: str, script: str, tmp_path: Path) -> None:
     """With the edits of a recipe, and no others, the example works from its definition to the result."""
@@ -104,13 +144,15 @@ def test_recipe(heading: str, script: str, tmp_path: Path) -> None:
     assert edits
     for file, anchor, indent, block in edits:
         path = tmp_path / file
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8") if path.exists() else ""
         added = "\n".join(line.removeprefix(indent) for line in block.splitlines())
         if anchor:
             assert text.count(f"{anchor}\n") == 1, f"{file} has no single line {anchor!r}"
             text = text.replace(f"{anchor}\n", f"{anchor}\n{added}\n")
-        else:
+        elif text:
             text = f"{text}\n\n{added}\n"
+        else:
+            text = f"{added}\n"
         path.write_text(text, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-P", "-c", textwrap.dedent(script)],
@@ -129,7 +171,8 @@ def test_recipe(heading: str, script: str, tmp_path: Path) -> None:
 )
 def test_files_of_a_recipe_exist(heading: str) -> None:
     """Every file that a recipe names exists."""
-    for file in NAMED.findall(section(heading)):
+    made = set(NEW.findall(section(heading)))
+    for file in set(NAMED.findall(section(heading))) - made:
         assert (ROOT / file).is_file(), f"docs/contributing.md names {file}"
 
 

@@ -19,7 +19,7 @@ import do_mpc
 import numpy as np
 
 import transport
-from transport.agent.own import Run
+from transport.agent.own_run import Run
 from transport.model.arrays import Array
 from transport.model.dynamics import Symbols, motion, outputs
 from transport.mpc.cost import Cost

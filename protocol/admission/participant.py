@@ -11,7 +11,7 @@ from typing import Any
 from transport.protocol.admission.arrivals import Arrivals
 from transport.protocol.scenario.links import LinkChanges
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import check_target, headed
+from transport.protocol.scenario.targets import check_target
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import (
     Control,
@@ -164,7 +164,7 @@ class Participant(ABC):
                 self._link_changes.apply(message)
             case Target():
                 if message.number == len(self._setup.maneuver.targets) + 1:
-                    self._setup = headed(self._setup, message)
+                    self._setup = self._setup.after([message])
                     self._head(message)
             case Plan():
                 if self._membership.admits(message):

@@ -66,7 +66,7 @@ def estimate(scenario: Scenario) -> Budget:
     )  # with motor lag the actual inputs are states
 
     user, pairs = len(controller.constraint), N * (N - 1) // 2 - (N - own) * (N - own - 1) // 2
-    # The QP, as `mpc.rows.Rows` makes it: rows per step that a slack softens; the user's have at
+    # The QP, as `mpc.constraints` make it: rows per step that a slack softens; the user's have at
     # most one each.
     softened = [
         pairs * bool(controller.separation),

@@ -318,6 +318,10 @@ class AgentsSection(Section):
         Key(type="mpc, package.module:Class", label="controller", short="controller"),
     ] = "mpc"
     """controller of every agent: that of this project, or [your own class](bring-your-own.md#your-own-controller)"""
+    failed_share: Annotated[
+        float, Interval(ge=0.0, le=1.0), Key(label="allowed share of failed steps")
+    ] = 0.05
+    """largest share of an agent's steps that may fail; beyond it a run has failed, with exit code 7"""
 
 
 class ClockSection(Section):

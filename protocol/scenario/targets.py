@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import replace
 from itertools import combinations
 from operator import itemgetter
-from typing import Any
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -16,18 +16,54 @@ from transport.model.arrays import Array
 from transport.model.curves import ORDERS, Curve
 from transport.model.flat import LEAST_TENSION, MOST_TILT, flight, slowed
 from transport.model.hover import Hover
-from transport.model.maneuver import Target
+from transport.model.maneuver import Maneuver, Target
 from transport.model.parameters import System, resting_height
 from transport.model.state import INPUTS, StateView
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.errors import RequestError
-from transport.protocol.scenario.schema import TargetSection
+from transport.protocol.scenario.schema import Scenario, TargetSection
 from transport.protocol.wire import messages
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.names import COORDINATOR
 from transport.protocol.wire.node import Outbox
 
-Run = Any  # a `protocol.scenario.setup.Setup`, which imports this module
+
+class Run(Protocol):
+    """What the planning of a target needs of a run: a `protocol.scenario.setup.Setup`."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario."""
+
+    @property
+    def system(self) -> System:
+        """The bodies."""
+
+    @property
+    def hover(self) -> Hover:
+        """The equilibrium."""
+
+    @property
+    def settings(self) -> ControllerSettings:
+        """Limits and sampling period."""
+
+    @property
+    def maneuver(self) -> Maneuver:
+        """The path, with the targets so far."""
+
+    @property
+    def ticks(self) -> int:
+        """Sampling instants of the run."""
+
+    def with_target(self, target: Target) -> Self:
+        """Return the run with a further target."""
+
+    def after(self, targets: Iterable[messages.Target]) -> Self:
+        """Return the run with the targets of messages that follow its own."""
+
+    def blocked(self, times_s: Array) -> tuple[int, str] | None:
+        """Return the first obstacle that the reference comes too near to."""
+
 
 _SLOWEST, _ACCURACY = 64.0, 1e-3  # largest slowing tried, and relative accuracy of the one found
 # Largest speed where none is given, m/s; time of speeding up that is tried first, s; its factors,
@@ -159,24 +195,11 @@ def target_of(message: messages.Target, period_s: float) -> Target:
     return Target(since_s=message.tick * period_s, point_I=first, approach=approach, way=way)
 
 
-def headed(setup: Run, message: messages.Target) -> Run:
-    """Return a run with the target in a message."""
-    key = message.number, message.tick, message.points.tobytes(), message.approach_s, message.way_s
-    return setup.headed(target_of(message, setup.settings.sampling_period_s), key)
-
-
-def with_targets(setup: Run, found: Iterable[messages.Target]) -> Run:
-    """Return a run with the targets of its log, each once, in the order of their numbers."""
-    for message in found:
-        if message.number == len(setup.maneuver.targets) + 1:
-            setup = headed(setup, message)
-    return setup
-
-
 def check_target(setup: Run, message: messages.Target) -> None:
     """Raise MessageError for a target that is neither the next one of a run nor one that is repeated."""
-    if message.number > (known := len(setup.maneuver.targets)) + 1:
-        raise MessageError("future", f"target {message.number} after {known}")
+    last = len(setup.maneuver.targets)
+    if message.number > last + 1:
+        raise MessageError("future", f"target {message.number} after {last}")
 
 
 def target_in_words(message: messages.Target) -> str:
@@ -198,9 +221,8 @@ def check_scripted(setup: Run) -> None:
     """
     out = Outbox(COORDINATOR, 0)
     for number, (tick, section) in enumerate(scripted(setup), start=1):
-        setup = headed(
-            setup, out.stamp(messages.Target, number=number, **planned(setup, section, tick))
-        )
+        target = planned(setup, section, tick)
+        setup = setup.after([out.stamp(messages.Target, number=number, **target)])
 
 
 def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
@@ -228,9 +250,8 @@ def planned(setup: Run, section: TargetSection, tick: int) -> dict[str, Any]:
         expected = f"expected a target before the end of the run at t = {last_s:.2f} s"
         raise RequestError(f"{expected}, got {ends_s:.2f} s")
     if setup.scenario.obstacle:
-        led = setup.headed(
-            Target(since_s=since_s, point_I=points[0], approach=approach, way=way), object()
-        )
+        target = Target(since_s=since_s, point_I=points[0], approach=approach, way=way)
+        led = setup.with_target(target)
         if blocked := led.blocked(np.arange(since_s, ends_s + period_s, period_s)):
             raise RequestError(f"points_m: {blocked[1]}")
     return {
@@ -276,7 +297,7 @@ def _approach(setup: Run, point_I: Array, since_s: float, speed_mps: float) -> C
         times_s = _instants(duration_s, setup.settings.sampling_period_s)
         if flat:
             target = Target(since_s=since_s, point_I=point_I, approach=straight)
-            path = maneuver.headed(target).jets(since_s + times_s)
+            path = maneuver.with_target(target).jets(since_s + times_s)
         else:  # the reference of the controllers has no accelerations; those from rest are the target's own
             path = straight.covered(times_s, ORDERS)[..., None] * (point_I - here_I)
         wrong = exceeded(path, setup.system, setup.hover, setup.settings)

@@ -128,7 +128,7 @@ class Message(
 
 NO_NEWS = -9.0  # in `Airtime.arrivals`
 
-Outcome = Literal["completed", "diverged", "aborted"]
+Outcome = Literal["completed", "failed", "diverged", "aborted"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
 FaultOrigin = Literal["script", "person", "unknown"]
 

@@ -90,7 +90,7 @@ def test_report(run: Setup, node: AgentNode) -> None:
 
 
 def test_plan_is_the_controllers(run: Setup, node: AgentNode) -> None:
-    """The plan is the controller's at the estimate, the inputs in force and the announced plans of the others."""
+    """The plan is the controller's at the estimate, inputs in force, and announced plans."""
     first, _ = step(run, node, 0)
     shove: Array = np.tile(run.hover.u[:4], (5, 1)) + np.array([2.0, 0.01, 0.0, 0.0])
     made, _ = answer(
@@ -150,7 +150,7 @@ def test_end_of_the_run(run: Setup, node: AgentNode) -> None:
 
 @pytest.mark.parametrize("steps", [0, 2])
 def test_coordinator_is_gone(run: Setup, node: AgentNode, steps: int) -> None:
-    """Without a coordinator the run is aborted with exit code 4, before the first tick and later."""
+    """Without a coordinator the run is aborted with exit code 4, at any tick."""
     for k in range(steps):
         step(run, node, k)
     assert tell(node, Presence("coordinator", 0, alive=False)) == []

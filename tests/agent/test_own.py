@@ -22,7 +22,8 @@ from tests.support.runs import (
     roster,
     setup,
 )
-from transport.agent.own import Run, checked_controller
+from transport.agent.own import checked_controller
+from transport.agent.own_run import Run
 from transport.flight.memory import simulate
 from transport.model.arrays import Array
 from transport.protocol.scenario.errors import ScenarioError
@@ -37,17 +38,18 @@ LEVEL_DEG = 8.0
 
 # What a step returns, and why that is a failure.
 IMPORT = "its import from {folder} or the installed packages raised "
+FINITE = "step: expected finite inputs and numbers for the log, got "
 WRONG = {
     "raise ZeroDivisionError('no air')": "step raised ZeroDivisionError: no air (my_own.py:6)",
     "import sys; sys.exit(3)": "step raised SystemExit: 3 (my_own.py:6)",
     "return self.u[:3]": "step: expected shape (4,) or (1 to 20, 4), got (3,)",
     "return np.tile(self.u, (21, 1))": "step: expected shape (4,) or (1 to 20, 4), got (21, 4)",
     "return np.zeros((0, 4))": "step: expected shape (4,) or (1 to 20, 4), got (0, 4)",
-    "return self.u * np.nan": "step: expected finite inputs and numbers for the log, got input [0, 0] = nan",
+    "return self.u * np.nan": FINITE + "input [0, 0] = nan",
     "return self.u + 0j": "step raised TypeError: Cannot cast array data from dtype('complex128')",
     "return 'up'": "step raised TypeError: Cannot cast scalar from dtype('<U2')",
     "return None": "step raised TypeError: Cannot cast scalar from dtype('O')",
-    "return self.u, {'e': float('inf')}": "step: expected finite inputs and numbers for the log, got e = inf",
+    "return self.u, {'e': float('inf')}": FINITE + "e = inf",
     "return self.u, {'e': 'x'}": "step raised ValueError: could not convert string to float: 'x'",
 }
 
@@ -137,7 +139,9 @@ def test_a_wrong_step_is_a_failure(
     assert [note.tick for note in notes] == [1, 2, 3]
     for note in notes:
         assert note.problem.startswith(f"controller my_own:Mine: {text}")
-    assert simulate(run).outcome == "completed"
+    end_of_run = simulate(run)
+    assert end_of_run.outcome == "failed"
+    assert "agent1, agent2, agent3, agent4 failed" in end_of_run.reason
 
 
 def test_inputs_are_clipped_and_numbers_logged(
@@ -208,7 +212,9 @@ def test_start_and_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
     An agent that comes back has a new one, with the present roster.
     """
-    faults = "faults.event=[{at_s=0.3,do='stop',target='agent2'},{at_s=0.6,do='continue',target='agent2'}]"
+    stop = "{at_s=0.3,do='stop',target='agent2'}"
+    resume = "{at_s=0.6,do='continue',target='agent2'}"
+    faults = f"faults.event=[{stop},{resume}]"
     data = "{'k': self.k, 'agents': len(self.run.agents)}"
     run = own(
         tmp_path,

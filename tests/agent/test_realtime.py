@@ -77,7 +77,7 @@ def test_others_may_be_ahead() -> None:
 
 @pytest.mark.parametrize(("speed", "held_ms"), [(1.0, 120), (2.0, 60), (0.5, 240)])
 def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
-    """A plan over a link with delay d is used d / speed seconds after its arrival on the agent's clock, not before."""
+    """A plan over a link with delay d is used d / speed seconds after its arrival, not before."""
     run, node = realtime("links.delay_s=0.12", speed=speed)
     arrived_ns = START_NS + 3 * MS
     tell(node, [measurement(run, 1, 0)], START_NS)
@@ -94,7 +94,7 @@ def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
 
 
 def test_a_delayed_measurement_is_held_back() -> None:
-    """A measurement opens its tick when received, but its content counts only after the delay of its link."""
+    """A measurement opens its tick at once; its content counts after the delay of its link."""
     run, node = realtime("links.measurement.delay_s=0.08")
     ages = []
     for k in range(5):

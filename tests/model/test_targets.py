@@ -45,7 +45,7 @@ TO = [
 
 def test_the_path_is_smooth_to_the_order_that_moments_need() -> None:
     """Each jet is the derivative of the one below (equation (75)), also where targets begin, overlap and end."""
-    led = EIGHT.headed(TO[0]).headed(TO[1]).headed(TO[2])
+    led = EIGHT.with_target(TO[0]).with_target(TO[1]).with_target(TO[2])
     h = 1e-4
     for t_s in (6.0, 7.0, 8.0, 8.25, 8.5, 10.9, 11.0, 13.5, 15.0, 19.5, 30.0):
         below, at, above = (led.jets(np.array([t_s + d]))[:, 0] for d in (-h, 0.0, h))
@@ -62,7 +62,7 @@ def test_a_target_changes_nothing_before_it_and_stays_between(maneuver: Maneuver
 
     Then a mean of old path and target, with its velocity.
     """
-    led, times_s = maneuver.headed(TO[0]), np.linspace(0.0, 20.0, 401)
+    led, times_s = maneuver.with_target(TO[0]), np.linspace(0.0, 20.0, 401)
     (before, _), (path, velocity) = maneuver.path(times_s), led.path(times_s)
     assert (path[times_s <= 6.0] == before[times_s <= 6.0]).all()
     assert (path[times_s >= 10.0] == TO[0].point_I).all()

@@ -11,9 +11,9 @@ from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
 from transport.model.arrays import Array
 from transport.model.state import THETA, V0, uav_slice
+from transport.mpc.constraints.separation import pair_distances
 from transport.mpc.prediction import Prediction, convolve
 from transport.mpc.qp import QP
-from transport.mpc.rows import separation_rows
 from transport.mpc.settings import Constraint, ControllerSettings, Separation, Tension, Tilt
 
 # Relative to the largest margin of the block: the same sums in another order.
@@ -153,7 +153,7 @@ def test_first_rate_is_a_bound(case: Case) -> None:
     assert np.isinf(case.qp.upper[-4:]).all()
 
 
-def test_separation_rows(case: Case) -> None:
+def test_pair_distances(case: Case) -> None:
     """Predicted distance along the present direction, plus the slack, minus the minimum, for pairs with an owner."""
     model, owners = case.setup.model, {int(i) // 4 for i in case.own}
     y, C = model.outputs(case.at.x), model.linearise(case.at.x, case.at.u).C
@@ -271,7 +271,7 @@ def test_linear_distance_is_a_lower_bound() -> None:
     rng = np.random.default_rng(1)
     for _ in range(50):
         positions, moved = rng.standard_normal(12), rng.standard_normal(12)
-        distances, rows = separation_rows(positions, np.array(list(combinations(range(4), 2))))
+        distances, rows = pair_distances(positions, np.array(list(combinations(range(4), 2))))
         true = [
             np.linalg.norm(np.subtract(*moved.reshape(4, 3)[[i, j]]))
             for i, j in combinations(range(4), 2)
@@ -282,7 +282,7 @@ def test_linear_distance_is_a_lower_bound() -> None:
 
 def test_uavs_in_one_point_are_pushed_apart() -> None:
     """Two UAVs in one point have no direction; some unit direction stands in and nothing is nan."""
-    distances, rows = separation_rows(np.zeros(3 * 2), np.array([[0, 1]]))
+    distances, rows = pair_distances(np.zeros(3 * 2), np.array([[0, 1]]))
     assert distances.tolist() == [0.0]
     assert np.linalg.norm(rows[0, :3]) == 1.0
     assert np.array_equal(rows[0, :3], -rows[0, 3:6])

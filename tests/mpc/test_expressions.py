@@ -10,7 +10,7 @@ from tests.support.systems import disturbed, paper_setup
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.dynamics import Symbols
-from transport.mpc.expressions import Relation, compile_constraints, read
+from transport.mpc.expressions import Relation, check_constraints, compile_constraints, read
 from transport.mpc.settings import Constraint, SettingsError
 
 # Hand computation and compiled expression differ by rounding only; the largest value here is about
@@ -170,10 +170,48 @@ def test_bad_text_is_refused(text: str) -> None:
         "r0[2] <= 1e400",
         "sqrt(-1) <= r0[0]",
         "r0[True] <= 1",
+        "r0[0] <= -9**9**9",
+        "r0[0] <= 3**20000000",
     ],
-    ids=["division by zero", "overflow", "deep", "long", "infinite", "complex", "boolean index"],
+    ids=[
+        "division by zero",
+        "overflow",
+        "deep",
+        "long",
+        "infinite",
+        "complex",
+        "boolean index",
+        "tower",
+        "millions of digits",
+    ],
 )
 def test_arithmetic_that_fails_is_refused(text: str) -> None:
     """A text whose own arithmetic or nesting breaks Python is refused like any other, not passed on as its error."""
     with pytest.raises(SettingsError):
         read(text, SYMBOLS)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("sqrt(r0[0]) <= 1", "expected a finite value and slope at the start, got the slope inf"),
+        ("1 / r0[0] <= 1", "expected a finite value and slope at the start, got the value inf"),
+        ("1 / tau1[0] <= 1", "expected a finite value and slope at the start, got the value inf"),
+    ],
+)
+def test_constraints_are_finite_at_the_start(text: str, problem: str) -> None:
+    """A constraint without a value or slope at the first state and input is refused with its text."""
+    setup = paper_setup()
+    with pytest.raises(SettingsError) as refused:
+        check_constraints([Constraint(expression=text)], setup.system, setup.hover.x, setup.hover.u)
+    assert repr(text) in str(refused.value)
+    assert problem in str(refused.value)
+
+
+def test_integers_of_a_text_are_floats() -> None:
+    """Arithmetic of constants has the rounding of floats, where integers would have all digits."""
+    setup = paper_setup()
+    beyond_53_bits = [Constraint(expression="r0[0] <= 3**40 + 1 - 3**40")]
+    on_state, _ = compile_constraints(beyond_53_bits, setup.system)
+    value, _ = on_state.at(setup.hover.x)
+    assert value[0] == 0.0

@@ -11,7 +11,7 @@ from transport.model.hover import hover
 from transport.model.linearisation import Model
 from transport.model.parameters import table_1
 from transport.mpc.fail_safe import FailSafe
-from transport.mpc.feedback import tangent
+from transport.mpc.manifold import tangent
 
 SYSTEM = table_1()
 MODEL, AT_REST = Model(SYSTEM), hover(SYSTEM)

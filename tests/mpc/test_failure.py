@@ -16,8 +16,10 @@ from transport.model.parameters import System, table_1
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller
 from transport.mpc.cost import Cost
-from transport.mpc.feedback import FeedbackError, Regulator, regulator, tangent
+from transport.mpc.feedback import FeedbackError
+from transport.mpc.manifold import tangent
 from transport.mpc.regulation import Regulation
+from transport.mpc.regulator import HoveringTeam, Regulator, Team, regulator
 from transport.mpc.settings import ControllerSettings, Weights
 
 PERIOD_S = 0.05
@@ -35,7 +37,9 @@ def found(system: System, off: AbstractSet[int], released: AbstractSet[int]) -> 
     """Return the regulator of the remaining team."""
     at = failed_hover(system, off, released)
     cost = Cost(Weights(), system, at, off, released)
-    return regulator(Model(system, off, released), at, cost, PERIOD_S, off=off, released=released)
+    team = Team(off=frozenset(off), released=frozenset(released))
+    model = Model(system, off, released)
+    return regulator(HoveringTeam(model=model, hover=at, cost=cost, team=team), PERIOD_S)
 
 
 def control_margin(system: System, x: Array, u: Array) -> tuple[float, float]:
@@ -62,7 +66,7 @@ def test_three_stabilise_the_payload_without_the_fourth() -> None:
     )
     at = failed_hover(three, set(), set())
     cost = Cost(Weights(), three, at)
-    uncontrolled = regulator(Model(three, set(), set()), at, cost, PERIOD_S)
+    uncontrolled = regulator(HoveringTeam(model=Model(three), hover=at, cost=cost), PERIOD_S)
     K = found(system, {DEAD}, {DEAD}).K
     assert not K[state.input_slice(DEAD)].any()
     assert not K[:, state.uav_slice(DEAD)].any()
@@ -97,9 +101,9 @@ def test_where_nothing_helps_the_control_law_stays(released: set[int]) -> None:
     """Without a hover, or one that can be stabilised, gain and cost are those of the whole team."""
     setup = paper_setup()
     controller = Controller(setup.model, setup.hover, CLOSED, [3])
-    before, cost = controller.regulation.regulator, controller.cost
+    before, cost = controller.regulation.current.regulator, controller.cost
     controller.fail(released or {DEAD}, released)
-    after = controller.regulation.regulator
+    after = controller.regulation.current.regulator
     assert before is not None
     assert after is not None
     np.testing.assert_array_equal(after.K, before.K)

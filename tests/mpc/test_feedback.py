@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from tests.support.systems import Situation, paper_setup, situation
+from tests.support.systems import Situation, changed, paper_setup, situation
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.discretisation import zero_order_hold
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller
 from transport.mpc.cost import Cost
-from transport.mpc.feedback import FeedbackLaw, regulator
+from transport.mpc.feedback import FeedbackError, FeedbackLaw
 from transport.mpc.prediction import predict
-from transport.mpc.settings import ControllerSettings, Weights
+from transport.mpc.regulator import HoveringTeam, regulator
+from transport.mpc.settings import ControllerSettings, CostTerm, Weights
 
 PERIOD_S = 0.05
 CLOSED = ControllerSettings(prediction="closed_loop", relaxation=1.0)
@@ -33,9 +34,8 @@ OPTIMUM_TOLERANCE = 1e-6
 def gain() -> Array:
     """The paper system's gain."""
     setup = paper_setup()
-    return regulator(
-        setup.model, setup.hover, Cost(Weights(), setup.system, setup.hover), PERIOD_S
-    ).K
+    cost = Cost(Weights(), setup.system, setup.hover)
+    return regulator(HoveringTeam(model=setup.model, hover=setup.hover, cost=cost), PERIOD_S).K
 
 
 def hover_model() -> tuple[Array, Array, Array]:
@@ -166,3 +166,11 @@ def test_a_start_is_not_relaxed_towards_nothing() -> None:
     ]:
         c = part.conclude(solution, prediction, at.U, law, ticks_since_start).c
         assert np.abs(c - (share * best + (1.0 - share) * before)).max() < ROLLOUT_TOLERANCE
+
+
+def test_an_equation_that_overflows_is_refused_in_words() -> None:
+    """A term of the cost with a slope of 1e150 leaves no numbers of a Riccati equation, (34)."""
+    setup = paper_setup()
+    settings = changed(CLOSED, cost=(CostTerm(expression="1e150 * r0[0]", weight=1.0),))
+    with pytest.raises(FeedbackError, match="weights or slopes are too large"):
+        Controller(setup.model, setup.hover, settings, (0,))

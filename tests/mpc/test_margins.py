@@ -49,7 +49,7 @@ def test_with_the_plant_as_known_the_loop_is_the_regulator(
     """Estimates are exact, so the step has the regulator's eigenvalues, for any age of the states."""
     loop = _loop(next_tick=next_tick, age=age, system=system)
     found = np.linalg.eigvals(loop.matrix(Mismatch()))
-    regulator = Controller(Model(system), hover(system), SHARED, (0,)).regulation.regulator
+    regulator = Controller(Model(system), hover(system), SHARED, (0,)).regulation.current.regulator
     assert regulator is not None
     expected = np.linalg.eigvals(regulator.A_closed)
     assert np.abs(found[:, None] - expected[None]).min(axis=0).max() < ROUNDING
@@ -124,7 +124,7 @@ def test_the_team_that_is_left_is_its_regulator(gone: tuple[int, ...], follows: 
     ]
     for controller in team:
         controller.without(gone)
-    regulator = team[0].regulation.regulator
+    regulator = team[0].regulation.current.regulator
     assert regulator is not None
     for next_tick in (False, True):
         loop = Loop(

@@ -14,8 +14,8 @@ from transport.model.native import Places
 from transport.model.state import input_indices
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.cost import Cost
-from transport.mpc.feedback import regulator
 from transport.mpc.prediction import Prediction, convolve
+from transport.mpc.regulator import HoveringTeam, regulator
 from transport.mpc.settings import (
     Constraint,
     ControllerSettings,
@@ -150,8 +150,9 @@ def test_the_law_of_motors_stabilises_what_the_other_does_not() -> None:
     """With 100 ms of lag the gain without it has a growing mode, the gain that knows it has none, (33), (55)."""
     setup, lag_s = paper_setup(), 0.1
     cost = Cost(Weights(), setup.system, setup.hover)
-    knows = regulator(setup.model, setup.hover, cost, PERIOD_S, motor_lag_s=lag_s)
-    ignores = regulator(setup.model, setup.hover, cost, PERIOD_S)
+    hovering = HoveringTeam(model=setup.model, hover=setup.hover, cost=cost)
+    knows = regulator(hovering, PERIOD_S, motor_lag_s=lag_s)
+    ignores = regulator(hovering, PERIOD_S)
     T, n = knows.T, setup.system.n
     one = Controller(setup.model, setup.hover, changed(SETTINGS, motor_lag_s=lag_s), (0,))
     discrete = one.discretise(
@@ -173,7 +174,7 @@ def test_motors_of_failed_uavs_are_left_out() -> None:
     setup = paper_setup()
     one = Controller(setup.model, setup.hover, changed(SETTINGS, motor_lag_s=0.05), (0,))
     one.fail([2], [2])
-    found = one.regulation.regulator
+    found = one.regulation.current.regulator
     assert found is not None
     gone = setup.system.n + input_indices([2])
     assert not found.K[:, gone].any()

@@ -27,8 +27,10 @@ from transport.model.parameters import System, table_1
 from transport.model.state import input_indices
 from transport.mpc.cost import Cost
 from transport.mpc.fail_safe import FailSafe
-from transport.mpc.feedback import Regulator, preview, regulator
+from transport.mpc.preview import preview
+from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
+from transport.mpc.regulator import HoveringTeam, Regulator, regulator
 from transport.mpc.settings import ControllerSettings, CostTerm, Weights
 
 # Relative to the largest value: two solutions of one linear problem whose Hessian has a condition
@@ -84,11 +86,12 @@ def problem(
         slope = model.C.T @ (cost.Q * np.random.default_rng(2).standard_normal(len(cost.Q)))
         pull = np.sin(np.arange(INSTANTS) / 5.0)[:, None] * slope * 0.05
         pull[-1] = 0.02 * slope if pulled == "lasting" else 0.0
+    hovering = HoveringTeam(model=Model(system), hover=at, cost=cost, uncontrolled=uncontrolled)
     return Problem(
         system=system,
         at=at,
         cost=cost,
-        law=regulator(Model(system), at, cost, PERIOD_S, uncontrolled),
+        law=regulator(hovering, PERIOD_S),
         model=Difference(model.A + model.B @ K, model.B[:, controlled], model.C),
         controlled=controlled,
         X_ref=X_ref,
@@ -184,7 +187,8 @@ def test_a_reference_at_rest_asks_for_nothing(rods: str) -> None:
         )  # the UAVs stand wider than their attachment points
         e /= np.linalg.norm(e, axis=1)[:, None]
     at = hover(system, e)
-    law = regulator(Model(system), at, Cost(PAYLOAD, system, at), PERIOD_S)
+    cost = Cost(PAYLOAD, system, at)
+    law = regulator(HoveringTeam(model=Model(system), hover=at, cost=cost), PERIOD_S)
     X_ref = np.tile(at.x, (20, 1))
     X_ref[:, state.R0] += [3.0, -4.0, -10.0]
     found = preview(law, X_ref, np.zeros_like(X_ref))
@@ -215,13 +219,14 @@ def test_beyond_the_maneuver_its_last_instant_counts() -> None:
         prediction="closed_loop", terminal="riccati", preview=True, weights=PAYLOAD,
         cost=(CostTerm(expression="e1[0] - 0.02", weight=0.5),),
     )  # fmt: skip
-    regulation = Regulation(Model(of.system), of.at, settings, of.X_ref)
-    ahead = regulation.feedforward(INSTANTS - 2, 6)
+    regulation = Regulation(Model(of.system), of.at, settings, Sampled(X=of.X_ref))
+    ahead = regulation.current.feedforward(INSTANTS - 2, 6)
     assert ahead.shape == (6, len(of.at.u))
     assert ahead[1].any()
     np.testing.assert_array_equal(ahead[1:], np.tile(ahead[1], (5, 1)))
     ends = [
-        regulation.cost_to_go(of.at.x, of.at.x, None, k) for k in (INSTANTS - 1, INSTANTS + 100)
+        regulation.current.cost_to_go(of.at.x, of.at.x, None, k)
+        for k in (INSTANTS - 1, INSTANTS + 100)
     ]
     assert ends[0] is not None
     assert ends[1] is not None

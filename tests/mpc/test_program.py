@@ -13,10 +13,10 @@ from transport.model import native
 from transport.model.arrays import Array
 from transport.model.discretisation import Discrete
 from transport.mpc.controller import Controller
+from transport.mpc.cost import CostToGo
 from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.prediction import Prediction, free_response, predict, stacked
 from transport.mpc.qp import QP, residuals, solve_clarabel, within_bounds
-from transport.mpc.regulation import CostToGo
 from transport.mpc.settings import Constraint, ControllerSettings, CostTerm, Separation, Tilt
 
 needs_kernels = pytest.mark.skipif(
@@ -179,7 +179,9 @@ def test_what_is_known_of_the_step_before_changes_no_bit(rows: dict[str, Any]) -
             )
         for field in fields(Prediction):
             assert np.array_equal(getattr(kept, field.name), getattr(new, field.name)), field.name
-        assert one._program._problem.known == (not rows)
+        compiled = one._program.compiled
+        assert compiled is not None
+        assert compiled._problem.known == (not rows)
 
 
 @needs_kernels

@@ -31,6 +31,7 @@ from transport.model.state import input_indices, input_slice
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.cost import Cost
 from transport.mpc.fail_safe import FailSafe
+from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
 from transport.mpc.settings import ControllerSettings, CostTerm, Limits, Weights
 
@@ -126,7 +127,7 @@ def corrections(
     model = LinearModel(case.system, at)
     X_ref = reference_states(case.system, at, "ramp", INSTANTS)
     settings = changed(settings, weights=case.weights, cost=case.costs)
-    one = Controller(model, at, settings, case.owned, X_ref)
+    one = Controller(model, at, settings, case.owned, Sampled(X=X_ref))
     if case.gone:
         one.without(case.gone)
     shares = []
@@ -195,8 +196,8 @@ def test_centralized_open_loop_program_is_the_law(forced: bool) -> None:
     system = table_1()
     at = hover(system)
     model, X_ref = LinearModel(system, at), reference_states(system, at, "min_jerk", INSTANTS)
-    free = Controller(model, at, changed(LQ, prediction="open_loop"), range(4), X_ref)
-    shared = Controller(model, at, LQ, range(4), X_ref)
+    free = Controller(model, at, changed(LQ, prediction="open_loop"), range(4), Sampled(X=X_ref))
+    shared = Controller(model, at, LQ, range(4), Sampled(X=X_ref))
     rng = np.random.default_rng(4)
     forces = rng.normal(0.0, 2.0, 15) if forced else None
     x = X_ref[15] + small_state(at, rng, 0.05)
@@ -225,7 +226,7 @@ def test_cost_to_go_is_the_sum_of_the_costs_to_come(
     model = difference(system, at)
     regulation = Regulation(Model(system), at, changed(LQ, weights=PAYLOAD, cost=terms))
     regulation.form(gone, (), ())
-    law, cost = regulation.regulator, Cost(PAYLOAD, system, at)
+    law, cost = regulation.current.regulator, Cost(PAYLOAD, system, at)
     assert law is not None
     deviation = small_state(at, np.random.default_rng(2), 0.1)
     x, R = deviation, cost.R.copy()
@@ -237,7 +238,7 @@ def test_cost_to_go_is_the_sum_of_the_costs_to_come(
             term.weight * x[state.V0.start] ** 2 for term in terms
         )
         x = model.A @ x + model.B @ u
-    end = regulation.cost_to_go(at.x + deviation, at.x, None, 0)
+    end = regulation.current.cost_to_go(at.x + deviation, at.x, None, 0)
     assert end is not None
     assert not end.slope.any()
     assert np.linalg.norm(end.root @ end.error) ** 2 == pytest.approx(total, rel=SAME_COST)
@@ -254,9 +255,11 @@ def test_equal_uavs_without_agents(gone: list[int]) -> None:
     """
     system = table_1()
     at, model = hover(system), Model(system)
-    regulation = Regulation(model, at, LQ, reference_states(system, at, "ramp", INSTANTS))
+    regulation = Regulation(
+        model, at, LQ, Sampled(X=reference_states(system, at, "ramp", INSTANTS))
+    )
     regulation.form(gone, (), ())
-    found = regulation.regulator
+    found = regulation.current.regulator
     assert found is not None
     assert np.abs(np.linalg.eigvals(found.A_closed)).max() < 1.0 + MODE_TOLERANCE
     for uav in gone:
@@ -282,17 +285,22 @@ def test_the_team_alone_decides(team: tuple[tuple[int, ...], ...]) -> None:
     at, model = hover(system), Model(system)
     X_ref = reference_states(system, at, "ramp", INSTANTS)
     # Controllers of one model share results.
-    fresh, old = Regulation(model, at, LQ, X_ref), Regulation(Model(system), at, LQ, X_ref)
+    fresh, old = (
+        Regulation(model, at, LQ, Sampled(X=X_ref)),
+        Regulation(Model(system), at, LQ, Sampled(X=X_ref)),
+    )
     fresh.form(*team)
     for before in (((0, 1), (), ()), ((), (2,), ()), ((0, 1), (2,), (2,))):
         old.form(*before)
     old.form(*team)
-    assert fresh.regulator is not None
-    assert old.regulator is not None
-    np.testing.assert_array_equal(old.regulator.K, fresh.regulator.K)
-    np.testing.assert_array_equal(old.cost.u_target, fresh.cost.u_target)
-    np.testing.assert_array_equal(old.cost.Q, fresh.cost.Q)
-    np.testing.assert_array_equal(old.feedforward(0, INSTANTS), fresh.feedforward(0, INSTANTS))
+    assert fresh.current.regulator is not None
+    assert old.current.regulator is not None
+    np.testing.assert_array_equal(old.current.regulator.K, fresh.current.regulator.K)
+    np.testing.assert_array_equal(old.current.cost.u_target, fresh.current.cost.u_target)
+    np.testing.assert_array_equal(old.current.cost.Q, fresh.current.cost.Q)
+    np.testing.assert_array_equal(
+        old.current.feedforward(0, INSTANTS), fresh.current.feedforward(0, INSTANTS)
+    )
 
 
 def test_no_gain_exists_through_rounding_alone() -> None:
@@ -302,10 +310,28 @@ def test_no_gain_exists_through_rounding_alone() -> None:
     """
     system = table_1()
     at, model = hover(system), Model(system)
-    whole = Regulation(model, at, LQ).regulator
+    whole = Regulation(model, at, LQ).current.regulator
     assert whole is not None
     for gone in (0, 1):
         regulation = Regulation(model, at, LQ)
         regulation.form([gone], [2], [2])
-        assert regulation.regulator is not None
-        assert np.abs(regulation.regulator.K).max() < 3.0 * np.abs(whole.K).max()
+        assert regulation.current.regulator is not None
+        assert np.abs(regulation.current.regulator.K).max() < 3.0 * np.abs(whole.K).max()
+
+
+def test_a_reference_that_is_changed_in_place_is_another_one() -> None:
+    """Laws are shared by the numbers they follow from, (36c): not by the array that held them."""
+    system = table_1()
+    at, model = hover(system), Model(system)
+    X_ref = reference_states(system, at, "ramp", INSTANTS)
+    before = Regulation(model, at, LQ, Sampled(X=X_ref))
+    alike = Regulation(model, at, LQ, Sampled(X=X_ref.copy()))
+    assert alike.current.preview is before.current.preview, "equal numbers are computed once"
+
+    X_ref[INSTANTS // 2 :, state.R0] += [0.0, 0.0, 1.0]
+    after = Regulation(model, at, LQ, Sampled(X=X_ref))
+    alone = Regulation(Model(system), at, changed(LQ, relaxation=0.5), Sampled(X=X_ref.copy()))
+    steps = 0, INSTANTS
+    new = after.current.feedforward(*steps)
+    np.testing.assert_array_equal(new, alone.current.feedforward(*steps))
+    assert np.abs(new - before.current.feedforward(*steps)).max() > A_CORRECTION

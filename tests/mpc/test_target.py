@@ -11,8 +11,10 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.mpc.cost import Cost
 from transport.mpc.fail_safe import FailSafe
-from transport.mpc.feedback import Target, tangent, target
+from transport.mpc.manifold import tangent
+from transport.mpc.regulator import HoveringTeam
 from transport.mpc.settings import ControllerSettings, PredictionName, Weights
+from transport.mpc.steady_state import Target, target
 
 # Sums of a few dozen terms through a singular value decomposition of matrices with entries of up to
 # 35.
@@ -31,7 +33,8 @@ def setup_of(name: str) -> Setup:
 def found(name: str) -> Target:
     """The target of a system."""
     setup = setup_of(name)
-    return target(setup.model, setup.hover, Cost(WEIGHTS, setup.system, setup.hover))
+    cost = Cost(WEIGHTS, setup.system, setup.hover)
+    return target(HoveringTeam(model=setup.model, hover=setup.hover, cost=cost))
 
 
 def equations(setup: Setup) -> tuple[Array, Array, Array]:
@@ -98,7 +101,10 @@ def test_the_controller_rests_at_the_target(
     settings = ControllerSettings(prediction=prediction)
     one = controller(setup, settings, owned)
     F = np.append([0.0, 0.0, 5.0], np.zeros(12))
-    x, u = setup.x + one.regulation.target.M_x @ F, setup.hover.u + one.regulation.target.M_u @ F
+    x, u = (
+        setup.x + one.regulation.current.target.M_x @ F,
+        setup.hover.u + one.regulation.current.target.M_u @ F,
+    )
     U = np.tile(u, (settings.horizon, 1))
     y_ref = np.tile(setup.model.outputs(setup.x), (settings.horizon + 1, 1))
     law = one.law(x, np.tile(setup.x, (settings.horizon, 1)), np.zeros_like(U), F)
@@ -119,9 +125,9 @@ def test_a_uav_on_its_own_is_no_means() -> None:
     setup = paper_setup()
     uncontrolled = FailSafe(setup.system, setup.hover.u).gain(3)
     one = controller(setup, ControllerSettings(prediction="closed_loop"), (0,))
-    together = one.regulation.target
+    together = one.regulation.current.target
     one.without([3])
-    at = one.regulation.target
+    at = one.regulation.current.target
     rest, pushed, _ = equations(setup)
     assert np.abs(rest @ np.vstack([at.M_x, at.M_u]) - pushed).max() < ROUNDING
     own = state.input_slice(3)
@@ -129,4 +135,4 @@ def test_a_uav_on_its_own_is_no_means() -> None:
     assert np.abs(at.M_u[own, 2]).max() < ROUNDING
     assert at.M_u[::4, 2].sum() == pytest.approx(1.0)
     one.without([])
-    np.testing.assert_array_equal(one.regulation.target.M_u, together.M_u)
+    np.testing.assert_array_equal(one.regulation.current.target.M_u, together.M_u)

@@ -18,9 +18,12 @@ from transport.model.maneuver import Maneuver, Phase
 from transport.model.obstacles import Obstacle, Solid, clearances
 from transport.model.state import R0, StateView, input_slice
 from transport.mpc.controller import Controller, StepResult
+from transport.mpc.course import Course
 from transport.mpc.feedback import Gains
+from transport.mpc.reference import Sampled
+from transport.mpc.rollout import rollout
 from transport.mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
-from transport.mpc.tracking import INSTANTS, Course, Recursion, rollout
+from transport.mpc.tracking import INSTANTS, Recursion
 
 PERIOD_S = 0.05
 SETTINGS = ControllerSettings(
@@ -52,7 +55,9 @@ def controller(
 ) -> Controller:
     """Return a controller on the arc."""
     model, track = flown()
-    return Controller(model, hover(model.system), settings, owned, track.X, track, obstacles)
+    return Controller(
+        model, hover(model.system), settings, owned, Sampled(X=track.X, track=track), obstacles
+    )
 
 
 def test_cost_is_the_sum_of_squares_of_corrections() -> None:
@@ -65,7 +70,7 @@ def test_cost_is_the_sum_of_squares_of_corrections() -> None:
     moving = int(np.flatnonzero((track.X[-1] != track.X).any(axis=1)).max()) + 1 - start
     c = rng.normal(scale=0.1, size=(moving, model.system.m))
     law = one.law(track.X[start], track.X[start : start + moving], c, None, start)
-    regulator = one.regulation.regulator
+    regulator = one.regulation.current.regulator
     assert law is not None
     assert law.along is not None
     assert regulator is not None
@@ -151,7 +156,7 @@ def test_law_of_another_team_is_the_same_by_parts_and_at_once(
     assert min(computed) > since
     model, track = flown()
     other = Controller(
-        model, hover(model.system), SETTINGS.model_copy(), (0,), track.X, track
+        model, hover(model.system), SETTINGS.model_copy(), (0,), Sampled(X=track.X, track=track)
     ).regulation
     other.form(gone, (), ())
     np.testing.assert_array_equal(meanwhile[own], other.gain(since + 1)[own])

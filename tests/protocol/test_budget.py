@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.support.logs import record_run
-from transport.mpc.rows import Decision, Rows
+from transport.mpc.constraints import constraints_of
+from transport.mpc.constraints.stack import Stack
+from transport.mpc.decision import Decision
 from transport.protocol.scenario.budget import estimate
 from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
 from transport.protocol.scenario.schema import Scenario
@@ -49,13 +51,13 @@ def test_size_of_the_program(name: str, uavs: int, group: int) -> None:
     setup = Setup.of(scenario, name)
     largest = max(setup.owned, key=len)
     decision = Decision(setup.system, setup.settings, largest)
-    rows = Rows(decision)
+    stack = Stack(decision, constraints_of(decision))
     found = estimate(scenario)
     assert found.ticks == setup.ticks
     constraints = len(scenario.controller.constraint)
-    actual = decision.size + len(rows.penalties)
+    actual = decision.size + len(stack.penalties)
     assert actual <= found.variables <= actual + constraints
-    actual_rows = len(rows.A)
+    actual_rows = len(stack.empty().A)
     assert actual_rows <= found.rows <= actual_rows + 7 * constraints
 
 

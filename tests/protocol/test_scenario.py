@@ -100,7 +100,7 @@ def changed(tree: dict[str, Any], path: tuple[str | int, ...]) -> dict[str, Any]
         node[path[-1]] = OTHER_WORDS[next(key for key in reversed(path) if isinstance(key, str))]
     elif path[-1] in ("loss", "duplicate", "reorder", "enter", "leave"):
         node[path[-1]] = 0.5
-    elif path[-1] in ("relaxation", "step_s"):
+    elif path[-1] in ("relaxation", "step_s", "failed_share"):
         node[path[-1]] = value / 2
     else:
         node[path[-1]] = value + 1
@@ -142,7 +142,7 @@ def test_defaults() -> None:
     expected = read_scenario(PAPER).tree()
     expected["controller"]["received_plans"] = "by_age"
     del expected["controller"]["separation"]
-    expected["agents"] = {"controller": "mpc"}
+    expected["agents"] = {"controller": "mpc", "failed_share": 0.05}
     assert tree == expected
     assert tree["seed"] == 0
     assert tree["clock"] == {

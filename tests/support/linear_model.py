@@ -10,7 +10,7 @@ from transport.model.hover import Hover
 from transport.model.linearisation import Linearisation, Model
 from transport.model.maneuver import Maneuver, Phase, Profile, Reference
 from transport.model.parameters import Payload, System, Uav
-from transport.mpc.feedback import tangent
+from transport.mpc.manifold import tangent
 
 PERIOD_S = 0.05
 

@@ -11,7 +11,7 @@ import tomli_w
 from msgspec.structs import replace
 
 from tests.support import runs
-from transport.agent.kalman import TOLD
+from transport.agent.estimation.payload_pose import NAMES
 from transport.flight.memory import simulate
 from transport.log.run_log import LogTail, Recorded, RunLog
 from transport.log.writer import LogWriter
@@ -131,7 +131,7 @@ def noted(run: Setup, agent: int, tick: int) -> Note:
     estimate[:3] += run.maneuver.path(np.array([tick * run.settings.sampling_period_s]))[0][0]
     values = np.concatenate([estimate, 0.01 * np.eye(6)[np.triu_indices(6)], [30.0, 15.0]])
     return Note(
-        sender=f"agent{agent}", incarnation=0, sequence=tick, tick=tick, agent=agent, problem="", names=TOLD,
+        sender=f"agent{agent}", incarnation=0, sequence=tick, tick=tick, agent=agent, problem="", names=NAMES,
         values=values,
     )  # fmt: skip
 

@@ -13,7 +13,7 @@ import pytest
 import transport
 from tests.support.commands import SHORT, settings
 from tests.support.commands import transport as command
-from transport.protocol.wire.exit_codes import EXIT_SCENARIO
+from transport.protocol.wire.exit_codes import EXIT_FAILED, EXIT_SCENARIO
 from transport.protocol.wire.messages import Note, PlantState
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
@@ -90,3 +90,57 @@ def test_a_failing_class_among_processes(tmp_path: Path) -> None:
     where = f"its import from {tmp_path} or the installed packages"
     expected = f"{where} raised AttributeError: module 'mine' has no attribute 'Other'"
     assert refused.stderr == f"transport: --set agents.controller=mine:Other: {expected}\n"
+
+
+ALWAYS = """
+class Always:
+    def start(self, run):
+        self.run = run
+    def step(self, measurement, messages):
+        if self.run.agent in {agents}:
+            raise OSError("no solver")
+        return self.run.u_hover[4 * self.run.owned[0] :][:4]
+    def stop(self):
+        pass
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("agents", [(3,), (1, 2, 3, 4)])
+def test_a_controller_that_never_works_is_no_success(
+    tmp_path: Path, agents: tuple[int, ...]
+) -> None:
+    """Exit code 7; first line, limits and events name all agents that failed, in each way of running."""
+    (tmp_path / "mine.py").write_text(ALWAYS.replace("{agents}", str(agents)), encoding="utf-8")
+    options = settings(SHORT, "agents.controller=mine:Always")
+    done = command("run", "paper", *options, "--out", "out", "--no-figures", cwd=tmp_path)
+    assert done.returncode == EXIT_FAILED, done.stderr
+
+    first, *lines = done.stdout.splitlines()
+    names = ", ".join(f"agent{agent}" for agent in agents)
+    assert first.startswith(f"paper failed: {names} failed in 30 of 30 steps")
+    assert done.stderr.splitlines()[-1].startswith(f"transport: {names} failed in 30 of 30 steps")
+    (limits,) = (line for line in lines if line.split()[:1] == ["limits"])
+    assert "held" not in limits
+    assert f"{30 * len(agents)} steps without a controller" in limits
+
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert (summary["outcome"], summary["exit_code"]) == ("failed", EXIT_FAILED)
+    assert [one["agent"] for one in summary["solver"]["failed_agents"]] == list(agents)
+    (notice,) = (event for event in summary["faults"] if event["kind"] == "notice")
+    assert notice["processes"] == [f"agent{agent}" for agent in agents]
+    assert notice["what"].startswith(f"{names}: controller mine:Always: step raised OSError")
+
+
+@pytest.mark.slow
+def test_the_allowed_share_of_failed_steps_is_a_key(tmp_path: Path) -> None:
+    """A share of one accepts every failure: the run completes, and the summary still counts them."""
+    (tmp_path / "mine.py").write_text(ALWAYS.replace("{agents}", "(1, 2)"), encoding="utf-8")
+    options = settings(SHORT, "agents.controller=mine:Always", "agents.failed_share=1")
+    done = command(
+        "run", "paper", *options, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["outcome"] == "completed"
+    assert summary["solver"]["failures"] == 60

@@ -37,7 +37,17 @@ def test_the_file_of_a_killed_run_is_ignored(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"{", b"[]", b'{"run": 5}', b'{"run": "hover", "endpoints": {}, "pid": "x"}']
+    "content",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b'{"run": 5}',
+        *(
+            b'{"run": "hover", "endpoints": {}, "pid": %s}' % pid
+            for pid in (b'"x"', b"2147483648", b"1e30", b"0", b"-1", b"99999999999999999999999")
+        ),
+    ],
 )
 def test_other_content_is_ignored(content: bytes, tmp_path: Path) -> None:
     """A file that does not describe a run is none of an active run."""

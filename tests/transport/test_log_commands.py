@@ -154,3 +154,16 @@ def test_refusals(arguments: tuple[str, ...], text: str) -> None:
     result = ask(*arguments)
     assert result.exit_code == 2
     assert text in result.output
+
+
+@pytest.mark.parametrize("option", ["--ros2", "--foxglove"])
+def test_copies_are_mcap_files_by_name(
+    flight: tuple[Path, list[Message]], tmp_path: Path, option: str
+) -> None:
+    """Players tell the format by the name: another ending is refused before the log is read."""
+    result = ask("export", flight[0], option, tmp_path / "bag")
+    assert result.exit_code == 2
+    assert result.stderr == (
+        f"transport: {option}: expected a file name that ends in .mcap, got {tmp_path / 'bag'}\n"
+    )
+    assert list(tmp_path.iterdir()) == []

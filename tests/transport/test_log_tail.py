@@ -52,9 +52,9 @@ def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
     """A damaged chunk is skipped, and the messages behind it are read."""
     data = bytearray(log.read_bytes())
     _, chunk, *_ = (
-        body
-        for opcode, _, body in records(BytesIO(data), len(MCAP0_MAGIC))
-        if opcode == Opcode.CHUNK
+        record.body
+        for record in records(BytesIO(data), len(MCAP0_MAGIC))
+        if record.opcode == Opcode.CHUNK and record.body is not None
     )
     data[data.index(chunk) + len(chunk) // 2] ^= 0xFF
     (tmp_path / "run.mcap").write_bytes(data)

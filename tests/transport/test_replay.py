@@ -192,3 +192,27 @@ def test_command_refuses(folder: Path, arguments: tuple[str, ...], code: int, te
     result = ask(folder, *arguments)
     assert result.exit_code == code
     assert text in result.output
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.1, 0.2, 0.5, 0.9])
+def test_a_log_cut_anywhere_is_replayed_or_refused(tmp_path: Path, share: float) -> None:
+    """The part that is left is compared; before the first roster nothing is, in one line with exit code 2."""
+    logs.record_run(runs.setup(runs.SHORT), tmp_path)
+    log = tmp_path / "run.mcap"
+    whole = log.read_bytes()
+    log.write_bytes(whole[: int(share * len(whole))])
+    result = CliRunner().invoke(app, ["replay", str(tmp_path), "--agent", "1"])
+    if result.exit_code == 0:
+        return
+    assert result.exit_code == 2
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"transport: {tmp_path}")
+
+
+def test_a_log_without_a_roster_has_nothing_to_compare(tmp_path: Path) -> None:
+    """An agent that no roster admits has no process: one line, exit code 2."""
+    run = runs.setup(runs.SHORT)
+    tick = logs.log_of([runs.tick(0), runs.measurement(run, 1, 0)])
+    again = Replay(run, tick, 1)
+    assert list(again.steps()) == []
+    assert again.notes == ["agent1 is on no roster in the log"]

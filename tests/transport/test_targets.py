@@ -18,7 +18,7 @@ from transport.mpc.controller import Controller
 from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
 from transport.protocol.scenario.schema import TargetSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import headed, planned, with_targets
+from transport.protocol.scenario.targets import planned
 from transport.protocol.wire.messages import Measurement, Message, Request, Roster, Target
 from transport.protocol.wire.node import Outbox
 
@@ -92,22 +92,20 @@ def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
     """Control law and reference are bit for bit the old ones before a target, those of the whole path after it."""
     run = runs.ready(name, HOVER % 9.0, "maneuver.profile=smooth")
     owned = list(range(run.system.N))
-    controller = Controller(run.model, run.hover, run.settings, owned, run.X_ref, run.track)
+    controller = Controller(run.model, run.hover, run.settings, owned, run.reference.sampled)
     x, c = run.X_ref[40] + 1e-3, np.zeros((10, run.system.m))
     law = controller.law(x, run.X_ref[30:40], c, None, 30)
-    led = headed(run, message(run, 40, points_m=[[0.5, 0.0, -10.0]]))
-    assert led.ahead is not None
-    controller.regulation.head(led.X_ref, led.ahead)
+    led = run.after([message(run, 40, points_m=[[0.5, 0.0, -10.0]])])
+    controller.regulation.follow(led.reference.sampled)
     again = controller.law(x, led.X_ref[30:40], c, None, 30)
     assert (led.X_ref[:40] == run.X_ref[:40]).all()
     assert law is not None
     assert again is not None
     assert (again.uncorrected == law.uncorrected).all()
     # A controller that knows the path from its start has the same law after the target.
-    whole = with_targets(
-        Setup.of(run.scenario, name), [message(run, 40, points_m=[[0.5, 0.0, -10.0]])]
-    )
-    other = Controller(whole.model, whole.hover, whole.settings, owned, whole.X_ref, whole.track)
+    target = message(run, 40, points_m=[[0.5, 0.0, -10.0]])
+    whole = Setup.of(run.scenario, name).after([target])
+    other = Controller(whole.model, whole.hover, whole.settings, owned, whole.reference.sampled)
     for start in (40, 60, 100, 150):
         laws = [
             of.law(x, led.X_ref[start : start + 10], c, None, start) for of in (controller, other)

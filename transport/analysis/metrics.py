@@ -17,7 +17,6 @@ from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import R0
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import with_targets
 from transport.protocol.wire import messages
 from transport.protocol.wire.names import agent_name
 
@@ -31,7 +30,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
 
     None for anything the log does not tell.
     """
-    setup = with_targets(setup, log.of(messages.Target))
+    setup = setup.after(log.of(messages.Target))
     series = series_of(setup, log)
     control = next(log.of(messages.Control), None)
     reports = list(log.of(messages.StepReport))
@@ -73,10 +72,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         "messages": _messages(setup, log, reports),
         "radio": radio_of(setup, log),
         "rejections": _rejections(log),
-        "solver": {
-            "fallbacks": sum(report.fallback for report in reports),
-            "failures": sum(report.status != "solved" for report in reports),
-        },
+        "solver": _solver(setup, reports),
         "faults": events(setup, log, control),
         "targets": _targets(setup, series),
         # From "python 3.12.1, numpy 2.0.0" to names and versions.
@@ -145,7 +141,11 @@ def _events(
 ) -> Iterator[tuple[messages.Message, int | None, str, str, list[str]]]:
     """Yield message, time of arrival, kind, description and processes of each event before the end."""
     degraded, before = [fault for fault in setup.faults if fault.do == "degrade"], None
-    noted: set[str] = set()  # each problem of a controller counts once, of the first agent
+    # A problem of a controller is one event, at its first tick, of all agents that have it.
+    agents_by_problem: dict[str, set[int]] = {}
+    for note in log.of(messages.Note):
+        agents_by_problem.setdefault(note.problem, set()).add(note.agent)
+    noted: set[str] = set()
     for message, at_ns in ((entry.message, entry.received_ns) for entry in log.messages):
         match message:
             case messages.FaultNote(target=target):
@@ -160,9 +160,10 @@ def _events(
                 for fault in (fault for fault in degraded if fault.tick == message.tick):
                     what = f"motors of {fault.target} degraded to {fault.efficiency:g} of their inputs by script"
                     yield message, at_ns, "fault", what, [fault.target]
-            case messages.Note(sender=sender, problem=problem) if problem and problem not in noted:
+            case messages.Note(problem=problem) if problem and problem not in noted:
                 noted.add(problem)
-                yield message, at_ns, "notice", f"{sender}: {problem}", [sender]
+                agents = [agent_name(agent) for agent in sorted(agents_by_problem[problem])]
+                yield message, at_ns, "notice", f"{', '.join(agents)}: {problem}", agents
             case messages.Roster():
                 lost = {*message.off, *message.released} - (
                     {*before.off, *before.released} if before else set()
@@ -403,6 +404,30 @@ def _rejections(log: RunLog) -> list[dict[str, Any]]:
             counts.items(), key=lambda entry: (-entry[1], entry[0])
         )
     ]
+
+
+def _solver(setup: Setup, reports: Iterable[messages.StepReport]) -> dict[str, Any]:
+    """Return how often the second solver was used, and the failed steps with all their agents."""
+    steps = Counter[int]()
+    failed = Counter[int]()
+    fallbacks = 0
+    for report in reports:
+        steps[report.agent] += 1
+        failed[report.agent] += report.status != "solved"
+        fallbacks += report.fallback
+
+    agents = [
+        {"agent": agent, "steps": steps[agent], "failures": failed[agent]}
+        for agent in sorted(steps)
+        if failed[agent]
+    ]
+    allowed = setup.scenario.agents.failed_share
+    return {
+        "fallbacks": fallbacks,
+        "failures": failed.total(),
+        "failed_agents": agents,
+        "beyond_share": any(failed[agent] / steps[agent] > allowed for agent in steps),
+    }
 
 
 def _percentiles(values: Iterable[float] | Array) -> dict[str, float | None]:

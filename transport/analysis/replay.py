@@ -225,6 +225,8 @@ def _processes(setup: Setup, log: RunLog, agent: int) -> list[_Process]:
             ):
                 continue
         starts.append((incarnation, roster))
+    if not starts:
+        return []
     found = []
     for (incarnation, roster), replaced in zip(
         starts, [*(roster for _, roster in starts[1:]), None], strict=True

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.kalman import TOLD, understood
+from transport.agent.estimation.payload_pose import NAMES, poses
 from transport.log.run_log import Recorded, RunLog
 from transport.model import state
 from transport.model.arrays import Array
@@ -20,7 +20,6 @@ from transport.model.rotations import rotation
 from transport.protocol.scenario.faults import failures
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
-from transport.protocol.scenario.targets import with_targets
 from transport.protocol.wire.messages import (
     STAGES,
     Note,
@@ -87,7 +86,7 @@ def series_of(setup: Setup, log: RunLog) -> Series:
 
     Those of another number of UAVs are left out.
     """
-    setup = with_targets(setup, log.of(Target))
+    setup = setup.after(log.of(Target))
     plant_states = {
         entry.tick: entry for entry in log.of(PlantState) if entry.x.shape == setup.hover.x.shape
     }
@@ -235,14 +234,14 @@ class Estimates(NamedTuple):
 def estimates_of(series: Series, log: RunLog) -> Estimates | None:
     """Return the estimates in a log; None if there are none."""
     at = {int(tick): row for row, tick in enumerate(series.ticks)}
-    notes = [note for note in log.of(Note) if note.names == TOLD and note.tick in at]
+    notes = [note for note in log.of(Note) if note.names == NAMES and note.tick in at]
     if not notes:
         return None
     numbers, rows = (
         np.array([note.values for note in notes]),
         np.array([at[note.tick] for note in notes]),
     )
-    pose, P = understood(numbers)
+    pose, P = poses(numbers)
     true = series.x[rows][:, np.r_[state.R0, state.THETA0]]
     return Estimates(np.array([note.agent for note in notes]), rows, pose, true, P, numbers[:, -2:])
 

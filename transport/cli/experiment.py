@@ -240,15 +240,14 @@ def paper(
     if not 0.0 <= gust < math.inf:
         raise refused("--gust", "a speed >= 0 m/s", f"{gust:g}")
     folder = options.folder("paper")
-    lines, table = comparison_report.compare(
-        options.changes(),
-        options.repetitions,
-        gust,
-        folder,
-        options.simulate,
-        Console(stderr=True),
+    compared = comparison_report.ComparisonOptions(
+        settings=options.changes(),
+        seeds=options.repetitions,
+        gust_mps=gust,
         quick=options.quick,
     )
+    console = Console(stderr=True)
+    lines, table = comparison_report.compare(compared, folder, options.simulate, console)
     content = {"experiment": "paper", "report": [line.strip() for line in lines if line.strip()]}
     show(options.output, content, table, *lines, width=WIDTH)
 

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, get_origin
 
 import typer
@@ -69,9 +70,13 @@ class Command(TyperCommand):
             )
             text, code = str(blamed), error.exit_code
         except OSError as error:
-            if error.filename is None:
+            if error.filename is not None:
+                text = f"{error.filename}: {error.strerror}"
+            elif _current_folder_is_gone():
+                text = "expected a current folder, got one that has been removed"
+            else:
                 raise
-            text, code = f"{error.filename}: {error.strerror}", _USAGE
+            code = _USAGE
         except ModuleNotFoundError as error:
             if error.name not in _EXTRAS:
                 raise
@@ -79,6 +84,15 @@ class Command(TyperCommand):
             text, code = f"expected the package {error.name}, got none: {extra}", _USAGE
         typer.echo(f"transport: {text}", err=True)
         raise typer.Exit(code)
+
+
+def _current_folder_is_gone() -> bool:
+    """Return whether the folder in which the command was started has been removed."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        return True
+    return False
 
 
 class LazyGroup(TyperGroup):

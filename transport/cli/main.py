@@ -113,7 +113,8 @@ app = lazy_group(
     help="Several UAVs carry one payload; each runs its own model predictive controller in a separate process.\n\n"
     "Start with: transport run paper",
     epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, "
-    "5 deadlines missed, 6 diverged, 8 plans differ (replay), 9 a check failed (doctor), "
+    "5 deadlines missed, 6 diverged, 7 steps of a controller failed, 8 plans differ (replay), "
+    "9 a check failed (doctor), "
     "10 not recorded, 130 interrupted.",
 )
 

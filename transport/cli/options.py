@@ -1,6 +1,7 @@
 """Arguments and options that several commands have, each defined once, and the scenario or run that they name."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
@@ -106,12 +107,13 @@ def _setup(path: Path, settings: tuple[str, ...], allow_large: bool, _: int) -> 
 
 def newest_runs() -> list[Path]:
     """Return the folders below runs/ that hold a log, the most recently written first."""
-    logs = [
-        path for path in RUNS.glob(f"*/{_LOG}") if not path.parent.is_symlink()
-    ]  # `latest` is one of them
-    return [
-        path.parent for path in sorted(logs, key=lambda path: path.stat().st_mtime, reverse=True)
-    ]
+    written_ns: dict[Path, int] = {}
+    for log in RUNS.glob(f"*/{_LOG}"):
+        if log.parent.is_symlink():  # `latest` is one of the others
+            continue
+        with suppress(OSError):  # the folder has gone meanwhile
+            written_ns[log.parent] = log.stat().st_mtime_ns
+    return sorted(written_ns, key=lambda folder: written_ns[folder], reverse=True)
 
 
 def run_folder(given: Path | None) -> Path:
@@ -119,8 +121,9 @@ def run_folder(given: Path | None) -> Path:
     if given is not None:
         in_runs = RUNS / given
         return in_runs if not given.exists() and in_runs.exists() else given
-    found = newest_runs()
-    if not found:
+
+    runs = newest_runs()
+    if not runs:
         fail(f"RUN: expected a run folder, got none, and there is no run in {RUNS}/")
-    typer.echo(f"run: {found[0]}", err=True)
-    return found[0]
+    typer.echo(f"run: {runs[0]}", err=True)
+    return runs[0]

@@ -9,7 +9,7 @@ from typer import Option
 from transport.cli.lazy import load
 from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, show
-from transport.log.run_log import open_run
+from transport.log.run_log import LogError, open_run
 from transport.protocol.network.parent import stand_by
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_UNRECORDED
@@ -60,13 +60,21 @@ def plot(
         typer.echo(f" {animation}", err=output is Format.json)
 
 
-def report(folder: Path, output: Format, *, figures: bool, setup: Setup) -> None:
-    """Write the report of a run folder and print its summary."""
+def report(
+    folder: Path, output: Format, *, figures: bool, setup: Setup, is_written: bool = False
+) -> None:
+    """Write the report of a run that has ended, unless it is written, and print its summary.
+
+    If that cannot be done, or the log is gone, the exit code says that the run is not recorded.
+    """
     try:
-        write_report(folder, figures=figures, setup=setup)
+        if not is_written:
+            write_report(folder, figures=figures, setup=setup)
+        show_report(folder, output)
     except OSError as error:
         fail(f"{folder}: cannot write the report ({error.strerror or error})", EXIT_UNRECORDED)
-    show_report(folder, output)
+    except LogError as error:
+        fail(f"cannot write the report: {error}", EXIT_UNRECORDED)
 
 
 def show_report(folder: Path, output: Format) -> None:

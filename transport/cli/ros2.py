@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import typer
 from typer import Option
 
-from transport.cli.operate import RunOption, find_active
+from transport.cli.active import RunOption, find_active
 from transport.cli.output import blame
 from transport.flight.live import Commands
 from transport.log.run_log import LogTail, setup_of

@@ -70,10 +70,8 @@ def run(
             ready = beside.wait_until_ready if beside is not None else lambda: None
             finished = simulate(setup, folder, Console(stderr=True), prepare, ready, external or [])
             plot = load("transport.cli.plot")
-            if reporter.report():
-                plot.show_report(folder, output)
-            else:
-                plot.report(folder, output, figures=figures, setup=setup)
+            is_written = reporter.report()
+            plot.report(folder, output, figures=figures, setup=setup, is_written=is_written)
         if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
             beside.wait_for_user()
     if finished.exit_code != 0:

@@ -1,6 +1,7 @@
 """Report of the comparison: measure processor time, simulate, compare, and write tables, figures and verdicts."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from rich.table import Table
 
 from transport.analysis.series import series_of
 from transport.experiments import comparison
-from transport.experiments.cases import cases_of, run_in_memory
+from transport.experiments.cases import Point, cases_of, run_in_memory
 from transport.experiments.cases import simulate as simulate_here
 from transport.experiments.comparison import (
     AGENT,
@@ -64,58 +65,98 @@ _COLUMNS = (
 )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparisonOptions:
+    """Options of the comparison.
+
+    Attributes:
+        settings: Changes KEY=VALUE of the centralized scenario.
+        seeds: Repetitions of each run in gusts.
+        gust_mps: Standard deviation of gusts; 0 for still air only.
+        quick: Whether this is a trial with few points.
+    """
+
+    settings: Sequence[str]
+    seeds: int
+    gust_mps: float
+    quick: bool = False
+
+    def reference(self) -> Cell:
+        """Return the centralized controller at the period of its scenario.
+
+        Raises: ScenarioError: wrong settings.
+        """
+        path = find_scenario(comparison.SCENARIOS[CENTRALIZED])
+        scenario = read_scenario(path, self.settings)
+        agents = len(scenario.owned)
+        if agents > 1:
+            expected = f"expected one agent that owns all, got {agents}"
+            raise ScenarioError(str(path), "agents.owned", expected)
+
+        controller = scenario.controller
+        return Cell(CENTRALIZED, controller.sampling_period_s, controller.horizon)
+
+
 def compare(
-    settings: Sequence[str],
-    seeds: int,
-    gust_mps: float,
-    folder: Path,
-    simulate: Simulate,
-    console: Console,
-    *,
-    quick: bool = False,
+    options: ComparisonOptions, folder: Path, simulate: Simulate, console: Console
 ) -> tuple[list[str], Table]:
     """Measure processor time, simulate every controller at every period, and write all files.
 
     Returns: Lines for the console, and the table above them.
-    Raises: ScenarioError: wrong settings. ExperimentError: unusable folder, or a run that raised an error.
+    Raises: ScenarioError: wrong settings. ExperimentError: unusable folder, or a run that raised an
+        error.
     """
-    path = find_scenario(comparison.SCENARIOS[CENTRALIZED])
-    scenario = read_scenario(path, settings)
-    if (agents := len(scenario.owned)) > 1:
-        raise ScenarioError(
-            str(path), "agents.owned", f"expected one agent that owns all, got {agents}"
-        )
-    reference = Cell(
-        CENTRALIZED, scenario.controller.sampling_period_s, scenario.controller.horizon
-    )
-    cells = comparison.cells_of(reference, quick=quick)
-    every = list(
-        dict.fromkeys(cell for own in cells.values() for cell in own)
-    )  # curves meet at the reference
-    experiment = comparison.experiment(every, gust_mps)
-    # One run at a time, all controllers in turns: a slow period of the machine affects all alike.
-    measurement = Experiment(name="processor time", points=experiment.points[: len(every)])
-    maneuver = comparison.QUICK_MEASUREMENT if quick else comparison.MANEUVER
-    repeats = comparison.QUICK_REPEATS if quick else comparison.REPEATS
-    cases = cases_of(experiment.points, settings, seeds)
-    timed_cases = cases_of(measurement.points, [*settings, maneuver], repeats, timed=True)
+    reference = options.reference()
+    cells = comparison.cells_of(reference, quick=options.quick)
+    # Curves meet at the reference.
+    distinct = list(dict.fromkeys(cell for own in cells.values() for cell in own))
+    experiment = comparison.experiment(distinct, options.gust_mps)
+    cases = cases_of(experiment.points, options.settings, options.seeds)
+
     with Results(comparison.NAME, folder) as results:
-        timed = sweep(measurement, timed_cases, partial(map, simulate_here), results, console)
-        timed.check()
+        timed = _measured(experiment.points[: len(distinct)], options, results, console)
         swept = sweep(experiment, cases, simulate, results, console)
+
     curves = comparison.curves_of(cells, timed, swept, reference)
     rows = [row for curve in curves for row in curve.rows()]
-    judged = list(comparison.verdicts(curves, reference))
-    files = [timed.write_cases(folder / "computation.csv"), swept.write_cases(folder / "cases.csv")]
-    for name, content in (("curves.csv", rows), ("verdict.csv", judged)):
-        files.append(folder / name)
-        write_csv(files[-1], content, list(content[0]))
-    files += [
+    verdicts = list(comparison.verdicts(curves, reference))
+
+    files = [
+        timed.write_cases(folder / "computation.csv"),
+        swept.write_cases(folder / "cases.csv"),
+        _written(folder / "curves.csv", rows),
+        _written(folder / "verdict.csv", verdicts),
         *draw_costs(curves, reference, folder),
         *draw_maneuver(curves, reference, swept, folder),
     ]
     table = console_table(TITLE, _LABELS, _COLUMNS, rows)
-    return write_markdown(folder, list(map(comparison.sentence, judged)), table, files), table
+    sentences = list(map(comparison.sentence, verdicts))
+    return write_markdown(folder, sentences, table, files), table
+
+
+def _measured(
+    points: Sequence[Point], options: ComparisonOptions, results: Results, console: Console
+) -> Swept:
+    """Measure the processor time of every controller at every period.
+
+    One run at a time, all controllers in turns: a slow period of the machine affects all alike.
+
+    Raises: ExperimentError: a run raised an error.
+    """
+    measurement = Experiment(name="processor time", points=tuple(points))
+    maneuver = comparison.QUICK_MEASUREMENT if options.quick else comparison.MANEUVER
+    repeats = comparison.QUICK_REPEATS if options.quick else comparison.REPEATS
+    cases = cases_of(measurement.points, [*options.settings, maneuver], repeats, timed=True)
+
+    timed = sweep(measurement, cases, partial(map, simulate_here), results, console)
+    timed.check()
+    return timed
+
+
+def _written(path: Path, rows: Sequence[comparison.Row]) -> Path:
+    """Write a table with the columns of its first row; return its path."""
+    write_csv(path, rows, list(rows[0]))
+    return path
 
 
 # Colour of each controller; marker and line of a horizon with as many steps and of one with as many seconds.

@@ -24,7 +24,7 @@ from transport.experiments.figures import draw
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.flight.progress import ConsoleProgress
 from transport.flight.run_files import machine
-from transport.protocol.wire.exit_codes import EXIT_CASE_FAILED
+from transport.protocol.wire.exit_codes import EXIT_FAILED
 from transport.report.report import write_csv, write_whole
 
 _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
@@ -177,9 +177,7 @@ class Swept:
         failed = [result for result in self.results if result.outcome == ERROR]
         if failed:
             more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-            raise ExperimentError(
-                f"a run raised an error{more}: {failed[0].reason}", EXIT_CASE_FAILED
-            )
+            raise ExperimentError(f"a run raised an error{more}: {failed[0].reason}", EXIT_FAILED)
 
 
 def sweep(

@@ -86,21 +86,21 @@ class ForkServer:
     ) -> psutil.Process:
         """Start `transport` as a child with two open files and additions to the environment of this process."""
         environment = {**ENVIRONMENT, **os.environ, **extra}
-        request = {
-            "arguments": list(arguments),
-            "environment": environment,
-            "folder": str(Path.cwd()),
-        }
         with self._turn:
             try:
                 if self._socket is not None:
+                    request = {
+                        "arguments": list(arguments),
+                        "environment": environment,
+                        "folder": str(Path.cwd()),
+                    }
                     socket.send_fds(
                         self._socket, [json.dumps(request).encode()], [stdin, output.fileno()]
                     )
                     return psutil.Process(int(self._socket.recv(64)))
             except (OSError, ValueError, psutil.Error):
-                # The server only saves time. A process that it has forked but not announced ends
-                # with its input.
+                # The server only saves time: without it, or without a current folder, the process
+                # is started anew. One that it has forked but not announced ends with its input.
                 self.close()
         command = [*python("transport"), *arguments]
         return psutil.Popen(

@@ -5,15 +5,16 @@ A file in the run folder that exists while the run is active, and requests to th
 
 import queue
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import psutil
 
+from transport.flight import registry
 from transport.model.arrays import Array
 from transport.protocol.network.security import Security
 from transport.protocol.network.session import ask
@@ -24,6 +25,8 @@ from transport.protocol.wire.messages import agent_name
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
 
 _FILE = "live.json"
+# Process ids have 31 bits in POSIX; an id of 0 or below would mean a group.
+Pid = Annotated[int, msgspec.Meta(ge=1, le=2**31 - 1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +35,8 @@ class LiveRun:
 
     run: str  # its name
     endpoints: Mapping[str, str]  # endpoints of its processes, by name
-    pid: int  # process id of their parent
-    keys: str = ""  # folder of their keys; empty without keys
+    pid: Pid  # process id of their parent
+    keys: str = ""  # absolute path of the folder of their keys; empty without keys
 
     def ask(
         self, name: str, what: str, given: Mapping[str, Any], keys: Path | None = None
@@ -50,10 +53,12 @@ def write(folder: Path, run: LiveRun) -> None:
     with suppress(OSError):
         new.write_bytes(msgspec.json.encode(run))
         new.replace(folder / _FILE)  # whole for every reader
+    registry.add(folder)
 
 
 def remove(folder: Path) -> None:
     """Mark the run of a folder as ended."""
+    registry.remove(folder)
     with suppress(OSError):
         (folder / _FILE).unlink()
 
@@ -71,13 +76,19 @@ def read(folder: Path) -> LiveRun | None:
 
 
 def newest_folder(parent: Path) -> Path | None:
-    """Return the folder of the most recent active run below a folder."""
-    found = [
-        path
-        for path in parent.glob(f"*/{_FILE}")
-        if not path.parent.is_symlink() and read(path.parent)
-    ]
-    return max(found, key=lambda path: path.stat().st_mtime).parent if found else None
+    """Return the folder of the most recent active run below a folder, or else of this user's anywhere."""
+    below = [path for path in parent.glob("*") if not path.is_symlink()]
+    return _newest(below) or _newest(registry.folders())
+
+
+def _newest(folders: Iterable[Path]) -> Path | None:
+    """Return the folder whose run became active last; None if none is active."""
+    began_ns: dict[Path, int] = {}
+    for folder in folders:
+        with suppress(OSError):  # the folder has gone meanwhile
+            if read(folder) is not None:
+                began_ns[folder] = (folder / _FILE).stat().st_mtime_ns
+    return max(began_ns, key=lambda folder: began_ns[folder], default=None)
 
 
 def request(

@@ -4,8 +4,10 @@ import os
 import platform
 import re
 import secrets
+import shutil
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -14,7 +16,7 @@ import psutil
 import tomli_w
 
 from transport.agent.own import checked_controller
-from transport.log.run_log import point_latest
+from transport.log.run_log import LATEST, point_latest
 from transport.model import native
 from transport.plant.engines import checked_engine
 from transport.protocol.network.security import SHARED
@@ -57,16 +59,64 @@ def create(folder: Path, setup: Setup) -> str:
     try:
         str(folder).encode()  # Zenoh and TOML take UTF-8 only
         folder.mkdir(parents=True)
-        (folder / "scenario.toml").write_text(text, encoding="utf-8")
     except FileExistsError as error:
         raise existing(folder) from error
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise RunError(
-            f"cannot create the folder {str(folder)!r} ({reason})", EXIT_USAGE
-        ) from error
-    point_latest(folder)
+        raise _not_created(folder, error) from error
+
+    try:
+        (folder / "scenario.toml").write_text(text, encoding="utf-8")
+        point_latest(folder)
+    except OSError as error:
+        discard(folder)
+        raise _not_created(folder, error) from error
+    except BaseException:  # an interrupt
+        discard(folder)
+        raise
     return text
+
+
+def _not_created(folder: Path, error: Exception) -> RunError:
+    """Return the error of a run folder that cannot be created."""
+    reason = getattr(error, "strerror", None) or error
+    return RunError(f"cannot create the folder {str(folder)!r} ({reason})", EXIT_USAGE)
+
+
+def discard(folder: Path) -> None:
+    """Remove a run folder; the link to the most recent run then leads to the one before."""
+    shutil.rmtree(folder, ignore_errors=True)
+
+    link = folder.parent / LATEST
+    with suppress(OSError):
+        if link.readlink() == Path(folder.name):
+            link.unlink()
+            logs = list(folder.parent.glob("*/run.mcap"))
+            newest = max(logs, key=lambda log: log.stat().st_mtime_ns, default=None)
+            if newest is not None:
+                point_latest(newest.parent)
+
+
+@dataclass(slots=True)
+class NewFolder:
+    """A run folder in the making."""
+
+    path: Path
+    scenario_toml: str  # text of the resolved scenario
+    is_kept: bool = False  # whether the folder stays
+
+
+@contextmanager
+def new_run_folder(folder: Path, setup: Setup) -> Iterator[NewFolder]:
+    """Create a run folder and remove it in the end unless it is kept: a start that fails leaves none.
+
+    Raises: RunError.
+    """
+    made = NewFolder(folder, create(folder, setup))
+    try:
+        yield made
+    finally:
+        if not made.is_kept:
+            discard(folder)
 
 
 @contextmanager

@@ -19,7 +19,6 @@ from transport.log.run_log import Recorded, RunLog, open_run
 from transport.protocol.scenario.file import ScenarioError
 from transport.protocol.scenario.files import points_of
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import with_targets
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.messages import Message, PlantState, Target
 from transport.protocol.wire.names import COORDINATOR
@@ -177,7 +176,7 @@ def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
             nonlocal next_s
             messages.append(Recorded(message=message, received_ns=time.time_ns()))
             if isinstance(message, Target):
-                progress.setup = with_targets(progress.setup, [message])
+                progress.setup = progress.setup.after([message])
             elif isinstance(message, PlantState) and time.monotonic() >= next_s:
                 next_s = time.monotonic() + _EVERY_S
                 progress.show(message, began_s)

@@ -64,7 +64,7 @@ class Run:
 
     @property
     def outcome(self) -> str:
-        """The end of the run: completed, diverged, aborted, or unknown for a log without its end."""
+        """The end of the run: completed, failed, diverged, aborted, or unknown for a log without its end."""
         return str(self.summary["outcome"])
 
     @property

@@ -6,8 +6,10 @@ One record for each message or bundle that the recorder received, with its bytes
 each key. `log_time` is scenario time, `publish_time` is when the recorder received the message.
 """
 
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from errno import ENOENT
 from pathlib import Path
 
 from mcap.writer import CompressionType, IndexType, Writer
@@ -99,15 +101,23 @@ class LogWriter:
             with self._guarded():
                 self._writer.flush()  # type: ignore[no-untyped-call]
                 self._file.flush()
-                self._bytes, self.is_up_to_date = 0, True
+                self._check_kept()
+                self._bytes = 0
+                self.is_up_to_date = True
 
     def close(self) -> None:
         """Write the summary and close the file; a second time, or after a failure, does nothing."""
         if not self._file.closed:
             with self._guarded():
                 self._writer.finish()  # type: ignore[no-untyped-call]
+                self._check_kept()
                 self._file.close()
             self.is_up_to_date = True
+
+    def _check_kept(self) -> None:
+        """Raise OSError if the file, or its folder, has been removed: what is written would be lost."""
+        if os.fstat(self._file.fileno()).st_nlink == 0:
+            raise FileNotFoundError(ENOENT, "the file has been removed")
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:

@@ -22,7 +22,6 @@ from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import INPUTS
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import with_targets
 from transport.protocol.wire.messages import STAGES, StepReport, Target
 from transport.report.column import CLOSE, column_panels, finish, head, limits, marks_of, widen
 from transport.report.figures_3d import draw_trajectories
@@ -112,7 +111,7 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
 
     Figure and drawing take the style from `matplotlib.rcParams`: call it within `rc_context(RC)`.
     """
-    setup = with_targets(setup, log.of(Target))
+    setup = setup.after(log.of(Target))
     if name == "trajectories":
         draw_trajectories(figure, setup, series)
         return True

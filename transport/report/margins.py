@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from transport.mpc.controller import Controller
 from transport.mpc.margins import FARTHEST, FARTHEST_S, Loop, Margin, Mismatch, margins
+from transport.mpc.reference import Sampled
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.setup import Setup
 from transport.report.style import COLUMN_IN, CURVES
@@ -81,7 +82,8 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
         )  # about hover both are the same
         present = [setup.owned[agent - 1] for agent in setup.agents if agent not in absent]
         team = [
-            Controller(setup.model, setup.hover, settings, owned, setup.X_ref) for owned in present
+            Controller(setup.model, setup.hover, settings, owned, Sampled(X=setup.X_ref))
+            for owned in present
         ]
         for controller in team if gone else ():
             controller.without(gone)

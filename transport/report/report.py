@@ -25,7 +25,13 @@ ACCURATE = 1e-6
 _SHOWN_FAULTS = 20
 # Bodies with a distance from obstacles, as the report names them.
 _CLEAR = {"uav": "UAVs", "rod": "rods", "payload": "payload"}
-_COLOURS = {"completed": "green", "diverged": "red", "aborted": "red", "unknown": "yellow"}
+_COLOURS = {
+    "completed": "green",
+    "failed": "red",
+    "diverged": "red",
+    "aborted": "red",
+    "unknown": "yellow",
+}
 
 
 def write_report(
@@ -156,9 +162,7 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             "clearance",
             ", ".join(f"{_text(clear[key], '{:.3f} m')} {of}" for key, of in _CLEAR.items()),
         )
-    share = summary["constraint_violation_max"]
-    held = share is not None and share < HELD
-    yield "limits", "held" if held else _text(share, "exceeded by {:.2%} of their range")
+    yield "limits", _limits(summary["constraint_violation_max"], summary["solver"])
     yield "integration", _text(summary["local_error_max"], "largest local error {:.1e}")
     yield "agent step", _milliseconds(summary["agent_step_ms"])
     yield "rest of tick", _milliseconds(summary["rest_of_tick_ms"])
@@ -170,10 +174,28 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "plans", _plans(summary["messages"], summary["plan_age_ticks"])
     if radio := summary.get("radio"):
         yield "radio", _radio(radio)
-    yield "solver", "{fallbacks} fallbacks, {failures} failures".format(**summary["solver"])
+    yield "solver", _solver(summary["solver"])
     if summary["rejections"]:
         most = "{count} from {sender} to {by} ({reason})".format(**summary["rejections"][0])
         yield "rejected", f"{summary['messages']['rejected']} messages, {most}"
+
+
+def _limits(violation: float | None, solver: Mapping[str, Any]) -> str:
+    """Return whether the limits held: not if no controller saw to it, even if none was exceeded."""
+    is_exceeded = violation is None or violation >= HELD
+    exceeded = _text(violation, "exceeded by {:.2%} of their range")
+
+    if solver["beyond_share"]:
+        excess = exceeded if is_exceeded else "none exceeded"
+        return f"{excess}, but {solver['failures']} steps without a controller"
+    return exceeded if is_exceeded else "held"
+
+
+def _solver(solver: Mapping[str, Any]) -> str:
+    """Return fallbacks and failed steps in words, with every agent that failed."""
+    counts = "{fallbacks} fallbacks, {failures} failures".format(**solver)
+    agents = ["agent{agent} {failures} of {steps}".format(**one) for one in solver["failed_agents"]]
+    return f"{counts}: {', '.join(agents)}" if agents else counts
 
 
 def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:

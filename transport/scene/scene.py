@@ -16,13 +16,14 @@ from transport.model.arrays import Array
 from transport.model.rotations import rotation
 from transport.model.state import INPUTS, StateView
 from transport.mpc.feedback import FeedbackLaw
-from transport.mpc.regulation import Ahead, Regulation
-from transport.mpc.tracking import rollout
+from transport.mpc.reference import Sampled
+from transport.mpc.regulation import Regulation
+from transport.mpc.rollout import rollout
 from transport.plant.actuators import FAIL_SAFE
 from transport.protocol.scenario.links import words_of
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
-from transport.protocol.scenario.targets import target_in_words, with_targets
+from transport.protocol.scenario.targets import target_in_words
 from transport.protocol.wire.messages import (
     NO_NEWS,
     Airtime,
@@ -87,7 +88,7 @@ class RunHistory:
                     self._changes += 1
                     self.events.append((message.tick, words_of(message)))
                 case Target() if message.number == len(self.setup.maneuver.targets) + 1:
-                    self.setup = with_targets(self.setup, [message])
+                    self.setup = self.setup.after([message])
                     self.events.append((message.tick, target_in_words(message)))
                 case Roster():
                     self._rosters.append(message)
@@ -174,7 +175,7 @@ class SceneBuilder:
         self.hover_N = float(np.mean(setup.hover.u[::INPUTS]))
         self._cost = StageCost(setup)
         self._regulation: Regulation | None = None
-        self._ahead: Ahead | None = None  # of the newest target that it follows
+        self._followed: Sampled | None = None  # the reference that it follows
         self._positions: dict[int, Array] = {}
 
     @property
@@ -353,11 +354,10 @@ class SceneBuilder:
         setup = self.setup
         if setup.settings.prediction != "closed_loop" or setup.scenario.agents.controller != "mpc":
             return None
+        reference = setup.reference.sampled
         if self._regulation is None:
-            self._regulation = Regulation(
-                setup.model, setup.hover, setup.settings, setup.X_ref, setup.track
-            )
-        elif setup.ahead is not None and setup.ahead is not self._ahead:
-            self._regulation.head(setup.X_ref, setup.ahead)
-        self._ahead = setup.ahead
+            self._regulation = Regulation(setup.model, setup.hover, setup.settings, reference)
+        elif reference is not self._followed:
+            self._regulation.follow(reference)
+        self._followed = reference
         return self._regulation

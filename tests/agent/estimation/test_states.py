@@ -9,10 +9,12 @@ import pytest
 from msgspec.structs import replace
 
 from tests.support.runs import SHORT, measurement, plan, setup
-from transport.agent.announced import AnnouncedInputs, Law
-from transport.agent.estimator import StateEstimator
+from transport.agent.announced import AnnouncedInputs, SharedLaw
+from transport.agent.estimation.motion import Motion
+from transport.agent.estimation.states import StateEstimator
 from transport.model import motors, state
 from transport.model.arrays import Array
+from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Measurement, Plan
@@ -35,6 +37,7 @@ AFTER_MOTORS = 2e-6
 FOUR, PAIRS = "agents.owned=[[1],[2],[3],[4]]", "agents.owned=[[1,2],[3,4]]"
 
 Arrivals = dict[int, list[Plan]]
+Law = Callable[[int, Array], Array | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,22 +96,24 @@ def estimates(
         law: Control law of the other agents after the first step of a plan.
     """
     run = plant_state.run
-    estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S)
-    announced = AnnouncedInputs(run.owned, run.hover.u, own=1, law=law)
-    found = {}
+    motion = Motion(model=run.model, reference=lambda k: run.initial_state(), period_s=PERIOD_S)
+    estimator = StateEstimator(motion, run.owned[0])
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1, law=SharedLaw(inputs=law))
+    by_tick = {}
     for k in range(TICKS + 1):
         for message in arrivals.get(k, []):
             announced.add(message)
             estimator.take(message)
         if k not in missed:
-            found[k] = estimated(estimator, measurement(run, 1, k, x=plant_state.X[k]), announced)
+            seen = measurement(run, 1, k, x=plant_state.X[k])
+            by_tick[k] = estimated(estimator, seen, announced)
         if k < TICKS:
             announced.add(plant_state.plan(1, k))  # its own: it knows what it does
-    return found
+    return by_tick
 
 
 def arriving(plant_state: Flight, when: Callable[[int], int], steps: int = 1) -> Arrivals:
-    """Return the plans of all agents; that of tick k arrives before the estimate of tick when(k)."""
+    """Return all plans; that of tick k arrives before the estimate of tick when(k)."""
     arrivals: Arrivals = {}
     for k in range(TICKS):
         for agent in plant_state.run.agents[1:]:
@@ -117,12 +122,12 @@ def arriving(plant_state: Flight, when: Callable[[int], int], steps: int = 1) ->
 
 
 def assert_close(
-    found: dict[int, Array], plant_state: Flight, ticks: Sequence[int], tolerance: float
+    by_tick: dict[int, Array], plant_state: Flight, ticks: Sequence[int], tolerance: float
 ) -> None:
     """Check that estimates equal the true state at some ticks."""
     for k in ticks:
         np.testing.assert_allclose(
-            found[k], plant_state.X[k], rtol=0.0, atol=tolerance, err_msg=f"tick {k}"
+            by_tick[k], plant_state.X[k], rtol=0.0, atol=tolerance, err_msg=f"tick {k}"
         )
 
 
@@ -130,8 +135,8 @@ def assert_close(
 def test_perfect_network(ownership: str) -> None:
     """With plans one tick old the estimate is the true state: the paper's perfect information."""
     plant_state = flight(ownership)
-    found = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
-    assert_close(found, plant_state, range(TICKS + 1), ONE_PERIOD)
+    estimate = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
+    assert_close(estimate, plant_state, range(TICKS + 1), ONE_PERIOD)
     assert np.abs(plant_state.X[-1] - plant_state.X[0]).max() > 0.1  # the flight has gone somewhere
 
 
@@ -151,29 +156,28 @@ def test_motors_that_lag(delay: int) -> None:
     truth = Flight(run, np.array(Z)[:, : run.system.n], U)
 
     guess = np.concatenate([run.initial_state(), run.hover.u])
-    estimator = StateEstimator(run.model, lambda _: guess.copy(), PERIOD_S, motor_lag_s=lag_s)
-    announced, own = (
-        AnnouncedInputs(run.owned, run.hover.u, own=1),
-        state.input_indices(run.owned[0]),
+    motion = Motion(
+        model=run.model, reference=lambda _: guess.copy(), period_s=PERIOD_S, lag_s=lag_s
     )
+    estimator = StateEstimator(motion, run.owned[0])
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+    own = state.input_indices(run.owned[0])
     for k in range(TICKS + 1):
         for agent in run.agents[1:]:
             if k >= delay:
                 announced.add(truth.plan(agent, k - delay, steps=8))
                 estimator.take(truth.plan(agent, k - delay, steps=8))
         seen = measurement(run, 1, k, x=truth.X[k])
-        found = estimated(
-            estimator, replace(seen, inputs=U[k - 1, own].reshape(1, 4)) if k else seen, announced
-        )
+        if k:
+            seen = replace(seen, inputs=U[k - 1, own].reshape(1, 4))
+        z = estimated(estimator, seen, announced)
         if k < delay:
             continue
         # The first guess of the actual inputs errs by `wrong`.
         left = np.abs(wrong).max() * np.exp(-k * PERIOD_S / lag_s)
-        assert np.abs(found[run.system.n :] - Z[k][run.system.n :]).max() <= left + ONE_PERIOD
+        assert np.abs(z[run.system.n :] - Z[k][run.system.n :]).max() <= left + ONE_PERIOD
         if left < 1e-9:
-            np.testing.assert_allclose(
-                found[: run.system.n], truth.X[k], rtol=0.0, atol=AFTER_MOTORS
-            )
+            np.testing.assert_allclose(z[: run.system.n], truth.X[k], rtol=0.0, atol=AFTER_MOTORS)
     assert left < 1e-9
 
 
@@ -181,13 +185,13 @@ def test_motors_that_lag(delay: int) -> None:
 def test_delay_without_disturbance(delay: int) -> None:
     """With correct announced inputs the estimate is the true state for any delay."""
     plant_state = flight(FOUR)
-    found = estimates(plant_state, arriving(plant_state, lambda k: k + delay, steps=delay))
-    assert_close(found, plant_state, range(delay, TICKS + 1), TEN_PERIODS)
+    estimate = estimates(plant_state, arriving(plant_state, lambda k: k + delay, steps=delay))
+    assert_close(estimate, plant_state, range(delay, TICKS + 1), TEN_PERIODS)
 
 
 @pytest.mark.parametrize(("seed", "delay"), [(0, 2), (1, 7), (2, TICKS)])
 def test_order_of_arrival_does_not_matter(seed: int, delay: int) -> None:
-    """After all plans have arrived, the estimate equals bit for bit that of plans in order and without delay."""
+    """After all plans have arrived, the estimate has the bits of plans in order, without delay."""
     plant_state = flight(FOUR, 0.02)
     in_order = estimates(plant_state, arriving(plant_state, lambda k: k + 1))
     rng = np.random.default_rng(seed)
@@ -201,17 +205,17 @@ def test_order_of_arrival_does_not_matter(seed: int, delay: int) -> None:
                 late.setdefault(when, []).append(plant_state.plan(agent, k))
     for messages in late.values():
         rng.shuffle(messages)
-    found = estimates(plant_state, late)
-    np.testing.assert_array_equal(found[TICKS], in_order[TICKS])
+    estimate = estimates(plant_state, late)
+    np.testing.assert_array_equal(estimate[TICKS], in_order[TICKS])
 
 
 def test_missed_measurements() -> None:
     """Ticks without a measurement are bridged by prediction."""
     plant_state = flight(FOUR)
     missed = range(10, 15)
-    found = estimates(plant_state, arriving(plant_state, lambda k: k + 1, steps=10), missed)
-    assert not set(missed) & set(found)
-    assert_close(found, plant_state, sorted(found), TEN_PERIODS)
+    estimate = estimates(plant_state, arriving(plant_state, lambda k: k + 1, steps=10), missed)
+    assert not set(missed) & set(estimate)
+    assert_close(estimate, plant_state, sorted(estimate), TEN_PERIODS)
 
 
 LATE = 8  # ticks of delay in the flights under the shared law: 0.4 s
@@ -255,14 +259,14 @@ class LedFlight:
 
 @lru_cache
 def led_flight(force_N: float = 0.0) -> LedFlight:
-    """All agents follow the control law on a climb, from an initial error, under an unknown payload force."""
+    """All agents follow the law on a climb, from an initial error, under an unknown force."""
     closed = (
         "controller.prediction=closed_loop",
         "controller.terminal=riccati",
         "controller.preview=true",
     )
     run = setup(SHORT, *closed)
-    regulation = Regulation(run.model, run.hover, run.settings, run.X_ref)
+    regulation = Regulation(run.model, run.hover, run.settings, Sampled(X=run.X_ref))
     rng = np.random.default_rng(12)
     c = 0.1 * NOISE * rng.uniform(-1.0, 1.0, (TICKS + HELD, run.system.m))
 
@@ -284,15 +288,15 @@ def led_flight(force_N: float = 0.0) -> LedFlight:
 
 
 def test_the_law_makes_late_states_exact() -> None:
-    """Under the shared control law the estimate is the true state for any delay and any predicted inputs, (32a).
+    """Under the shared law the estimate is the true state for any delay, (32a).
 
     By induction: a true state gives the true inputs by the control law, and those the next true
         state.
     """
     led = led_flight()
     plant_state = led.flight
-    found = estimates(plant_state, led.late(), law=led.law)
-    assert_close(found, plant_state, range(LATE, TICKS + 1), TEN_PERIODS)
+    estimate = estimates(plant_state, led.late(), law=led.law)
+    assert_close(estimate, plant_state, range(LATE, TICKS + 1), TEN_PERIODS)
     held = estimates(plant_state, led.late())
     missed = [np.abs(held[k] - plant_state.X[k]).max() for k in range(LATE, TICKS + 1)]
     assert np.mean(missed) > MISSED_BY_HELD_PLANS

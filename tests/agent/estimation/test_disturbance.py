@@ -13,7 +13,9 @@ from msgspec.structs import replace
 
 from tests.support.runs import measurement, plan, setup
 from transport.agent.announced import AnnouncedInputs
-from transport.agent.estimator import DisturbanceEstimator, StateEstimator
+from transport.agent.estimation.disturbance import DisturbanceEstimator, MeasuredTeam
+from transport.agent.estimation.motion import Motion
+from transport.agent.estimation.states import StateEstimator
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.scenario.setup import Setup
@@ -74,6 +76,18 @@ def flight(forces: tuple[float, ...], *settings: str, size: float = 1.0) -> Flig
     return Flight(run, np.array(X), U)
 
 
+def disturbance_of(run: Setup) -> DisturbanceEstimator:
+    """Return agent 1's estimator of forces."""
+    team = MeasuredTeam(model=run.model, hover=run.hover, owned=run.owned[0])
+    return DisturbanceEstimator(team, PERIOD_S, TIME_CONSTANT_S)
+
+
+def estimator_of(run: Setup, disturbance: DisturbanceEstimator) -> StateEstimator:
+    """Return agent 1's estimator of states, from the start of the run on."""
+    motion = Motion(model=run.model, reference=lambda _: run.initial_state(), period_s=PERIOD_S)
+    return StateEstimator(motion, run.owned[0], disturbance)
+
+
 def estimates(
     plant_state: Flight,
     plans_at: Callable[[int], int] = lambda k: k + 1,
@@ -89,12 +103,10 @@ def estimates(
         steps: How far plans reach.
     """
     run = plant_state.run
-    disturbance = DisturbanceEstimator(
-        run.model, run.hover, run.owned[0], PERIOD_S, TIME_CONSTANT_S
-    )
-    estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S, disturbance)
+    disturbance = disturbance_of(run)
+    estimator = estimator_of(run, disturbance)
     announced = AnnouncedInputs(run.owned, run.hover.u)
-    found = []
+    forces_N = []
     for k in range(TICKS + 1):
         for agent in run.agents[1:]:
             for made in range(k):
@@ -105,19 +117,19 @@ def estimates(
             if measured_at(seen) == k:
                 estimator.measure(plant_state.measurement(seen))
         estimator.estimate(k, announced)
-        found.append(disturbance.forces)
+        forces_N.append(disturbance.forces)
         if k < TICKS:
             announced.add(plant_state.plan(1, k))
-    return np.array(found)
+    return np.array(forces_N)
 
 
 @pytest.mark.parametrize("owned", ["agents.owned=[[1],[2],[3],[4]]", "agents.owned=[[1,2],[3,4]]"])
 def test_forces_are_found_at_the_filters_pace(owned: str) -> None:
     """The error decays as exp(-t / time constant), docs/equations.md (41)."""
-    found = estimates(flight(tuple(HEAVY_IN_WIND), owned))
+    forces_N = estimates(flight(tuple(HEAVY_IN_WIND), owned))
     times_s = PERIOD_S * np.arange(TICKS + 1)
     expected = (1.0 - np.exp(-times_s / TIME_CONSTANT_S))[:, None] * HEAVY_IN_WIND
-    assert np.abs(found - expected).max() < GAIN_ERROR * np.abs(HEAVY_IN_WIND).max()
+    assert np.abs(forces_N - expected).max() < GAIN_ERROR * np.abs(HEAVY_IN_WIND).max()
 
 
 @pytest.mark.parametrize("delay", [1, 4])
@@ -126,12 +138,12 @@ def test_what_happens_as_predicted_is_no_force(delay: int) -> None:
 
     Errors before the first plan are forgotten.
     """
-    found = estimates(flight(tuple(NOTHING)), lambda k: k + delay, steps=delay)
-    forgotten = np.exp(-PERIOD_S / TIME_CONSTANT_S) * found[:-1]
-    learned = np.abs(found[1:] - forgotten).max(axis=1)
+    forces_N = estimates(flight(tuple(NOTHING)), lambda k: k + delay, steps=delay)
+    forgotten = np.exp(-PERIOD_S / TIME_CONSTANT_S) * forces_N[:-1]
+    learned = np.abs(forces_N[1:] - forgotten).max(axis=1)
     assert learned[delay:].max() < NO_FORCE
     if delay == 1:
-        assert np.abs(found).max() < NO_FORCE
+        assert np.abs(forces_N).max() < NO_FORCE
 
 
 def test_what_pushes_uavs_up_or_down_is_the_payloads() -> None:
@@ -147,27 +159,27 @@ def test_what_pushes_uavs_up_or_down_is_the_payloads() -> None:
 
 @pytest.mark.parametrize("wrong", [1e3, 1e150, np.nan])
 def test_wrong_predictions_are_no_forces(wrong: float) -> None:
-    """An implausible prediction error changes no bit of the estimate; a plausible one changes it."""
+    """An implausible prediction error changes no bit of the estimate; a plausible one does."""
     run = setup()
-    disturbance = DisturbanceEstimator(run.model, run.hover, (0,), PERIOD_S, TIME_CONSTANT_S)
+    disturbance = disturbance_of(run)
     predicted = run.initial_state()
     predicted[state.V0] = 0.01
     disturbance.learn(predicted, run.initial_state())
-    found = disturbance.forces
-    assert found.any()
+    forces_N = disturbance.forces
+    assert forces_N.any()
     predicted[state.V0] = wrong
     disturbance.learn(predicted, run.initial_state())
-    np.testing.assert_array_equal(disturbance.forces, found)
+    np.testing.assert_array_equal(disturbance.forces, forces_N)
 
 
 def test_actuators_are_believed() -> None:
-    """Inputs that differ from the announced ones are reported and do not count as an external force."""
+    """Reported inputs that differ from announced ones do not count as a force."""
     plant_state = flight(tuple(NOTHING))
     run = plant_state.run
-    found = []
+    forces_N = []
     for reported in (plant_state.U, np.tile(run.hover.u, (TICKS, 1))):
-        disturbance = DisturbanceEstimator(run.model, run.hover, (0,), PERIOD_S, TIME_CONSTANT_S)
-        estimator = StateEstimator(run.model, lambda k: run.initial_state(), PERIOD_S, disturbance)
+        disturbance = disturbance_of(run)
+        estimator = estimator_of(run, disturbance)
         announced = AnnouncedInputs(run.owned, run.hover.u)
         for agent in (2, 3, 4):
             announced.add(plant_state.plan(agent, 0))
@@ -177,6 +189,6 @@ def test_actuators_are_believed() -> None:
         for agent in (2, 3, 4):
             announced.add(plant_state.plan(agent, 0))
         estimator.estimate(1, announced)
-        found.append(np.abs(disturbance.forces).max())
-    assert found[0] < NO_FORCE
-    assert found[1] > 1e3 * NO_FORCE
+        forces_N.append(np.abs(disturbance.forces).max())
+    assert forces_N[0] < NO_FORCE
+    assert forces_N[1] > 1e3 * NO_FORCE
