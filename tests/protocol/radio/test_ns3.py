@@ -16,7 +16,7 @@ def parameter(case: Case) -> object:
     return pytest.param(case, id=case.name, marks=[pytest.mark.slow] if is_slow else [])
 
 
-@pytest.mark.parametrize("case", map(parameter, cases()))
+@pytest.mark.parametrize("case", [parameter(case) for case in cases()])
 def test_deliveries_and_delays_are_those_of_ns3(case: Case) -> None:
     """Delivered share within 3 points, p50 and p99 of the delay within 10 % or 0.2 ms."""
     arrivals, _ = model.run(case)
