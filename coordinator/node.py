@@ -10,6 +10,7 @@ when a tick is opened.
 from collections.abc import Collection, Sequence
 from enum import Enum
 
+from transport.coordinator.air import TeamAir
 from transport.coordinator.clock import Clock
 from transport.coordinator.failed_steps import FailedSteps
 from transport.coordinator.requests import RunStatus, answer_request
@@ -85,6 +86,8 @@ class CoordinatorNode:
         # Negotiation iterations left in the open tick, by agent.
         self._negotiating: dict[int, int] = {}
         self._plant_tick = -1  # newest tick the plant has recorded
+        radio = setup.scenario.radio
+        self._air = None if radio is None else TeamAir(setup, radio, self._out)
         self._divergence = ""  # why the run has diverged
         self._failed_steps = FailedSteps(setup.scenario.agents.failed_share)
 
@@ -177,6 +180,8 @@ class CoordinatorNode:
         """Note what the plant has recorded, and whether it has diverged."""
         self._plant_tick = plant_state.tick
         self._clock.plant_ns = now_ns
+        if self._air is not None:
+            self._air.plant_state(plant_state)
         if plant_state.diverged and not self._divergence:
             time = self._roster.time(plant_state.tick)
             self._divergence = f"{plant_state.diverged} at {time}"
@@ -186,10 +191,14 @@ class CoordinatorNode:
         """Note an answer to a tick, or a proposal of a negotiation."""
         if plan.negotiation > 0:
             self._negotiating[plan.agent] = plan.negotiation
+            if self._air is not None:
+                self._air.send(plan)
             return
         self._failed_steps.count(plan)
         if plan.tick == self.tick:
             self._answered[plan.agent] = plan.shared
+            if self._air is not None:
+                self._air.send(plan)
         self._clock.answer(plan, self.tick, now_ns)
 
     def _presence_changed(self, event: Presence, now_ns: int) -> Sequence[Message]:
@@ -286,6 +295,12 @@ class CoordinatorNode:
         return [self._roster.message(reason, self.tick), *self._advance(now_ns)]
 
     def _advance(self, now_ns: int) -> Sequence[Message]:
+        """End an exchange whose proposals are all here, and the open tick if it may be closed."""
+        if self._air is None or self.state is State.WAITING:
+            return self._close(now_ns)
+        return [*self._air.exchanged(self.tick, self._roster.members), *self._close(now_ns)]
+
+    def _close(self, now_ns: int) -> Sequence[Message]:
         """Close the open tick if it may be closed: open the next one, or end the run."""
         if self.state is State.WAITING:
             return ()
@@ -296,7 +311,8 @@ class CoordinatorNode:
             return self._stop(EXIT_DIVERGED, self._divergence)
 
         may_close = self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last)
-        if not may_close or self._awaits_plant:
+        air_is_ready = self._is_last or self._air is None or self._air.may_open(self.tick + 1)
+        if not may_close or self._awaits_plant or not air_is_ready:
             return ()
         if not is_diverged and not self._is_last and self._roster.awaited(self.tick + 1):
             self._hold(now_ns)
@@ -323,6 +339,7 @@ class CoordinatorNode:
         """
         tick = self.tick + 1
         joined, changes = self._roster.begin(tick)
+        air = [] if self._air is None else self._air.opened(tick, self._roster.members - joined)
         opened = self._tick_message(tick, now_ns)
 
         self.tick = tick
@@ -333,7 +350,7 @@ class CoordinatorNode:
         self._clock.open(tick, self._roster.members, joined, now_ns)
         if self._plant_tick + 1 == tick:
             self._clock.plant_ns = now_ns  # it owes no earlier interval
-        return [*changes, opened]
+        return [*changes, *air, opened]
 
     def _tick_message(self, tick: int, now_ns: int) -> Tick:
         """Return the message that opens a tick: roster in force, answers to the tick before.

@@ -18,7 +18,9 @@ class Arrivals(Generic[M]):
         speed: Scenario seconds per second in real time; None in lockstep.
     """
 
-    def __init__(self, links: Mapping[str, Link], *, after: int, speed: float | None) -> None:
+    def __init__(
+        self, links: Mapping[str, Link], *, after: int, speed: float | None, aired: bool = False
+    ) -> None:
         self.links = links
         self._after = after
         self._speed = speed
@@ -26,6 +28,9 @@ class Arrivals(Generic[M]):
         # With the tick from which each is usable, or in real time its instant, ns.
         self._held: list[tuple[int, M]] = []
         self._lost = 0  # messages lost since the last `take`
+        # With a radio: when each message had come through the air, s after its tick, by sender and
+        # tick; None: it was lost there.
+        self._aired: dict[tuple[str, int], float | None] | None = {} if aired else None
 
     def put(self, message: M, now_ns: int) -> None:
         """Take in a message that has physically arrived."""
@@ -36,6 +41,11 @@ class Arrivals(Generic[M]):
         for delay_s in delays_s:
             self._held.append((now_ns + round(delay_s * 1e9 / self._speed), message))
         self._lost += not delays_s
+
+    def air(self, sender: str, tick: int, arrival_s: float | None) -> None:
+        """Note when a message has come through the air, s after its tick; None: it was lost."""
+        if self._aired is not None:
+            self._aired[sender, tick] = arrival_s
 
     def take(self, tick: int, now_ns: int) -> tuple[list[M], int]:
         """Return the messages that have become usable, and the number of newly lost ones.
@@ -63,10 +73,23 @@ class Arrivals(Generic[M]):
         """Let the links decide about the messages sent, in lockstep, until a tick."""
         waiting: list[M] = []
         for message in self._sent:
-            if message.tick + self._after > tick:
+            if message.tick + self._after > tick or not self._is_through(message):
                 waiting.append(message)
                 continue
-            ticks = self.links[message.sender].usable_ticks(message.tick, self._after)
+            ticks = self._usable_ticks(message)
             self._held += [(usable, message) for usable in ticks]
             self._lost += not ticks
         self._sent = waiting
+
+    def _is_through(self, message: M) -> bool:
+        """Return whether the fate of a message on the air is known."""
+        return self._aired is None or (message.sender, message.tick) in self._aired
+
+    def _usable_ticks(self, message: M) -> list[int]:
+        """Return the ticks from which a message can be used; none if it is lost."""
+        air_s: float | None = 0.0
+        if self._aired is not None:
+            air_s = self._aired.pop((message.sender, message.tick))
+        if air_s is None:
+            return []
+        return self.links[message.sender].usable_ticks(message.tick, self._after, air_s)

@@ -125,6 +125,7 @@ class Participant(ABC):
     """
 
     publish_ns = 0
+    _hears_by_radio = False  # whether plans come over the radio of the team
 
     def __init__(
         self, setup: Setup, name: str, incarnation: int, after: int, own: int | None = None
@@ -149,7 +150,9 @@ class Participant(ABC):
         senders = [name for name in everybody if name != self.name]
         self._links = {name: self._setup.link(name, self.name) for name in senders}
         self._link_changes = LinkChanges(self._links.values())
-        self._plans: Arrivals[Plan] = Arrivals(self._links, after=self._after, speed=self._speed)
+        self._plans: Arrivals[Plan] = Arrivals(
+            self._links, after=self._after, speed=self._speed, aired=self._hears_by_radio
+        )
         self._arrived: dict[int, set[int]] = {}  # agents whose plans are physically here, by tick
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:

@@ -9,6 +9,7 @@ from transport.model.arrays import Array
 from transport.protocol.wire.errors import MessageError
 from transport.protocol.wire.messages import (
     ActualInputs,
+    Airtime,
     Measurement,
     Message,
     Plan,
@@ -27,6 +28,7 @@ _IDS: dict[type[Message], tuple[str, ...]] = {
     Roster: ("agents", "off", "released"),
     StepReport: ("peers",),
     ActualInputs: ("uavs", "cables"),
+    Airtime: ("agents",),
 }
 _IDS_OF_UAVS = ("off", "released", "uavs", "cables")
 
@@ -52,6 +54,9 @@ def check_plausible(message: Message, run: RunShape) -> None:
             _check_plan(message, run)
         case Measurement():
             _check_states(message, run, state.SENSED, "payload", "inputs")
+        case Airtime() if message.receivers != tuple(run.owned):
+            text = f"receivers: expected all agents of this run, got {list(message.receivers)}"
+            raise MessageError("unknown_agent", text)
         case PlantState() if len(message.plan_ticks) != run.uavs:
             text = f"x: expected a state of {run.uavs} UAVs, got one of {len(message.plan_ticks)}"
             raise MessageError("wrong_shape", text)

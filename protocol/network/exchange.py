@@ -86,11 +86,13 @@ class _PlantExchange(Exchange):
 
     bundled = (wire.Measurement, wire.PlantState, wire.ActualInputs)
 
-    # Accepted plans for the agents since the last measurement.
+    # Accepted plans, and news of the radio, for the agents since the last measurement.
     _shared: tuple[Entry, ...] = ()
 
     def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
-        if isinstance(event, wire.Plan) and event.shared and bundle is not None:
+        if bundle is None or not isinstance(event, wire.Plan | wire.Airtime):
+            return
+        if isinstance(event, wire.Airtime) or event.shared:
             key = self._keys.end(self._keys.of(event))
             part = bundle.parts[bundle.keys.index(key)]
             self._shared = (*self._shared, (key, part))
@@ -107,7 +109,7 @@ class _PlantExchange(Exchange):
 class _CoordinatorExchange(Exchange):
     """Relays the answers of a tick with the next one; at once if all are here before it opens."""
 
-    bundled = (wire.Tick,)
+    bundled = (wire.Airtime, wire.Tick)
 
     _answers: Mapping[int, wire.Answer] = {}  # accepted answers, by agent
     _awaited: Set[int] = frozenset()  # agents that are to answer the open tick

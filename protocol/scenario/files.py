@@ -12,12 +12,14 @@ from transport.protocol.scenario.bounded_files import read_text
 from transport.protocol.wire.errors import TransportError
 
 # Keys whose text is a file.
-_FILE_KEYS = ("samples_s", "file")
+_FILE_KEYS = ("samples_s", "trace", "file")
 
 # Whole numbers joined by commas: one number with a decimal comma, or several.
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+(,\d+)+")
 
 _LONGEST_SHOWN = 60  # characters of a file that an error repeats
+
+LOST_S = -1.0  # delay of a lost message in a trace
 
 
 class TableError(TransportError, ValueError):
@@ -54,6 +56,24 @@ def delays_of(path: Path) -> list[float]:
                 raise TableError(f"{path}: row {row}: {expected}, got {_shown(entries)}")
             delays_s += [_number(text, path, f"row {row}") for text in entries.split(",") if text]
     return sorted(delays_s)
+
+
+def trace_of(path: Path) -> list[list[float]]:
+    """Return times and delays of a recorded link, s, a negative delay for a lost message.
+
+    A CSV file with the columns t_s,delay_s, whose second one may be `lost`.
+
+    Raises: TableError: it cannot be read.
+    """
+    heading = "t_s,delay_s"
+    try:
+        columns, *lines = path.read_text(encoding="utf-8").replace(" ", "").splitlines() or [""]
+        if columns != heading:
+            raise ValueError(f"expected the heading {heading}, got {columns[:60]!r}")
+        rows = [line.split(",") for line in lines if line]
+        return [[float(t), LOST_S if delay == "lost" else float(delay)] for t, delay in rows]
+    except (OSError, ValueError) as error:
+        raise TableError(f"{path}: expected a trace of a link ({error})") from error
 
 
 def way_of(path: Path) -> list[list[float]]:

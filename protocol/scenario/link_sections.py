@@ -1,9 +1,11 @@
 """Sections of the links: impairments, exceptions, partitions, changes during a run."""
 
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Interval
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     SerializerFunctionWrapHandler,
@@ -13,7 +15,7 @@ from pydantic import (
 )
 
 from transport.mpc.settings import Key, NotNegative, Positive, Section
-from transport.protocol.scenario.files import delays_of
+from transport.protocol.scenario.files import delays_of, trace_of
 from transport.protocol.wire.names import PLANT
 
 Probability = Annotated[float, Interval(ge=0.0, le=1.0)]
@@ -29,6 +31,24 @@ def _read(value: Any, info: ValidationInfo) -> Any:
     if isinstance(value, str) and info.context is not None:
         return delays_of(info.context / value)
     return value
+
+
+def _read_trace(value: Any, info: ValidationInfo) -> Any:
+    """Return the content of a trace, as `_read` does of samples."""
+    return (
+        trace_of(info.context / value)
+        if isinstance(value, str) and info.context is not None
+        else value
+    )
+
+
+def _is_trace(rows: list[list[float]]) -> list[list[float]]:
+    times_s = [row[0] for row in rows if len(row) == 2]
+    if len(times_s) < max(2, len(rows)):
+        raise ValueError("expected at least two rows of a time and a delay")
+    if times_s[0] < 0.0 or any(b <= a for a, b in pairwise(times_s)):
+        raise ValueError("expected rising times from 0 on")
+    return rows
 
 
 class GilbertElliottSection(Section):
@@ -69,6 +89,15 @@ class LinkSection(Section):
     longest_sample_s: Annotated[Positive | None, Key(type="number > 0")] = None
     """largest delay that `samples_s` may have. If omitted, 10 s: longer ones are mostly
     milliseconds"""
+    trace: Annotated[
+        list[list[float]] | None,
+        BeforeValidator(_read_trace),
+        AfterValidator(lambda rows: rows if rows is None else _is_trace(rows)),
+        Key(type="file, or rows of 2 numbers", unit="s"),
+    ] = None
+    """recorded delays in the place of `delay_s` and `distribution`: rows of a time and the delay of a message sent from
+    then on, negative if it was lost, or a CSV file of them, `t_s,delay_s`, with `lost` for a lost one
+    ([radio.md](radio.md#a-recorded-link)); it begins with the run and is repeated"""
     loss: Annotated[
         Probability, Key(label="loss of plans", shown="%", option="--loss", short="loss")
     ] = 0.0

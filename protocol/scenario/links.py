@@ -1,9 +1,10 @@
 """Impairments of the network, which act at the receiver, in scenario time."""
 
 import math
-from collections.abc import Mapping
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Any
 
 from transport.model.arrays import Array
@@ -108,6 +109,13 @@ class Link:
         if draw.loss < section.loss or self._is_lost_in_burst(section, tick, draw):
             return []
 
+        if section.trace is not None:
+            traced_s = traced_delay_s(section.trace, tick * self._period_s)
+            if traced_s < 0.0:
+                return []
+            recorded = {"delay_s": traced_s, "jitter_s": 0.0, "distribution": "uniform"}
+            section = section.model_copy(update=recorded)
+
         delay_s = _delay(section, draw.jitter)
         if draw.reorder < section.reorder:
             delay_s += section.reorder_s
@@ -117,17 +125,19 @@ class Link:
             delays_s.append(_delay(section, draw.echo_jitter))
         return [min(delay_s, _LONGEST_S) for delay_s in delays_s]
 
-    def usable_ticks(self, tick: int, after: int = 1) -> list[int]:
+    def usable_ticks(self, tick: int, after: int = 1, air_s: float = 0.0) -> list[int]:
         """Return the ticks from which on the message of a tick can be used.
 
-        They are those at or after its arrival, and at least `after` ticks later.
+        They are those at or after its arrival, and at least `after` ticks later. It enters the link
+        `air_s` after its tick, when the radio of the team has carried it.
         """
         earliest = tick + after
-        if not self._partitions and self._in_force(tick).is_perfect:
+        if air_s == 0.0 and not self._partitions and self._in_force(tick).is_perfect:
             return [earliest]
 
         arrivals = [
-            math.ceil(tick + delay_s / self._period_s - _SLACK) for delay_s in self.delays(tick)
+            math.ceil(tick + (air_s + delay_s) / self._period_s - _SLACK)
+            for delay_s in self.delays(tick)
         ]
         return [max(earliest, arrival) for arrival in arrivals]
 
@@ -174,6 +184,19 @@ class Link:
 
         draw = generator(self._key, tick, _CHAIN).random()
         return bool(draw >= bursts.leave) if was_bad else bool(draw < bursts.enter)
+
+
+def traced_delay_s(trace: Sequence[Sequence[float]], sent_s: float) -> float:
+    """Return the delay in a trace for a message sent at a time of the run, s; negative if lost.
+
+    The last row, which has the same distance from its end as from the row before, is followed by
+    the first.
+    """
+    begin_s = trace[0][0]
+    duration_s = 2.0 * trace[-1][0] - trace[-2][0] - begin_s
+    at_s = begin_s + sent_s % duration_s
+    row = bisect_right(trace, at_s + _SLACK, key=itemgetter(0)) - 1
+    return trace[max(row, 0)][1]
 
 
 def _section_of(links: LinksSection, sender: str, receiver: str) -> LinkSection:

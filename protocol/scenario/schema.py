@@ -23,6 +23,7 @@ from transport.protocol.scenario.link_sections import LinksSection
 from transport.protocol.scenario.maneuver_sections import ManeuverSection, ObstacleSection
 from transport.protocol.scenario.own_class import or_class
 from transport.protocol.scenario.plant_sections import PlantSection
+from transport.protocol.scenario.radio_section import RadioSection
 from transport.protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS
 from transport.protocol.wire.names import MAX_UAVS
 
@@ -259,6 +260,7 @@ class Scenario(Section):
     agents: AgentsSection = AgentsSection()
     clock: ClockSection = ClockSection()
     links: LinksSection = LinksSection()
+    radio: RadioSection | None = None
     faults: FaultsSection = FaultsSection()
     plant: PlantSection = PlantSection()
     network: NetworkSection = NetworkSection()

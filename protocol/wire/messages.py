@@ -33,6 +33,7 @@ MAX_PARTS = 1_024  # messages of a bundle
 MAX_NAMES = 64  # numbers of a note
 MAX_NAME = 80  # characters of the name of a number
 MAX_POINTS = 256  # of a target
+MAX_ROWS = 65_536  # plans with news of the radio
 
 _LARGEST = sys.float_info.max
 Count = Annotated[int, Meta(ge=0, le=MAX_TICK)]
@@ -41,6 +42,7 @@ Agent = Annotated[int, Meta(ge=1, le=MAX_UAVS)]
 # Ids of agents or UAVs, 1-based, ascending.
 Ids = Annotated[tuple[Agent, ...], Meta(max_length=MAX_UAVS)]
 Counts = Annotated[tuple[Count, ...], Meta(max_length=MAX_UAVS)]
+Rows = Annotated[tuple[Count, ...], Meta(max_length=MAX_ROWS)]
 Ages = Annotated[tuple[Age, ...], Meta(max_length=MAX_UAVS)]
 PlanTicks = Annotated[
     tuple[Annotated[int, Meta(ge=-3, le=MAX_TICK)], ...], Meta(max_length=MAX_UAVS)
@@ -141,6 +143,8 @@ def _fits(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
     pairs = zip(shape, expected, strict=True)
     return all(length is None or got == length for got, length in pairs)
 
+
+NO_NEWS = -9.0  # in `Airtime.arrivals`
 
 Outcome = Literal["completed", "failed", "diverged", "aborted"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
@@ -260,6 +264,34 @@ class Control(Message, tag="control", frozen=True, kw_only=True):
     outcome: Outcome
     reason: Text  # why, for people; empty when completed
     exit_code: Annotated[int, Meta(ge=0, le=255)]  # the code every process exits with
+
+
+class Airtime(Message, tag="airtime", frozen=True, kw_only=True):
+    """Coordinator to agents: what the radio of the team did with their plans until this tick, or an exchange of it.
+
+    The numbers of a frame count in seconds from the tick of its plan.
+    """
+
+    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(AGENT, PLANT, RECORDER, WATCHER))
+    as_long: ClassVar[tuple[str, ...]] = "agents", "plan_ticks", "exchanges"
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {
+        "sent": lambda one: (len(one.agents),),
+        "arrivals": lambda one: (len(one.agents), len(one.receivers)),
+    }
+
+    # Exchanges that follow within the tick, as in proposals of a negotiation; 0: the tick is open.
+    negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]
+    agents: Rows  # sender of each plan with news, 1-based
+    plan_ticks: Rows  # its tick
+    exchanges: Rows  # its own `negotiation`
+    receivers: Ids  # the agents of the run, ascending
+    sent: Array  # instant at which its sender put it into the queue, (F,), s
+    # Instant of its arrival at each agent, (F, receivers), s, or why it was lost: -1 collision, -2 too
+    # weak, -3 queue full, -4 attempts exhausted; -9: nothing new, or the agent is no receiver.
+    arrivals: Array
+    busy_s: Annotated[float, Meta(ge=0.0, le=_LARGEST)]  # air occupied since the last report, s
+    transmissions: Count  # of frames since the last report
+    repetitions: Count  # those of them that repeat a frame that was not acknowledged
 
 
 # The control loop
@@ -481,14 +513,14 @@ class Relay(Bundle, tag="relay", frozen=True, kw_only=True):
     """Coordinator to plant and record: the answers of a tick, and the tick after it when open."""
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(PLANT, RECORDER, WATCHER))
-    carries: ClassVar[tuple[type[Message], ...]] = (Plan, StepReport, Tick)
+    carries: ClassVar[tuple[type[Message], ...]] = (Plan, StepReport, Airtime, Tick)
 
 
 class Instant(Bundle, tag="instant", frozen=True, kw_only=True):
     """Plant to agents: the shared plans of a tick, and the measurements of the next tick."""
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(AGENT,))
-    carries: ClassVar[tuple[type[Message], ...]] = (Plan, Measurement)
+    carries: ClassVar[tuple[type[Message], ...]] = (Plan, Airtime, Measurement)
 
 
 class Record(Bundle, tag="record", frozen=True, kw_only=True):

@@ -44,6 +44,7 @@ OTHER_WORDS = {
     "from": "agent3",
     "to": "agent4",
     "samples": [0.3],
+    "trace": [[0.0, 0.1], [0.05, -1.0]],
     "do": "continue",
     "target": "agent4",
     "name": "other",

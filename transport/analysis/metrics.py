@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from transport.analysis.airtime import radio_of
 from transport.analysis.series import Series, estimates_of, series_of, swing_of
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
@@ -69,6 +70,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
             "max": max(ages, default=None),
         },
         "messages": _messages(setup, log, reports),
+        "radio": radio_of(setup, log),
         "rejections": _rejections(log),
         "solver": _solver(setup, reports),
         "faults": events(setup, log, control),

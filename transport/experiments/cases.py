@@ -70,6 +70,7 @@ _RANDOM = {
     "noise",
     "empirical",
     "gilbert_elliott",
+    "radio",
 }
 
 
@@ -240,6 +241,7 @@ def simulate(case: Case) -> Result:
             numbers = {
                 "lost_s": end_s,
                 **_numbers(summary),
+                **_radio_numbers(summary["radio"]),
                 **(case.more(setup, summary, log) if case.more else {}),
             }
     except Exception as error:  # noqa: BLE001  # an error of one case must not end the others
@@ -258,6 +260,17 @@ def _numbers(summary: Any) -> dict[str, float | None]:
             name: messages[part] / messages[of] if messages[of] else None
             for name, (part, of) in _SHARES.items()
         },
+    }
+
+
+def _radio_numbers(radio: Mapping[str, Any] | None) -> dict[str, float | None]:
+    """Return airtime and delivered share of the team's radio; nothing without one."""
+    if radio is None:
+        return {}
+    return {
+        "airtime_share": radio["airtime_share"],
+        "air_delivered_share": radio["delivered_share"],
+        "air_delay_p99_ms": radio["delay_ms"]["p99"],
     }
 
 
