@@ -46,12 +46,13 @@ from transport.protocol.network.parent import PARENT_PIPE
 from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.protocol.wire.messages import LinkChange, PlantState, Target
 from transport.scene.scene import RunHistory, SceneBuilder
-from transport.viewer.panel import Playback
+from transport.viewer.playback import Playback
 from transport.viewer.viewer import Viewer, open_viewer
 
 # A climb of half a metre moves the payload by at least this, m.
 SEEN_M = 0.2
 PIXELS = 0.002  # share of pixels that change when the team moves
+LAST_S = 1.45  # last recorded instant of the short run of 1.5 s
 CUT = 0.6
 INTERRUPTED = 130
 OTHER_LOOPBACK = "127.0.0.2"  # an address of this host on which the viewer does not listen
@@ -116,7 +117,7 @@ def test_a_recorded_run_is_shown(recorded: Path, window: Browser) -> None:
         window.open(viewer.address)
         assert wait_for(lambda: "hover" in (window.text() or ""))
         before, pixels, plots = viewer.shown, window.pixels(), window.plots()
-        window.press(1.5, END)
+        window.press(LAST_S, END)
         assert wait_for(lambda: viewer.shown is not None and viewer.shown.tick == 29)
         assert wait_for(lambda: "climb" in (window.text() or ""))
         assert before is not None
@@ -236,8 +237,14 @@ def test_frames_of_a_live_run_are_whole(tmp_path: Path, window: Browser, mode: s
 
         def moved() -> bool:
             drawings.append(window.drawing())
-            first, last = (drawings[k].poses["/payload"][:3, 3] for k in (0, -1))
-            return len(drawings) >= DRAWINGS and bool(np.linalg.norm(last - first) > SEEN_M)
+            # The view follows the team: seen from the world, it moves.
+            first, last = (
+                np.linalg.inv(drawings[k].poses["/world"]) @ drawings[k].poses["/world/payload"]
+                for k in (0, -1)
+            )
+            return len(drawings) >= DRAWINGS and bool(
+                np.linalg.norm((last - first)[:3, 3]) > SEEN_M
+            )
 
         assert wait_for(moved, BROWSER_S)
         window.leave()
@@ -257,9 +264,9 @@ def rod_error_m(drawing: Drawing, attachments: Array) -> float:
     """
     errors = []
     for i, rho in enumerate(attachments):
-        ends = drawing.points[f"/rod{i + 1}/rod"]
-        attachment = (drawing.poses["/payload"] @ np.append(rho, 1.0))[:3]
-        errors.append(ends - [attachment, drawing.poses[f"/uav{i + 1}"][:3, 3]])
+        ends = drawing.points[f"/world/rod{i + 1}/rod"]
+        attachment = (drawing.poses["/world/payload"] @ np.append(rho, 1.0))[:3]
+        errors.append(ends - [attachment, drawing.poses[f"/world/uav{i + 1}"][:3, 3]])
     return float(np.linalg.norm(errors, axis=-1).max())
 
 

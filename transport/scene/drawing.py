@@ -42,6 +42,8 @@ UPSIDE_DOWN: Pose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 
 _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150), (0, 0, 0)
 _OBSTACLE = (196, 120, 60)
+# Of a UAV whose agent is not on the roster.
+OFF_COLOUR: Colour = (170, 170, 170)
 # Arm length, rotor radius, beam and body thickness of a drawn quadrotor, in parts of its span
 # (rotor tip to rotor tip).
 _ARM, _ROTOR, _BEAM, _BODY = 0.31, 0.17, 0.02, 0.06
@@ -171,6 +173,15 @@ class Drawing:
                 turn, _ = Rotation.align_vectors(rod_I[None], [[0.0, 0.0, -1.0]])
                 poses[f"rod{i + 1}"] = scene.attachments_I[i], turn.as_matrix()
         return poses
+
+    def frames_off(self, scene: Scene) -> frozenset[str]:
+        """Return the frames of the UAVs whose agents are not on the roster in a scene."""
+        off = [
+            uavs
+            for agent, uavs in enumerate(self._setup.owned, start=1)
+            if agent not in scene.members
+        ]
+        return frozenset(f"uav{uav + 1}" for uavs in off for uav in uavs)
 
     def moving(self, scene: Scene) -> Iterator[Lines]:
         """Yield the lines of a scene but the actual paths, after a new target those of the reference too."""

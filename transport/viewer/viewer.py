@@ -19,7 +19,8 @@ from transport.flight.live import read as read_live_run
 from transport.log.run_log import LogTail, open_run, setup_of
 from transport.scene.drawing import Drawing
 from transport.scene.scene import RunHistory, Scene, SceneBuilder
-from transport.viewer.panel import Panel, Playback
+from transport.viewer.panel import Panel
+from transport.viewer.playback import Playback
 from transport.viewer.server import Page, start_server
 from transport.viewer.view3d import View3D
 
@@ -49,10 +50,12 @@ class Viewer:
         tail: LogTail | None = None, live: LiveRun | None = None,
     ) -> None:  # fmt: skip
         self._builder, self._tail, self._is_over = builder, tail, live is None
-        self._server, self._guard, self.address = start_server(host, port)
+        name = builder.setup.scenario.name
+        title = f"{name}, active run" if live is not None else f"{name}, recorded run"
+        self._server, self._guard, self.address = start_server(host, port, title)
         self._frame = 0
         self.playback = Playback(builder.setup.settings.sampling_period_s, follows=live is not None)
-        self.view3d = View3D(self._server, Drawing(builder), follows=live is not None)
+        self.view3d = View3D(self._server, Drawing(builder), builder, follows=live is not None)
         commands = None if live is None else Commands(live, self._show_result)
         self._panel = Panel(self._server, builder, self.playback, self.view3d, commands)
         self._paced = builder.setup.scenario.clock.speed > 0.0
@@ -126,6 +129,8 @@ class Viewer:
             self._panel.show(scene)
         self._frame += 1
         for number, page in list(self._guard.pages.items()):
+            if not page.sent:
+                self.view3d.place_camera(page.client)
             page.sent, page.since_s = self._frame, page.since_s or time.monotonic()
             source = f"{self._guard.path}/shown/{number}/{self._frame}"  # of an invisible image
             page.receipt.content = f'<img src="{source}" alt="" style="display:none">'
@@ -140,7 +145,7 @@ class Viewer:
         self._panel.set_notice(text, warning=warning)
 
     def _add_page(self, client: Any) -> None:
-        self._guard.pages[client.client_id] = Page(client.gui.add_html(""))
+        self._guard.pages[client.client_id] = Page(client, client.gui.add_html(""))
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
