@@ -145,6 +145,26 @@ def shown(viewer: Viewer) -> int:
     return -1 if viewer.shown is None else viewer.shown.tick
 
 
+def test_a_run_is_viewed_before_its_first_tick(recorded: Path) -> None:
+    """The viewer of an active run starts without any message, and shows the first when it comes."""
+    setup = runs.setup(runs.SHORT)
+    history = RunHistory(setup)
+    running = LiveRun(run="nowhere", endpoints={}, pid=os.getpid())
+    tail = LogTail(recorded.parent / "none.mcap")
+    with (
+        Viewer(SceneBuilder(setup, history), port=0, tail=tail, live=running) as viewer,
+        connected_pages(viewer.address, 1),
+    ):
+        assert wait_for(lambda: len(viewer._server.get_clients()) == 1)
+        assert shown(viewer) == -1
+        # The team is in its initial state until then.
+        payload = viewer.view3d._frames["payload"]
+        assert payload.visible
+        np.testing.assert_allclose(payload.position, viewer.view3d._drawing.start_I, atol=NEAR_M)
+        history.add(LogTail(recorded).read())
+        assert wait_for(lambda: shown(viewer) == LAST)
+
+
 def test_a_slow_page_skips_frames(live: Viewer) -> None:
     """No frame is sent until the page has told that it shows the last one.
 

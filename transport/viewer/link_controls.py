@@ -48,7 +48,7 @@ class LinksInForce:
     def of_links(self, ends: Ends | None) -> Mapping[Ends, LinkSection]:
         """Return the impairments of one link, or of all, that apply to messages from now on."""
         chosen = self._links if ends is None else {ends: self._links[ends]}
-        tick = max([self._history.last, *(change.tick for change in self._history.link_changes)])
+        tick = max([0, self._history.last, *(change.tick for change in self._history.link_changes)])
         return {pair: link.impairments(tick) for pair, link in chosen.items()}
 
 

@@ -5,6 +5,7 @@ cameras: the team stays where the cameras look, whenever a page connects, howeve
 about its camera are, and while a user turns it.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from transport.scene.drawing import (
     Lines,
     Mesh,
     Part,
+    Pose,
     quaternion,
 )
 from transport.scene.scene import Scene, SceneBuilder
@@ -60,6 +62,7 @@ class View3D:
         self._add_surroundings()
         for part in drawing.fixed:
             self._add(part)
+        self._pose_frames(drawing.poses_at_start())
         self._set_first_camera()
 
     def show_layer(self, name: str, shown: bool) -> None:
@@ -72,15 +75,7 @@ class View3D:
         self.shown = scene
         self._move_world()
 
-        poses = self._drawing.poses(scene)
-        for name in {*self._frames, *poses}:
-            frame = self._frame(name)
-            pose = poses.get(name)
-            frame.visible = pose is not None
-            if pose is not None:
-                frame.position = pose[0]
-                frame.wxyz = quaternion(pose[1])
-
+        self._pose_frames(self._drawing.poses(scene))
         for lines in (*self._drawing.moving(scene), self._drawing.flown(scene)):
             name = f"{_WORLD}/{lines.frame}/{lines.name}"
             if name in self._lines:
@@ -88,6 +83,16 @@ class View3D:
             else:
                 self._add(lines)
         self._show_off(self._drawing.frames_off(scene))
+
+    def _pose_frames(self, poses: Mapping[str, Pose]) -> None:
+        """Move the frames, and hide those without a pose."""
+        for name in {*self._frames, *poses}:
+            frame = self._frame(name)
+            pose = poses.get(name)
+            frame.visible = pose is not None
+            if pose is not None:
+                frame.position = pose[0]
+                frame.wxyz = quaternion(pose[1])
 
     def look_at(self, *, team: bool) -> None:
         """Turn the camera of every page to the team and keep the team there, or to the maneuver."""
