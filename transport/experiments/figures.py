@@ -248,8 +248,9 @@ def _draw_curves(figure: Figure, experiment: Experiment, scenarios: Scenarios) -
     gap = min(
         (high - low for low, high in itertools.pairwise(sorted(places.values()))), default=span
     )
-    # Distance between neighbouring curves, so that markers and error bars do not overlap.
-    apart = 0.0 if is_growth else min(0.035 * span, 0.7 * gap / len(curves))
+    # Distance between neighbouring curves, so that markers and error bars do not overlap: only
+    # between names. On an axis of numbers a marker stands on its value.
+    apart = 0.0 if is_number else min(0.035 * span, 0.7 * gap / len(curves))
     xs = [
         [
             places[m.point.labels[x.label]] + apart * (index - (len(curves) - 1) / 2.0)

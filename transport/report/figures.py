@@ -24,7 +24,16 @@ from transport.model.state import INPUTS
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.targets import with_targets
 from transport.protocol.wire.messages import STAGES, StepReport, Target
-from transport.report.column import CLOSE, column_panels, finish, head, limits, marks_of, widen
+from transport.report.column import (
+    CLOSE,
+    MOST_BESIDE,
+    column_panels,
+    finish,
+    head,
+    limits,
+    marks_of,
+    widen,
+)
 from transport.report.figures_3d import draw_trajectories
 from transport.report.style import (
     COMPONENTS,
@@ -38,8 +47,8 @@ from transport.report.style import (
 )
 from transport.scene.drawing import uav_style
 
-# Makes the panels of a figure, given their heights, inches.
-Panels = Callable[[Sequence[float]], list[Axes]]
+# Makes the panels of a figure, given their heights, inches, and a legend above them.
+Panels = Callable[..., list[Axes]]
 # Names of the figures of a run.
 FIGURES = ("performance", "inputs", "trajectories", "timing", "estimate")
 # Number of figures that a forked process draws.
@@ -138,7 +147,7 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
 def _draw_performance(setup: Setup, _: RunLog, series: Series, panels_of: Panels) -> list[Axes]:
     """Draw position errors of UAVs and payload, payload attitude and cost over time."""
     t, swing_m = series.times_s, swing_of(setup, series)
-    panels = panels_of([_HEIGHT_IN] * 4)
+    panels = panels_of([_HEIGHT_IN] * 4, legend=_long_legend(setup))
     errors_m = np.where(
         series.on_rods, np.linalg.norm(series.uav_errors_I, axis=2), np.nan
     )  # released ones have left
@@ -201,6 +210,8 @@ def _draw_estimate(_: Setup, log: RunLog, series: Series, panels_of: Panels) -> 
         panel.errorbar(
             t[rows], pose[:, i], deviations[:, i], label=f"agent {agent}, 3 sigma", **style
         )
+        smallest = _SMALLEST_M if i < len(_PLACES) else _SMALLEST_DEG
+        widen(panel, -smallest, smallest)
         head(panel, title, legend=i == 0)
     return panels
 
@@ -217,7 +228,10 @@ def _draw_inputs(setup: Setup, log: RunLog, series: Series, panels_of: Panels) -
     for report in log.of(StepReport):
         if max(report.plan_ages, default=-1) >= 0:
             used.setdefault(report.agent, []).append((report.tick, max(report.plan_ages)))
-    panels = panels_of([_INPUT_IN] * (INPUTS + (setup.system.N > 1) + bool(obstacles) + bool(used)))
+    panels = panels_of(
+        [_INPUT_IN] * (INPUTS + (setup.system.N > 1) + bool(obstacles) + bool(used)),
+        legend=_long_legend(setup),
+    )
     others = iter(panels[INPUTS:])
     kind = "rate command (rad/s)" if setup.system.commands_rates else "moment (N m)"
     bounds = zip(setup.settings.lower(1), setup.settings.upper(1), strict=True)
@@ -236,6 +250,8 @@ def _draw_inputs(setup: Setup, log: RunLog, series: Series, panels_of: Panels) -
     if setup.system.N > 1:
         panel, text = next(others), "smallest distance between UAVs (m)"
         panel.plot(t, series.separation_m, color="#000000")
+        middle_m = sum(panel.get_ylim()) / 2.0
+        widen(panel, middle_m - _SMALLEST_M, middle_m + _SMALLEST_M)
         if separation is not None:
             limits(panel, separation.minimum_m)
             text += f", limit {separation.minimum_m:g}"
@@ -262,6 +278,17 @@ def _draw_inputs(setup: Setup, log: RunLog, series: Series, panels_of: Panels) -
         widen(panel, 0.0, setup.settings.sampling_period_s)
         head(panel, "oldest plan used (s)")
     return panels
+
+
+def _long_legend(setup: Setup) -> list[Line2D]:
+    """Return a legend of the UAVs for the top of a figure if it is too long for one beside a title.
+
+    The curve of an agent looks like that of its first UAV.
+    """
+    N = setup.system.N
+    if N <= MOST_BESIDE:
+        return []
+    return [Line2D([], [], label=f"UAV{i + 1}", **uav_style(i)) for i in range(N)]
 
 
 def _plot(
