@@ -68,6 +68,7 @@ SIDEWAYS = (
 )
 SLOWLY = "clock.speed=0.1"  # real time has to keep up on a busy machine: 0.5 s a tick
 DRAWINGS = 12
+FRESH = 3  # browsers
 BROWSER_S = 600.0  # for a page that is drawn without a graphics processor on a busy machine; the runs last longer
 ROD_M = 1e-3  # poses and points have single precision, at some hundred metres
 ARROW = 29, 172  # on the handle, pixels from the middle of the view
@@ -272,6 +273,23 @@ def rod_error_m(drawing: Drawing, attachments: Array) -> float:
 
 @pytest.mark.slow
 @needs_browser
+def test_fresh_browsers_show_the_team(tmp_path: Path) -> None:
+    """The first drawing of the team in a browser that was just started has all of it in its view.
+
+    It stays there while the team moves and the page tells where its camera is.
+    """
+    parts = ["/world/payload", *(f"/world/uav{i + 1}" for i in range(AGENTS))]
+    with live_run(tmp_path / "fresh", SLOWLY, SIDEWAYS) as address:
+        for _ in range(FRESH):
+            with browser() as fresh:
+                fresh.open(address)
+                for _ in range(DRAWINGS // FRESH):
+                    drawing = fresh.drawing()
+                    assert [name for name in parts if not drawing.sees(name)] == []
+
+
+@pytest.mark.slow
+@needs_browser
 def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> None:
     """A slider and a button delay all links, buttons kill and restart an agent, and the log holds all.
 
@@ -290,6 +308,7 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
             window.press(1.0, *[RIGHT] * DELAY_STEPS)
             window.click("Set")
             assert wait_for(lambda: "links change: at tick" in (window.text() or ""), BROWSER_S)
+            assert wait_for(lambda: "12 of 12 links impaired" in (window.text() or ""), BROWSER_S)
         log = Growing(folder / "run.mcap")
         assert wait_for(
             lambda: any(json.loads(change.settings) == WANTED for change in log.of(LinkChange))
