@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from tests.support import runs
 from tests.support.figure_texts import problems
 from tests.support.logs import SINGLE_UAV, log_of, noted, plant_state, record_run, report
-from transport.analysis.series import Series, series_of
+from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.series import Series
 from transport.interface.scenario import Scenario
 from transport.log.run_log import read_log
 from transport.model import state
@@ -78,8 +79,8 @@ def test_pdf_is_written_on_request(tmp_path: Path) -> None:
     """With `pdf` each figure is a PDF too, equal for equal runs."""
     run = runs.setup(runs.SHORT)
     log = log_of([plant_state(run, 0), plant_state(run, 1)])
-    paths = draw(run, log, tmp_path / "a", pdf=True)
-    draw(run, log, tmp_path / "b", pdf=True)
+    paths = draw(AnalysedRun.of(run, log), tmp_path / "a", pdf=True)
+    draw(AnalysedRun.of(run, log), tmp_path / "b", pdf=True)
     for path in paths:
         data = path.with_suffix(".pdf").read_bytes()
         assert data.startswith(b"%PDF")
@@ -102,7 +103,7 @@ def test_texts_are_large_and_apart(name: str) -> None:
     )
     figure = Figure()
     with mpl.rc_context(RC):
-        assert fill(figure, name, run, log, series_of(run, log))
+        assert fill(figure, name, AnalysedRun.of(run, log))
         assert problems(figure, SMALL) == []
     assert figure.get_figwidth() == COLUMN_IN
 
@@ -150,7 +151,7 @@ def test_drawing_has_no_side_effects(tmp_path: Path) -> None:
     """No setting of matplotlib is changed, and pyplot, which keeps its figures, is not used."""
     before, had_pyplot = dict(mpl.rcParams), "matplotlib.pyplot" in sys.modules
     run = runs.setup(runs.SHORT)
-    draw(run, log_of([plant_state(run, 0), plant_state(run, 1)]), tmp_path)
+    draw(AnalysedRun.of(run, log_of([plant_state(run, 0), plant_state(run, 1)])), tmp_path)
     assert dict(mpl.rcParams) == before
     assert ("matplotlib.pyplot" in sys.modules) == had_pyplot
 
@@ -164,7 +165,7 @@ def test_figures_of_large_teams_have_legends(name: str) -> None:
     log = log_of([*(plant_state(run, k) for k in range(3)), *reports])
     figure = Figure()
     with mpl.rc_context(RC):
-        assert fill(figure, name, run, log, series_of(run, log))
+        assert fill(figure, name, AnalysedRun.of(run, log))
         assert problems(figure, SMALL) == []
     (legend,) = figure.legends
     names = [text.get_text() for text in legend.get_texts()]
@@ -178,7 +179,8 @@ def test_no_axis_shows_rounding_errors(name: str) -> None:
     log = log_of([plant_state(run, k) for k in range(9)])
     figure = Figure()
     with mpl.rc_context(RC):
-        assert fill(figure, name, run, log, at_rest(series_of(run, log)))
+        analysed = AnalysedRun.of(run, log)
+        assert fill(figure, name, replace(analysed, series=at_rest(analysed.series)))
     for panel in figure.axes:
         low, high = panel.get_ylim()
         assert high - low > LEAST_RANGE

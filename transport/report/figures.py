@@ -15,15 +15,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import rest_of_tick_ms
 from transport.analysis.replay import Comparison
-from transport.analysis.series import SWING_S, Series, estimates_of, series_of, swing_of
+from transport.analysis.series import SWING_S, Series, estimates_of, swing_of
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import INPUTS
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import with_targets
-from transport.protocol.wire.messages import STAGES, StepReport, Target
+from transport.protocol.wire.messages import STAGES, StepReport
 from transport.report.column import (
     CLOSE,
     MOST_BESIDE,
@@ -73,9 +73,7 @@ _SAMPLE: Any = _DOTS | {"markersize": 4.0}
 _REST: Any = {"color": REFERENCE, "marker": "o"}
 
 
-def draw(
-    setup: Setup, log: RunLog, folder: Path, *, forks: bool = False, pdf: bool = False
-) -> list[Path]:
+def draw(run: AnalysedRun, folder: Path, *, forks: bool = False, pdf: bool = False) -> list[Path]:
     """Draw `FIGURES` of a run as PNG and SVG, with `pdf` as PDF too, as far as its log goes.
 
     With `forks`, which only processes of one thread may do, a forked process draws the first two,
@@ -83,8 +81,7 @@ def draw(
     Returns: The PNG files, without those that have no data. Raises: ChildProcessError: the forked
         process failed.
     """
-    series = series_of(setup, log)
-    if not len(series.ticks):
+    if not len(run.series.ticks):
         return []
     folder.mkdir(parents=True, exist_ok=True)
 
@@ -92,7 +89,7 @@ def draw(
         files = []
         for name in names:
             figure = Figure()
-            if fill(figure, name, setup, log, series):
+            if fill(figure, name, run):
                 files.append(save(figure, folder / f"{name}.png", pdf=pdf)[0])
         return files
 
@@ -113,14 +110,14 @@ def draw(
     ]  # those have data at any tick
 
 
-def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -> bool:
+def fill(figure: Figure, name: str, run: AnalysedRun) -> bool:
     """Draw one of `FIGURES` of a run with at least one tick into an empty figure.
 
     Return whether there is any data.
 
     Figure and drawing take the style from `matplotlib.rcParams`: call it within `rc_context(RC)`.
     """
-    setup = with_targets(setup, log.of(Target))
+    setup, log, series = run.setup, run.log, run.series
     if name == "trajectories":
         draw_trajectories(figure, setup, series)
         return True
