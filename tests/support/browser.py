@@ -118,6 +118,11 @@ class Drawing:
         x, y, z, w = self.sight @ self.poses[name][:, 3]
         return bool(w > 0.0 and max(abs(x), abs(y), abs(z)) <= w)
 
+    def place(self, name: str, point: Array) -> tuple[float, float]:
+        """Return the place in the view, -1..1 to the right and up, of a point in the frame of a node."""
+        x, y, _, w = self.sight @ self.poses[name] @ np.append(point, 1.0)
+        return float(x / w), float(y / w)
+
 
 class Page(ClientConnection):
     """Connection that looks like a page; `first` are the first messages it got."""

@@ -71,7 +71,7 @@ DRAWINGS = 12
 FRESH = 3  # browsers
 BROWSER_S = 600.0  # for a page that is drawn without a graphics processor on a busy machine; the runs last longer
 ROD_M = 1e-3  # poses and points have single precision, at some hundred metres
-ARROW = 29, 172  # on the handle, pixels from the middle of the view
+ARROW_M = 0.5  # of the arrow along x of the handle, whose scale is 0.6, from its middle
 DELAY_STEPS = 10  # of 0.01 s, from those of the run
 LATE = ("links.delay_s=0.2", "links.loss=0.3")
 AGENTS, VICTIM = 4, 2
@@ -350,13 +350,13 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
         window.open(address)
         log = Growing(folder / "run.mcap")
 
-        # The arrow along x, where the first view shows it.
         view = window.driver.find_element("css selector", "canvas")
 
         def is_dragged() -> bool:
-            pull: Any = ActionChains(window.driver, duration=400).move_to_element_with_offset(
-                view, *ARROW
-            )
+            x, y = window.drawing().place("/world/target", np.array([ARROW_M, 0.0, 0.0]))
+            right, down = round(x * view.size["width"] / 2), round(-y * view.size["height"] / 2)
+            pull: Any = ActionChains(window.driver, duration=400)
+            pull.move_to_element_with_offset(view, right, down)
             pull.click_and_hold().move_by_offset(25, 0).move_by_offset(25, 10).pause(
                 1.0
             ).release().perform()

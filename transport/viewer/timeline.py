@@ -14,6 +14,8 @@ from transport.viewer.widgets import from_browser
 
 # Buttons of events below the plots: those around the shown instant.
 _BUTTONS = 8
+# Digits of a time, s.
+_DIGITS = 9
 # Longest text on a button; its whole text is the hint.
 _LONGEST_LABEL = 54
 
@@ -93,7 +95,7 @@ class Timeline:
         """Return the first and the last recorded time, s."""
         first = self._history.first
         last = max(self._history.last, first)
-        return first * self._period_s, last * self._period_s
+        return round(first * self._period_s, _DIGITS), round(last * self._period_s, _DIGITS)
 
     def _add_slider(self, order: float | None) -> Any:
         first_s, last_s = self._ends_s()
