@@ -315,6 +315,18 @@ def test_events_are_on_the_slider_and_lead_to_their_time(recorded: Path) -> None
         assert shown(viewer) == 10
 
 
+def test_links_that_change_together_are_one_event(builder: SceneBuilder) -> None:
+    """A cut between groups is one event; changes at other ticks or to other values are their own."""
+    pairs = [("agent1", "agent3"), ("agent3", "agent1")]
+    for number, (source, target) in enumerate(pairs, start=1):
+        builder.history.add([change(number, 5, source, target, loss=1.0)])
+    builder.history.add([change(3, 6, "agent1", "agent3", loss=0.0)])
+    assert events_of(builder.history) == [
+        Event(5, "2 links: loss 1.0"),
+        Event(6, "links from agent1 to agent3: loss 0.0"),
+    ]
+
+
 def test_events_around_a_tick() -> None:
     """The list holds as many events as it has room for, half of them before the shown instant."""
     events = [Event(tick, str(tick)) for tick in range(0, 100, 10)]

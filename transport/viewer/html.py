@@ -74,7 +74,8 @@ def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str
         used = (_age(ages.get(peer, -1), period_s, usual=1) for peer in numbers)
         rows.append([name, step, _age(report.measurement_age, period_s, usual=0), *used])
     units = _small(
-        "step time in ms; age of the measurement and of each plan used, in s; off: not on the roster"
+        "step time in ms; age of the measurement and of each plan used, in s; "
+        "off: not on the roster"
     )
     return f'<div style="overflow-x:auto">{_table(rows)}</div>{units}'
 

@@ -1,4 +1,4 @@
-"""Panel of the viewer: playback, numbers, plots and layers, and for live runs the controls of the run."""
+"""Panel of the viewer: playback, numbers, plots, layers, and the controls of an active run."""
 
 from functools import partial
 from typing import Any

@@ -1,4 +1,4 @@
-"""Plots in the panel: over a recorded run, or the seconds before the shown instant of an active one."""
+"""Plots in the panel: over a recorded run, or the last seconds of an active one."""
 
 import math
 from dataclasses import dataclass

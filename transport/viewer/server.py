@@ -64,7 +64,7 @@ class Guard:
 
     @contextmanager
     def installed(self) -> Iterator[None]:
-        """Check the requests to servers that viser starts meanwhile: it has no parameter for that."""
+        """Check the requests to servers that viser starts meanwhile; it has no option for it."""
         import websockets.asyncio.server as library
 
         serve: Any = library.serve

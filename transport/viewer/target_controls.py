@@ -1,4 +1,4 @@
-"""Widgets that send the payload of an active run to a target: a handle to drag, keys and numbers."""
+"""Widgets that send the payload of an active run to a target: a handle, keys and numbers."""
 
 import time
 from functools import partial

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -125,4 +126,4 @@ def test_markers_stand_on_their_values(experiment: Experiment) -> None:
         values = {float(tick) for tick in panel.get_xticks()}
         for line in panel.lines:
             if line.get_marker() not in ("None", "", "_", "|"):
-                assert {float(x) for x in line.get_xdata()} <= values
+                assert set(np.asarray(line.get_xdata(), float).tolist()) <= values
