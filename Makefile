@@ -34,6 +34,7 @@ test-all: test test-slow test-pages ## run all tests
 
 campaigns: $(VENV)/.installed-test ## search for defects by random runs, by night (scenarios, signals, messages; hours)
 	@$(BIN)/python -m tests.campaigns scenarios --runs 2000
+	@$(BIN)/python -m tests.campaigns early-signals
 	@$(BIN)/python -m tests.campaigns signals --runs 300
 	@$(BIN)/python -m tests.campaigns.wire --messages 1000000
 	@$(BIN)/python -m tests.campaigns.soak --minutes 30

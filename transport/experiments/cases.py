@@ -30,7 +30,7 @@ from transport.protocol.scenario.file import (
 )
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import given, resized
+from transport.protocol.scenario.team import Team, given, resized
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_USAGE
@@ -117,7 +117,7 @@ class Point:
         if self.team is None:
             return read_scenario(path, changes, allow_large=True)
         uavs, group = self.team
-        team = resized(read_scenario(path), uavs, group=group, name=None, source=str(path))
+        team = resized(read_scenario(path), Team(uavs=uavs, group=group), str(path))
         return with_settings(given(team), changes, str(path), allow_large=True)
 
 

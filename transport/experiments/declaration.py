@@ -64,7 +64,9 @@ def axis(column: str) -> Axis:
     ):
         ending = ending_of(key)
         return Axis(
-            column, key.removesuffix(ending).replace(".", " ").replace("_", " "), UNITS[ending][0]
+            column,
+            key.removesuffix(ending).replace(".", " ").replace("_", " "),
+            UNITS[ending].symbol,
         )
     unit = key_of(found).shown or unit_of(key, found)
     return Axis(column, key_of(found).label, unit, _FACTORS.get(unit.partition(" ")[0], 1.0))

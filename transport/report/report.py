@@ -208,7 +208,10 @@ def _plans(messages: Mapping[str, Any], ages: Mapping[str, Any]) -> str:
         else ""
     )
     age = f"age {_text(ages['mean'], '{:.2f}')} ticks, max {_text(ages['max'], '{:d}')}"
-    return f"{unsent}{messages['lost']} of {messages['sent']} lost, {messages['late']} late; {age}"
+    in_transit = messages.get("in_transit", 0)  # summaries of earlier versions lack it
+    unarrived = f"{in_transit} not arrived at the end, " if in_transit else ""
+    lost = f"{messages['lost']} of {messages['sent']} lost"
+    return f"{unsent}{lost}, {unarrived}{messages['late']} late; {age}"
 
 
 def _radio(radio: Mapping[str, Any]) -> str:

@@ -20,7 +20,7 @@ from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
 from transport.mpc.rollout import rollout
 from transport.plant.actuators import FAIL_SAFE
-from transport.protocol.scenario.links import words_of
+from transport.protocol.scenario.link_changes import words_of
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
 from transport.protocol.scenario.targets import target_in_words
