@@ -179,9 +179,9 @@ class CoordinatorNode:
     def _note_plant(self, plant_state: PlantState, now_ns: int) -> None:
         """Note what the plant has recorded, and whether it has diverged."""
         self._plant_tick = plant_state.tick
+        self._clock.plant_ns = now_ns
         if self._air is not None:
             self._air.plant_state(plant_state)
-        self._clock.plant_ns = now_ns
         if plant_state.diverged and not self._divergence:
             time = self._roster.time(plant_state.tick)
             self._divergence = f"{plant_state.diverged} at {time}"
@@ -189,14 +189,16 @@ class CoordinatorNode:
 
     def _note_plan(self, plan: Plan, now_ns: int) -> None:
         """Note an answer to a tick, or a proposal of a negotiation."""
-        if self._air is not None and plan.tick == self.tick:
-            self._air.send(plan)
         if plan.negotiation > 0:
             self._negotiating[plan.agent] = plan.negotiation
+            if self._air is not None:
+                self._air.send(plan)
             return
         self._failed_steps.count(plan)
         if plan.tick == self.tick:
             self._answered[plan.agent] = plan.shared
+            if self._air is not None:
+                self._air.send(plan)
         self._clock.answer(plan, self.tick, now_ns)
 
     def _presence_changed(self, event: Presence, now_ns: int) -> Sequence[Message]:
@@ -309,9 +311,8 @@ class CoordinatorNode:
             return self._stop(EXIT_DIVERGED, self._divergence)
 
         may_close = self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last)
-        if not may_close or self._awaits_plant:
-            return ()
-        if self._air is not None and not self._is_last and not self._air.may_open(self.tick + 1):
+        air_is_ready = self._is_last or self._air is None or self._air.may_open(self.tick + 1)
+        if not may_close or self._awaits_plant or not air_is_ready:
             return ()
         if not is_diverged and not self._is_last and self._roster.awaited(self.tick + 1):
             self._hold(now_ns)
@@ -338,8 +339,7 @@ class CoordinatorNode:
         """
         tick = self.tick + 1
         joined, changes = self._roster.begin(tick)
-        members = self._roster.members - joined  # in the tick before
-        air = [] if self._air is None else self._air.opened(tick, members)
+        air = [] if self._air is None else self._air.opened(tick, self._roster.members - joined)
         opened = self._tick_message(tick, now_ns)
 
         self.tick = tick

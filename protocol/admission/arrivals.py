@@ -16,7 +16,6 @@ class Arrivals(Generic[M]):
         links: Links by name of the sender.
         after: In lockstep, ticks until a message is used over a perfect link.
         speed: Scenario seconds per second in real time; None in lockstep.
-        aired: Whether the radio of the team carries the messages to their links.
     """
 
     def __init__(
@@ -74,7 +73,7 @@ class Arrivals(Generic[M]):
         """Let the links decide about the messages sent, in lockstep, until a tick."""
         waiting: list[M] = []
         for message in self._sent:
-            if message.tick + self._after > tick or not self._is_through_air(message):
+            if message.tick + self._after > tick or not self._is_through(message):
                 waiting.append(message)
                 continue
             ticks = self._usable_ticks(message)
@@ -82,7 +81,7 @@ class Arrivals(Generic[M]):
             self._lost += not ticks
         self._sent = waiting
 
-    def _is_through_air(self, message: M) -> bool:
+    def _is_through(self, message: M) -> bool:
         """Return whether the fate of a message on the air is known."""
         return self._aired is None or (message.sender, message.tick) in self._aired
 

@@ -17,9 +17,9 @@ _FILE_KEYS = ("samples_s", "trace", "file")
 # Whole numbers joined by commas: one number with a decimal comma, or several.
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+(,\d+)+")
 
-LOST_S = -1.0  # delay of a lost message in a trace
-
 _LONGEST_SHOWN = 60  # characters of a file that an error repeats
+
+LOST_S = -1.0  # delay of a lost message in a trace
 
 
 class TableError(TransportError, ValueError):
@@ -66,18 +66,14 @@ def trace_of(path: Path) -> list[list[float]]:
     Raises: TableError: it cannot be read.
     """
     heading = "t_s,delay_s"
-    columns, *lines = [line.replace(" ", "") for line in _lines(path)] or [""]
-    if columns != heading:
-        raise TableError(f"{path}: expected the heading {heading}, got {_shown(columns)}")
-    rows: list[list[float]] = []
-    for row, line in enumerate(lines, start=2):
-        entries = line.split(",")
-        if len(entries) != 2:
-            raise TableError(f"{path}: row {row}: expected {heading}, got {_shown(line)}")
-        time, delay = entries
-        delay_s = LOST_S if delay == "lost" else _number(delay, path, f"row {row}")
-        rows.append([_number(time, path, f"row {row}"), delay_s])
-    return rows
+    try:
+        columns, *lines = path.read_text(encoding="utf-8").replace(" ", "").splitlines() or [""]
+        if columns != heading:
+            raise ValueError(f"expected the heading {heading}, got {columns[:60]!r}")
+        rows = [line.split(",") for line in lines if line]
+        return [[float(t), LOST_S if delay == "lost" else float(delay)] for t, delay in rows]
+    except (OSError, ValueError) as error:
+        raise TableError(f"{path}: expected a trace of a link ({error})") from error
 
 
 def way_of(path: Path) -> list[list[float]]:

@@ -35,19 +35,18 @@ def _read(value: Any, info: ValidationInfo) -> Any:
 
 def _read_trace(value: Any, info: ValidationInfo) -> Any:
     """Return the content of a trace, as `_read` does of samples."""
-    if isinstance(value, str) and info.context is not None:
-        return trace_of(info.context / value)
-    return value
+    return (
+        trace_of(info.context / value)
+        if isinstance(value, str) and info.context is not None
+        else value
+    )
 
 
-def _rising_rows(rows: list[list[float]] | None) -> list[list[float]] | None:
-    """Return a trace. Raises: ValueError: too few rows, or times that do not rise."""
-    if rows is None:
-        return None
+def _is_trace(rows: list[list[float]]) -> list[list[float]]:
     times_s = [row[0] for row in rows if len(row) == 2]
     if len(times_s) < max(2, len(rows)):
         raise ValueError("expected at least two rows of a time and a delay")
-    if times_s[0] < 0.0 or any(later <= earlier for earlier, later in pairwise(times_s)):
+    if times_s[0] < 0.0 or any(b <= a for a, b in pairwise(times_s)):
         raise ValueError("expected rising times from 0 on")
     return rows
 
@@ -93,13 +92,12 @@ class LinkSection(Section):
     trace: Annotated[
         list[list[float]] | None,
         BeforeValidator(_read_trace),
-        AfterValidator(_rising_rows),
+        AfterValidator(lambda rows: rows if rows is None else _is_trace(rows)),
         Key(type="file, or rows of 2 numbers", unit="s"),
     ] = None
-    """recorded delays in the place of `delay_s` and `distribution`: rows of a time and the delay of
-    a message sent from then on, negative if it was lost, or a CSV file of them, `t_s,delay_s`, with
-    `lost` for a lost one ([radio.md](radio.md#a-recorded-link)); it begins with the run and is
-    repeated"""
+    """recorded delays in the place of `delay_s` and `distribution`: rows of a time and the delay of a message sent from
+    then on, negative if it was lost, or a CSV file of them, `t_s,delay_s`, with `lost` for a lost one
+    ([radio.md](radio.md#a-recorded-link)); it begins with the run and is repeated"""
     loss: Annotated[
         Probability, Key(label="loss of plans", shown="%", option="--loss", short="loss")
     ] = 0.0

@@ -113,7 +113,8 @@ class Link:
             traced_s = traced_delay_s(section.trace, tick * self._period_s)
             if traced_s < 0.0:
                 return []
-            section = _traced(section, traced_s)
+            recorded = {"delay_s": traced_s, "jitter_s": 0.0, "distribution": "uniform"}
+            section = section.model_copy(update=recorded)
 
         delay_s = _delay(section, draw.jitter)
         if draw.reorder < section.reorder:
@@ -127,8 +128,8 @@ class Link:
     def usable_ticks(self, tick: int, after: int = 1, air_s: float = 0.0) -> list[int]:
         """Return the ticks from which on the message of a tick can be used.
 
-        They are those at or after its arrival, and at least `after` ticks later. The message enters
-        the link `air_s` after its tick, when the radio of the team has carried it.
+        They are those at or after its arrival, and at least `after` ticks later. It enters the link
+        `air_s` after its tick, when the radio of the team has carried it.
         """
         earliest = tick + after
         if air_s == 0.0 and not self._partitions and self._in_force(tick).is_perfect:
@@ -188,19 +189,14 @@ class Link:
 def traced_delay_s(trace: Sequence[Sequence[float]], sent_s: float) -> float:
     """Return the delay in a trace for a message sent at a time of the run, s; negative if lost.
 
-    The last row, which lasts as long as the one before, is followed by the first.
+    The last row, which has the same distance from its end as from the row before, is followed by
+    the first.
     """
     begin_s = trace[0][0]
     duration_s = 2.0 * trace[-1][0] - trace[-2][0] - begin_s
     at_s = begin_s + sent_s % duration_s
     row = bisect_right(trace, at_s + _SLACK, key=itemgetter(0)) - 1
     return trace[max(row, 0)][1]
-
-
-def _traced(section: LinkSection, delay_s: float) -> LinkSection:
-    """Return the impairments of a link with one recorded delay in the place of random ones."""
-    fixed = {"delay_s": delay_s, "jitter_s": 0.0, "distribution": "uniform"}
-    return section.model_copy(update=fixed)
 
 
 def _section_of(links: LinksSection, sender: str, receiver: str) -> LinkSection:

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 from operator import attrgetter
 
+from transport.protocol.radio.standard import STANDARDS
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.fault_relations import Problems, fault_problems, processes_of
 from transport.protocol.scenario.maneuver_sections import PhaseSection
 from transport.protocol.scenario.plant_sections import MujocoSection
-from transport.protocol.scenario.radio_relations import radio_problems
 from transport.protocol.scenario.schema import Scenario
 
 # Least lag of motors, in sampling periods: the discretisation takes exponentials of its reciprocal.
@@ -73,7 +73,7 @@ def check_relations(scenario: Scenario, source: str) -> None:
         _needs,
         _ownership,
         _links,
-        radio_problems,
+        _radio,
         _controller,
         _clock,
         fault_problems,
@@ -119,6 +119,29 @@ def _links(scenario: Scenario) -> Problems:
     for field, name in _link_ends(scenario):
         if name is not None and name not in names:
             yield field, f"one of {', '.join(names)}", repr(name)
+
+
+def _radio(scenario: Scenario) -> Problems:
+    """Yield what a radio needs: lockstep, several agents, a rate of its standard, time to compute."""
+    radio = scenario.radio
+    controller = scenario.controller
+    if radio is None:
+        return
+    if scenario.clock.mode == "realtime":
+        yield "radio", "no such section with clock.mode = 'realtime': the network is real", "one"
+    if len(scenario.owned) == 1:
+        yield "radio", "several agents with it: one agent sends no plans", "one agent"
+
+    rates_mbps = STANDARDS[radio.standard].rates_mbps
+    if radio.rate_mbps not in rates_mbps:
+        shown = ", ".join(f"{rate:g}" for rate in rates_mbps)
+        yield "radio.rate_mbps", f"one of {shown} with {radio.standard}", f"{radio.rate_mbps:g}"
+
+    exchange_s = controller.sampling_period_s / controller.negotiation_iterations
+    computed_s = radio.computation_mean_s + 3.0 * radio.computation_deviation_s
+    if radio.offsets == "slots" and computed_s >= exchange_s:
+        expected = f"mean and three deviations below {exchange_s:g} s, the time of an exchange"
+        yield "radio.computation_mean_s", f"{expected}, with offsets 'slots'", f"{computed_s:g} s"
 
 
 def _link_ends(scenario: Scenario) -> Iterator[tuple[str, str | None]]:
