@@ -8,10 +8,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec
 
 import pytest
 from typer.testing import CliRunner
@@ -29,6 +30,8 @@ from transport.flight.signals import (
 from transport.protocol.network.parent import python
 from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 from transport.protocol.wire.messages import Message
+
+P = ParamSpec("P")
 
 # Stands in for the module with the commands; ends as if the interrupt came while it is imported or
 # while it works.
@@ -124,23 +127,39 @@ def test_a_run_interrupted_before_its_log_says_so(
 PATIENCE_S = 20.0
 
 
-@pytest.fixture
-def command_signals() -> Iterator[None]:
-    """Handle signals as in a command; restore the handlers of the tests afterwards."""
-    numbers = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
-    handlers = {number: signal.getsignal(number) for number in numbers}
-    hook = sys.unraisablehook
-    yield
-    # A signal that is still to be sent again must not meet the handlers of the tests: by default it
-    # ends the process.
-    while any(thread.name == "interrupt" for thread in threading.enumerate()):
+def as_a_command(test: Callable[P, None]) -> Callable[P, None]:
+    """Run a test with the signal handlers of a command, and restore those of the tests behind it.
+
+    A signal that is still to be sent again is awaited at once: within pytest it would end the
+    session, and with the handlers of the tests the process.
+    """
+
+    @wraps(test)
+    def run(*arguments: P.args, **named: P.kwargs) -> None:
+        numbers = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
+        handlers = {number: signal.getsignal(number) for number in numbers}
+        hook = sys.unraisablehook
+        try:
+            test(*arguments, **named)
+        finally:
+            settle()
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+            sys.unraisablehook = hook
+
+    return run
+
+
+def settle() -> None:
+    """Wait until no signal is pending or on its way."""
+    is_settled = False
+    while not is_settled:
         with suppress(Interrupt):
             take_interrupt()
+            gc.collect()
             time.sleep(0.001)
-    take_interrupt()
-    for number, handler in handlers.items():
-        signal.signal(number, handler)
-    sys.unraisablehook = hook
+            is_settled = all(thread.name != "interrupt" for thread in threading.enumerate())
+            is_settled = is_settled and not take_interrupt()
 
 
 def in_a_destructor() -> None:
@@ -165,8 +184,8 @@ def in_a_library() -> None:
         signal.raise_signal(signal.SIGTERM)
 
 
-@pytest.mark.usefixtures("command_signals")
 @pytest.mark.parametrize("receive", [in_a_destructor, in_a_callback, in_a_library])
+@as_a_command
 def test_a_dropped_interrupt_is_raised_again(
     receive: Callable[[], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -178,7 +197,7 @@ def test_a_dropped_interrupt_is_raised_again(
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.usefixtures("command_signals")
+@as_a_command
 def test_a_taken_interrupt_is_not_raised_again() -> None:
     """A command that has handled its interrupt ends undisturbed; a second signal interrupts it."""
     raise_interrupts()
@@ -192,7 +211,7 @@ def test_a_taken_interrupt_is_not_raised_again() -> None:
         signal.raise_signal(signal.SIGTERM)
 
 
-@pytest.mark.usefixtures("command_signals")
+@as_a_command
 def test_a_suppressed_interrupt_ends_a_run_in_memory() -> None:
     """A run in memory ends at the next message when a callback suppresses the interrupt."""
     recorded = 0
@@ -210,7 +229,7 @@ def test_a_suppressed_interrupt_ends_a_run_in_memory() -> None:
     assert recorded < 100, "the run went on"
 
 
-@pytest.mark.usefixtures("command_signals")
+@as_a_command
 def test_collected_signals_are_looked_at_or_raised() -> None:
     """Signals that come while a run is watched are handed over once; the others are raised at its end."""
     raise_interrupts()
@@ -224,7 +243,7 @@ def test_collected_signals_are_looked_at_or_raised() -> None:
     take_interrupt()
 
 
-@pytest.mark.usefixtures("command_signals")
+@as_a_command
 def test_a_run_does_not_begin_with_a_pending_interrupt() -> None:
     """A signal whose exception is held somewhere is raised before signals are collected."""
     raise_interrupts()
@@ -239,7 +258,7 @@ def test_a_run_does_not_begin_with_a_pending_interrupt() -> None:
     take_interrupt()
 
 
-@pytest.mark.usefixtures("command_signals")
+@as_a_command
 def test_a_forked_helper_ends_silently() -> None:
     """A process that the command has forked ends by a signal with its exit code, without an exception."""
     raise_interrupts()
@@ -252,7 +271,7 @@ def test_a_forked_helper_ends_silently() -> None:
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == EXIT_INTERRUPTED
 
 
-@pytest.mark.usefixtures("command_signals")
+@as_a_command
 def test_signals_the_user_ignores_stay_ignored() -> None:
     """A command in the background of a shell without job control, or started with nohup, ends by SIGTERM only."""
     for number in (signal.SIGINT, signal.SIGHUP):
