@@ -14,8 +14,9 @@ from transport.model.curves import Curve
 from transport.model.flat import FlatReference, Track
 from transport.model.hover import hover
 from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver, Phase
+from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle, Solid, clearances
+from transport.model.phase import Phase
 from transport.model.state import R0, StateView, input_slice
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.course import Course
@@ -40,7 +41,7 @@ def flown(instants: int = 80) -> tuple[Model, Track]:
     """A quick arc."""
     system = unequal()
     curve = Curve(kind="eight", duration_s=8.0, ramp_s=3.5, size_I=(1.5, 0.7, 0.0))
-    phase = Phase(name="eight", duration_s=8.0, displacement_I=[0, 0, 0], curve=curve)
+    phase = Phase(name="eight", duration_s=8.0, displacement_I=[0, 0, 0], way=curve)
     rest = Phase(name="rest", duration_s=1.0, displacement_I=[0, 0, 0])
     maneuver = Maneuver(start_I=[0, 0, -9.0], phases=[phase, rest], profile="smooth")
     return Model(system), FlatReference(system, hover(system), maneuver).track(

@@ -10,9 +10,11 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import Hover, hover
+from transport.model.hover_reference import Reference
 from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver, Phase, Reference
+from transport.model.maneuver import Maneuver
 from transport.model.parameters import Payload, System, Uav, table_1
+from transport.model.phase import Phase
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.settings import ControllerSettings, Section
 
