@@ -145,15 +145,10 @@ class Planner:
     def _integrated(self, x: Array, u: Array, forces: Array | None) -> Array:
         """Return the state one sampling period later under constant inputs."""
         settings = self._setup.settings
-        x_end, _ = motors.integrate(
-            self._controller.model,
-            x,
-            u,
-            settings.sampling_period_s,
-            STEPS,
-            settings.motor_lag_s,
-            forces,
+        period = motors.Period(
+            duration_s=settings.sampling_period_s, steps=STEPS, lag_s=settings.motor_lag_s
         )
+        x_end, _ = motors.integrate(self._controller.model, x, u, period, forces)
         return x_end
 
     def _problem(self, k: int, start: Start) -> Problem:

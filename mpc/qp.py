@@ -57,7 +57,7 @@ class QP:
     def addresses(self) -> list[int]:
         """Addresses of the data, row-major, for the compiled kernels."""
         data = self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper
-        return [native.at(array) for array in data]
+        return [native.address(array) for array in data]
 
     def __getstate__(self) -> dict[str, Array]:
         """Return the data for copies, which have addresses of their own."""
@@ -134,9 +134,9 @@ def _compiled_residuals(
     """Return the residuals by the compiled kernel."""
     rows, n = qp.A.shape
     values = np.empty(3)
-    solution = map(native.at, (z, bound_multipliers, row_multipliers))
+    solution = map(native.address, (z, bound_multipliers, row_multipliers))
     work = native.work("residuals", n)
-    native.KERNELS.residuals(n, rows, *qp.addresses, *solution, native.at(values), work)
+    native.KERNELS.residuals(n, rows, *qp.addresses, *solution, native.address(values), work)
     return Residuals(*values.tolist())
 
 
@@ -185,7 +185,7 @@ def within_bounds(qp: QP) -> Solution | None:
     multipliers = np.empty_like(qp.g)
     values = np.empty(3)
     work = native.work("within_bounds", native.KERNELS.within_bounds_work(n, rows))
-    answer = map(native.at, (z, multipliers, values))
+    answer = map(native.address, (z, multipliers, values))
     guesses = native.KERNELS.solve_within_bounds(
         n, rows, *qp.addresses, MOST_GUESSES, *answer, work
     )
