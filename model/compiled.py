@@ -226,7 +226,18 @@ def _sense(s: Symbols, motion: dynamics.Motion) -> ca.Function:
 
 
 def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
-    """Return x', y and the factors of `model.linearisation.Linearisation`: (15)-(15b).
+    """Return x', y, the factors of `model.linearisation.Linearisation`, and C: (15)-(15b).
+
+    Factors are transposed, so that their entries follow row by row.
+    """
+    C = ca.jacobian(y, s.x)
+    transposed = [ca.sparsify(factor).T for factor in [*_factors(s, motion), C]]
+    results = [ca.densify(motion.derivative), ca.densify(y), *transposed]
+    return ca.Function("linearise", [s.x, s.u, s.p, s.F], results)
+
+
+def _factors(s: Symbols, motion: dynamics.Motion) -> list[ca.SX]:
+    """Return X, U, P, V_x and V_u of A_c = X + P V_x, B_c = U + P V_u: (15b).
 
     g(x, u, a) is the derivative under a given acceleration a of the payload, which solves M a = b.
     """
@@ -235,7 +246,7 @@ def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
     given = dynamics.motion(s, a)
     g = given.derivative
 
-    # V = [V_x, V_u] = M^-1 d(b - M a)/d(x, u), a held.
+    # [V_x, V_u] = M^-1 d(b - M a)/d(x, u), a held.
     by_state = ca.jacobian(given.unbalanced, s.x) @ Pi
     by_input = ca.jacobian(given.unbalanced, s.u)
     V = dynamics.solve_positive_definite(motion.mass, ca.horzcat(by_state, by_input))
@@ -246,13 +257,8 @@ def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
     X = ca.jacobian(g, s.x) @ Pi
     U = ca.jacobian(g, s.u)
     P = ca.jacobian(g, a)
-    factors = ca.substitute([X, U, P, V_x, V_u], [a], [motion.acceleration])
-    C = ca.jacobian(y, s.x)
-
-    # Transposed, so that their entries follow row by row.
-    transposed = [ca.sparsify(factor).T for factor in [*factors, C]]
-    results = [ca.densify(motion.derivative), ca.densify(y), *transposed]
-    return ca.Function("linearise", [s.x, s.u, s.p, s.F], results)
+    factors: list[ca.SX] = ca.substitute([X, U, P, V_x, V_u], [a], [motion.acceleration])
+    return factors
 
 
 def _step(s: Symbols, f: ca.Function) -> ca.Function:

@@ -297,8 +297,9 @@ def outputs(symbols: Symbols) -> ca.SX:
 
 
 def sensed(symbols: Symbols, tensions: ca.SX) -> ca.SX:
-    """Return the measurements of the UAVs' own sensors under tensions, (15 N,), as in `model.state`.
+    """Return the measurements of the UAVs' own sensors under tensions, (15 N,).
 
+    In the order of `model.state`.
     Source: docs/equations.md (61).
     """
     x = symbols.x
@@ -355,7 +356,10 @@ def _symmetric(upper: ca.SX) -> ca.SX:
 
 
 def solve_positive_definite(M: ca.SX, b: ca.SX) -> ca.SX:
-    """Return M^-1 b, (size, columns), by an unrolled L D L' factorisation, short and with exact derivatives."""
+    """Return M^-1 b, (size, columns), by an unrolled L D L' factorisation.
+
+    Its expressions are short and have exact derivatives.
+    """
     size = M.shape[0]
 
     # D_j = M_jj - sum_k L_jk^2 D_k,  L_ij = (M_ij - sum_k L_ik L_jk D_k) / D_j,  k < j

@@ -11,7 +11,7 @@ from transport.model.parameters import System
 
 
 class Reference:
-    """The reference outputs and states of a maneuver: the hover configuration moved along the path."""
+    """Reference outputs and states: the hover configuration moved along the path of a maneuver."""
 
     def __init__(self, system: System, hover: Hover, maneuver: Maneuver) -> None:
         self.maneuver = maneuver
@@ -34,7 +34,10 @@ class Reference:
         return Reference(self._system, self._hover, maneuver)
 
     def followed(self, t_s: Array) -> tuple[Array, Array]:
-        """Return outputs and states that controllers follow, lower while the payload is on the ground: (59)."""
+        """Return outputs and states that controllers follow, at times t_s, (k,), s.
+
+        Lower while the payload is on the ground: docs/equations.md (59).
+        """
         y = self.outputs(t_s)
         x = self.states(t_s)
         depth, sinking = self.maneuver.press(t_s)

@@ -1,4 +1,7 @@
-"""Integration by equal steps, or by steps that are halved until their error is small: (13b), (13c)."""
+"""Integration by equal steps, or by steps that are halved until their error is small.
+
+Source: docs/equations.md (13b), (13c).
+"""
 
 import math
 from collections.abc import Callable

@@ -67,7 +67,9 @@ class Linearisation:
 
 
 class Model:
-    """The equations of motion of one system, evaluated numerically, with UAVs off and released, 0-based.
+    """The equations of motion of one system, evaluated numerically.
+
+    UAVs off have no motors, released ones no rod; their numbers are 0-based.
 
     External forces are (F_0, F_1, .., F_N) on the centres of mass of payload and UAVs, (3 + 3 N,),
     inertial frame, N; the payload's mass beyond the known one, kg, may follow. Inputs of UAVs off
@@ -130,7 +132,10 @@ class Model:
         return x, _zeroed(u, self._off), *self._acting(forces)
 
     def at_rest(self, forces: Array) -> Array:
-        """Return constant forces, (3 + 3 N,), that act on a hovering team as the given ones and a mass."""
+        """Return constant forces, (3 + 3 N,), with the weight of a further mass of the payload.
+
+        They act on a hovering team as the given forces and that mass.
+        """
         count = len(self._no_forces)
         if len(forces) == count:
             return forces
@@ -155,7 +160,10 @@ class Model:
         return self._compiled["outputs"](x, self._p)[0]
 
     def outputs_along(self, X: Array) -> Array:
-        """Return the outputs of several states, (k, n), in one call, (k, 4 N + 9), with the same bits."""
+        """Return the outputs of several states, (k, n), in one call: (k, 4 N + 9).
+
+        The bits are those of `outputs`.
+        """
         count = len(X)
         if count not in self._outputs_by_count:
             x = ca.MX.sym("x", self._outputs.size1_in(0), count)
@@ -222,7 +230,7 @@ class Model:
         forces: Array | None = None,
         tolerance: float = math.inf,
     ) -> tuple[Array, float]:
-        """Return the state after `duration_s` of constant input, (n,), and the largest local error estimate, SI.
+        """Return the state after `duration_s` of constant input, (n,), and the largest local error.
 
         Dormand-Prince steps of order 5, >= 1, are equal, or halved where their estimate exceeds the
         tolerance; the rods are projected back after each. Source: docs/equations.md (13b), (13c).
@@ -231,7 +239,7 @@ class Model:
         return integration.integrate(self.step(u, forces), x, duration_s, steps, limits)
 
     def step(self, u: Array, forces: Array | None = None) -> Step:
-        """Return one step under constant input and forces, as `model.integration` takes it: (13b)."""
+        """Return a step under constant input and forces, for `model.integration`: (13b)."""
         function = self._compiled["step"]
         u = _zeroed(u, self._off)
         p, F = self._acting(forces)
@@ -246,7 +254,7 @@ class Model:
     def stepper(
         self, duration_s: float, forces: Array | None = None
     ) -> Callable[[Array, Array], Array]:
-        """Return the map from state and input to the state after one step of `integrate`, without its error."""
+        """Return the map from state and input to the state after one step, without its error."""
         function = self._compiled["step"]
         p, F = self._acting(forces)
 

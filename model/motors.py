@@ -51,7 +51,9 @@ def _deviations(lag_s: float, step_s: float) -> tuple[float, float]:
 
 
 def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, Array], Array]:
-    """Return two inputs, held for half a step each, that stand for the actual ones, and a at the end.
+    """Return two inputs, held for half a step each, and the actual inputs at the end.
+
+    The two stand for the actual inputs during the step.
 
     a, u: actual and commanded inputs at the beginning of the step, (m,) each.
     Source: docs/equations.md (54).

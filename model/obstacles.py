@@ -101,7 +101,10 @@ class Obstacle:
         return distances.min(axis=0), normal
 
     def margins(self, N: int) -> Array:
-        """Return the smallest distances of the bodies of N UAVs in the order of `clearances`, (2 N + 1,), m."""
+        """Return the smallest distances of the bodies of N UAVs, (2 N + 1,), m.
+
+        In the order of `clearances`.
+        """
         return np.repeat([self.margin_m, self.load_margin_m], [N, N + 1])
 
 

@@ -1,4 +1,4 @@
-"""Places of the entries of a linearisation's sparse factors, for Python and the compiled kernels."""
+"""Places of the entries of a linearisation's sparse factors, for Python and the kernels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,10 @@ NAMES = ("X", "U", "P", "V_x", "V_u", "C")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pattern:
-    """Places of the entries of the sparse factors A_c = X + P V_x, B_c = U + P V_u, and of C, row by row."""
+    """Places of the entries of the sparse factors of A_c and B_c, and of C, row by row.
+
+    A_c = X + P V_x,  B_c = U + P V_u: docs/equations.md (15b).
+    """
 
     shapes: tuple[tuple[int, int], ...]  # of the factors, in the order of `NAMES`
     begin: npt.NDArray[np.intp]  # first entry of each row, and the end of the last, (all rows + 1,)
@@ -57,5 +60,5 @@ class Pattern:
         return factor
 
     def numbered(self, name: str) -> Array:
-        """Return a factor with the numbers of its entries among those of all, from 1, as a matrix."""
+        """Return a factor as a matrix of the numbers of its entries among those of all, from 1."""
         return self.dense(np.arange(1.0, len(self.index) + 1.0), name)

@@ -1,4 +1,4 @@
-"""One phase of a maneuver: a straight leg, a table or a curve, and the payload's motion along it."""
+"""One phase of a maneuver, a straight leg, a table or a curve, and the motion along it."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -108,7 +108,7 @@ class Phase:
         return displacement
 
     def formation_steps(self, start_s: float) -> list[FormationStep]:
-        """Return the changes of the formation in a phase that starts at a time of the maneuver, s."""
+        """Return the changes of the formation in a phase that starts at `start_s`."""
         if self.formation is None:
             return []
 
@@ -137,7 +137,7 @@ class Phase:
         return sign * share, sign / span_s * slope
 
     def _progress(self, profile: Profile, t_s: Array) -> tuple[Array, Array]:
-        """Return the share sigma of a straight displacement, (k,), and its rate, (k,), 1/s: (20)."""
+        """Return sigma, the share of a straight displacement, and its rate, 1/s, (k,): (20)."""
         begin_s = 0.0
         span_s = self.duration_s
         if self.kind != "move":  # between the handover of the weight and the other end

@@ -10,7 +10,8 @@ import pytest
 
 from transport.model.arrays import Array
 from transport.model.curves import Curve
-from transport.model.flat import FlatReference, flight
+from transport.model.flat import FlatReference
+from transport.model.flight import flight
 from transport.model.hover import failed_hover, hover, with_released
 from transport.model.linearisation import Model
 from transport.model.maneuver import Maneuver
