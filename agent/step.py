@@ -16,7 +16,7 @@ from transport.model import motors
 from transport.model.arrays import Array, ShapeError
 from transport.model.discretisation import Discrete
 from transport.model.state import input_indices
-from transport.mpc.controller import Controller, StepResult
+from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.cost import CostToGo
 from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.prediction import Linear
@@ -116,7 +116,7 @@ class Planner:
 
         law = controller.law(x0, x_ref, np.zeros_like(U), forces)
         end = controller.end(x0, hover.x, forces)
-        controller.step(x0, hover.u, U, y_ref, law, forces, end=end)
+        controller.step(x0, hover.u, Horizon(U=U, y_ref=y_ref, law=law, end=end), forces)
         self._integrated(x0, hover.u, None)
 
     def begin(self, received: Received) -> Step:

@@ -24,7 +24,7 @@ Status = Literal["solved", "infeasible", "limit", "numerical"]
 RESIDUAL_TOLERANCE = 1e-6
 # A usual QP needs one guess of its active bounds, others two or three; the limit ends a cycle.
 MOST_GUESSES = 8
-_ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
+MOST_ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
 _TOLERANCE = 1e-9  # of DAQP, primal and dual
 _INTERIOR_TOLERANCE = 1e-11  # of Clarabel
 _INFINITY = 1e30  # DAQP's own
@@ -140,10 +140,11 @@ def _compiled_residuals(
     return Residuals(*values.tolist())
 
 
-def solve(qp: QP, solver: SolverName) -> Solution:
+def solve(qp: QP, solver: SolverName, most_iterations: int = MOST_ITERATIONS) -> Solution:
     """Solve by the chosen solver, check the residuals, and use Clarabel as fallback.
 
-    With DAQP the program with bounds alone is tried first. If all fail, return the last failure.
+    With DAQP, limited to a number of iterations, the program with bounds alone is tried first. If
+    all fail, return the last failure.
     """
     if solver == "daqp":
         by_bounds = within_bounds(qp)
@@ -154,7 +155,7 @@ def solve(qp: QP, solver: SolverName) -> Solution:
     if solver == "clarabel":
         return solve_clarabel(qp)
 
-    solution = solve_daqp(qp)
+    solution = solve_daqp(qp, most_iterations)
     if solution.status == "solved":
         return solution
     return replace(solve_clarabel(qp), fallback=True)
@@ -192,15 +193,15 @@ def within_bounds(qp: QP) -> Solution | None:
     if guesses <= 0:
         return None
 
-    found = Residuals(*values.tolist())
-    if found.worst > RESIDUAL_TOLERANCE:
+    checked = Residuals(*values.tolist())
+    if checked.worst > RESIDUAL_TOLERANCE:
         return None
     return Solution(
         status="solved",
         z=z,
         bound_multipliers=multipliers,
         row_multipliers=np.zeros(rows),
-        residuals=found,
+        residuals=checked,
         iterations=guesses,
         solver="active_set",
     )
@@ -208,7 +209,7 @@ def within_bounds(qp: QP) -> Solution | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Answer:
-    """What a solver returns."""
+    """The answer of a solver, not checked yet."""
 
     status: Status
     z: Array
@@ -218,7 +219,7 @@ class _Answer:
     solver: SolverName
 
 
-def solve_daqp(qp: QP) -> Solution:
+def solve_daqp(qp: QP, most_iterations: int = MOST_ITERATIONS) -> Solution:
     """Solve by the dual active-set method of Arnstrom, Bemporad, Axehill 2022."""
     lower = np.maximum(np.concatenate([qp.lower, qp.row_lower]), -_INFINITY)
     upper = np.minimum(np.concatenate([qp.upper, qp.row_upper]), _INFINITY)
@@ -230,7 +231,7 @@ def solve_daqp(qp: QP) -> Solution:
         upper,
         lower,
         sense,
-        iter_limit=_ITERATIONS,
+        iter_limit=most_iterations,
         primal_tol=_TOLERANCE,
         dual_tol=_TOLERANCE,
     )
