@@ -162,7 +162,7 @@ class Loop:
         )
 
     def _issued(self, whole: "_Blocks", now: Array) -> tuple[Array, list[Array]]:
-        """Return the new commands, (m, size), and each agent's guesses of unmeasured coordinates."""
+        """Return the new commands, (m, size), and the agents' guesses of unmeasured coordinates."""
         issued = np.empty((self._system.m, now.shape[1]))
         gone = self._gone[:, 0]
         issued[gone] = self._fail_safe[gone] @ now

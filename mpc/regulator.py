@@ -139,7 +139,7 @@ def _regulator(
 def _problem(
     hovering: HoveringTeam, period_s: float, motor_lag_s: float, further: Array | None
 ) -> _Problem:
-    """Return difference equation and cost about hover in coordinates of the manifold: (33), (45)."""
+    """Return difference equation and cost about hover in coordinates xi: (33), (45)."""
     linear, discrete = _about_hover(hovering, period_s, motor_lag_s)
     team = hovering.team
     m = hovering.model.system.m
