@@ -104,7 +104,7 @@ class System:
 
     @property
     def commands_rates(self) -> bool:
-        """Whether the inputs are thrust and body rates instead of thrust and moments."""
+        """True if the inputs are thrust and body rates instead of thrust and moments."""
         return self.rate_gains is not None
 
     def vector(self) -> Array:

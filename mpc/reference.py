@@ -73,7 +73,7 @@ class Reference:
 
     @property
     def is_flat(self) -> bool:
-        """Whether the team can fly it exactly."""
+        """True if the team can fly it exactly."""
         return isinstance(self._path, FlatReference)
 
     @property
@@ -102,7 +102,7 @@ class Reference:
 
     @property
     def sampled(self) -> Sampled:
-        """What controllers follow at the sampling instants."""
+        """The reference of controllers at the sampling instants."""
         # From the newest reference that has samples, one target after the other.
         pending: list[Reference] = []
         reference = self

@@ -204,7 +204,8 @@ class Recursion:
         X = self._track.X
         x_ahead = X[min(k + 1, len(X) - 1)]
         moved, _ = self._law.hovering.model.integrate(X[k], u_fixed, self._period_s, _STEPS)
-        return _projection(x_ahead) @ (moved - x_ahead)
+        drift: Array = _projection(x_ahead) @ (moved - x_ahead)
+        return drift
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
