@@ -16,7 +16,7 @@ from transport.model import motors
 from transport.model.arrays import Array, ShapeError
 from transport.model.discretisation import Discrete
 from transport.model.state import input_indices
-from transport.mpc.controller import Controller, StepResult
+from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.cost import CostToGo
 from transport.mpc.feedback import FeedbackLaw
 from transport.mpc.prediction import Linear
@@ -116,7 +116,7 @@ class Planner:
 
         law = controller.law(x0, x_ref, np.zeros_like(U), forces)
         end = controller.end(x0, hover.x, forces)
-        controller.step(x0, hover.u, U, y_ref, law, forces, end=end)
+        controller.step(x0, hover.u, Horizon(U=U, y_ref=y_ref, law=law, end=end), forces)
         self._integrated(x0, hover.u, None)
 
     def begin(self, received: Received) -> Step:
@@ -145,15 +145,10 @@ class Planner:
     def _integrated(self, x: Array, u: Array, forces: Array | None) -> Array:
         """Return the state one sampling period later under constant inputs."""
         settings = self._setup.settings
-        x_end, _ = motors.integrate(
-            self._controller.model,
-            x,
-            u,
-            settings.sampling_period_s,
-            STEPS,
-            settings.motor_lag_s,
-            forces,
+        period = motors.Period(
+            duration_s=settings.sampling_period_s, steps=STEPS, lag_s=settings.motor_lag_s
         )
+        x_end, _ = motors.integrate(self._controller.model, x, u, period, forces)
         return x_end
 
     def _problem(self, k: int, start: Start) -> Problem:

@@ -1,1 +1,1 @@
-"""The physics: parameters, rotations, equations of motion, linearisation, discretisation, maneuver. Pure functions."""
+"""The physics as pure functions: equations of motion, linearisation, discretisation, maneuver."""

@@ -30,13 +30,18 @@ def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
         array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name}: expected an array of numbers, got {value!r}") from error
-    if array.ndim != len(shape) or any(
-        want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
-    ):
-        expected, got = (", ".join(map(str, lengths)) for lengths in (shape, array.shape))
-        raise ShapeError(f"{name}: expected shape ({expected.replace('None', 'any')}), got ({got})")
-    if not np.isfinite(array).all():
-        raise ShapeError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
+
+    has_shape = array.ndim == len(shape) and all(
+        length in (None, actual) for length, actual in zip(shape, array.shape, strict=True)
+    )
+    if not has_shape:
+        expected = ", ".join("any" if length is None else str(length) for length in shape)
+        got = ", ".join(map(str, array.shape))
+        raise ShapeError(f"{name}: expected shape ({expected}), got ({got})")
+
+    is_finite = np.isfinite(array)
+    if not is_finite.all():
+        raise ShapeError(f"{name}: expected finite numbers, got {array[~is_finite][0]}")
     frozen(array)
     return array
 
@@ -59,7 +64,9 @@ def padded(rows: Array, columns: int) -> Array:
     The rows themselves if they have as many.
     """
     missing = columns - rows.shape[1]
-    return np.pad(rows, ((0, 0), (0, missing))) if missing else rows
+    if not missing:
+        return rows
+    return np.pad(rows, ((0, 0), (0, missing)))
 
 
 def rows(start: int, steps: int, known: int) -> Rows:
@@ -72,22 +79,24 @@ def rows(start: int, steps: int, known: int) -> Rows:
 def continued(before: T, after: T, kept: int) -> T:
     """Return a dataclass of rows from `first` on with up to `kept` earlier ones ahead.
 
-    Functions are the later.
+    Functions, and digests, are those of the later.
     """
-    first, now = before.first, after.first  # type: ignore[attr-defined]
+    first: int = before.first  # type: ignore[attr-defined]
+    now: int = after.first  # type: ignore[attr-defined]
     count = min(kept, now - first)
 
     def joined(old: Any, new: Any) -> Any:
         if is_dataclass(new):
             names = [field.name for field in fields(new) if field.name != "first"]
-            found = {name: joined(getattr(old, name), getattr(new, name)) for name in names}
-            return replace(new, **found)  # type: ignore[type-var]
+            parts = {name: joined(getattr(old, name), getattr(new, name)) for name in names}
+            return replace(new, **parts)  # type: ignore[type-var]
         if callable(new) or isinstance(new, bytes):
             return new
-        at = rows(now - first - count, count, len(old))
+
+        ahead = rows(now - first - count, count, len(old))
         if isinstance(new, list):
-            return [*(old[i] for i in np.arange(len(old))[at]), *new]
-        both = np.concatenate([old[at], new])
+            return [*(old[i] for i in np.arange(len(old))[ahead]), *new]
+        both = np.concatenate([old[ahead], new])
         frozen(both)
         return both
 

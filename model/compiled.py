@@ -1,7 +1,4 @@
-"""Model functions of a number of UAVs.
-
-Built, or compiled and kept on disk, and called through CasADi's buffers.
-"""
+"""The CasADi functions of the model, compiled and kept on disk, called through buffers."""
 
 import hashlib
 import itertools
@@ -18,10 +15,13 @@ from transport.model.dynamics import Symbols
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
 _FLAGS = ("-Og", "-march=native", "-fno-math-errno", "-ffp-contract=off")
-# A tenth of the code, evaluated tens of times in a step of a controller: worth the time of its
-# compilation. GCC's vectorisation of straight code fuses products and sums of neighbours in spite
-# of the flag above.
-_OFTEN = '#pragma GCC push_options\n#pragma GCC optimize("O2,no-tree-slp-vectorize")\n{}\n#pragma GCC pop_options'
+# Of `step`, a tenth of the code, evaluated tens of times in a step of a controller: worth the time
+# of its compilation. GCC's vectorisation of straight code fuses products and sums of neighbours in
+# spite of the flag above.
+_OPTIMISED = """#pragma GCC push_options
+#pragma GCC optimize("O2,no-tree-slp-vectorize")
+{}
+#pragma GCC pop_options"""
 # Instructions; longer functions stay interpreted, as compilation time grows more than linearly.
 _MAX_LENGTH = 80_000
 
@@ -55,22 +55,26 @@ class Compiled:
     """A CasADi function behind preallocated buffers, arrays in, arrays out; inputs are dense."""
 
     def __init__(self, function: ca.Function) -> None:
+        inputs = range(function.n_in())
+        outputs = range(function.n_out())
         self._buffer, self._evaluate = function.buffer()
-        self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
-        ends = np.cumsum([0, *(function.nnz_out(i) for i in range(function.n_out()))]).tolist()
-        self.parts = [
-            slice(begin, end) for begin, end in itertools.pairwise(ends)
-        ]  # of the outputs in that of `flat`
+        self._arguments = [np.zeros(function.numel_in(i)) for i in inputs]
+
+        # Places of the outputs in the array that `flat` returns.
+        ends = np.cumsum([0, *(function.nnz_out(i) for i in outputs)]).tolist()
+        self.parts = [slice(begin, end) for begin, end in itertools.pairwise(ends)]
+        self._results = np.zeros(ends[-1])
+
         # Matrices, as opposed to vectors and the nonzero entries of sparse outputs; CasADi is
         # column-major.
-        self._matrices = [
-            (i, function.size_out(i))
-            for i in range(function.n_out())
-            if function.sparsity_out(i).is_dense() and function.size2_out(i) != 1
-        ]
-        self._results = np.zeros(ends[-1])
+        self._matrices = []
+        for i in outputs:
+            if function.sparsity_out(i).is_dense() and function.size2_out(i) != 1:
+                self._matrices.append((i, function.size_out(i)))
+
         for i, argument in enumerate(self._arguments):
-            self._buffer.set_arg(i, argument.data)  # type: ignore[call-arg]  # the generated annotation is wrong
+            # The generated annotation is wrong, as that of set_res.
+            self._buffer.set_arg(i, argument.data)  # type: ignore[call-arg]
         for i, part in enumerate(self.parts):
             self._buffer.set_res(i, self._results[part].data)  # type: ignore[call-arg]
 
@@ -80,10 +84,10 @@ class Compiled:
         Vectors for single columns, the nonzero entries of sparse ones by column.
         """
         flat = self.flat(*arguments)
-        found = [flat[part] for part in self.parts]
+        outputs = [flat[part] for part in self.parts]
         for i, shape in self._matrices:
-            found[i] = found[i].reshape(shape, order="F")
-        return found
+            outputs[i] = outputs[i].reshape(shape, order="F")
+        return outputs
 
     def flat(self, *arguments: Array | float) -> Array:
         """Return the entries of all outputs in one new array; `parts` are their places."""
@@ -98,26 +102,31 @@ def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
 
     Compiled if on disk.
 
-    derivative, tensions, sensed (x, u, p, F) and velocities, outputs (x, p) return what they say;
-    further ones are linearise (x, u, p, F) -> x', y, and, sparse and transposed, the factors of
-    `model.linearisation.Pattern` step (x, u, p, F, h) -> x after h seconds of constant u and F by
-    one Dormand-Prince step and projection of the rods, and the local error estimate before
-    projection sense (x, u, p, F) -> measurements y of the UAVs' own sensors, and their derivatives
-    in parts: those by (x, F) with the payload's acceleration held, sparse, by that acceleration,
-    and its own by (x, F)
+    derivative, tensions, sensed (x, u, p, F): x', the rod tensions, the UAVs' measurements
+    velocities, outputs (x, p): velocities of the centres of mass, y
+    linearise (x, u, p, F): x', y, and, sparse and transposed, the factors of `model.pattern`
+    step (x, u, p, F, h): x after h seconds of constant u and F by one Dormand-Prince step and
+        projection of the rods, and the local error estimate before projection
+    sense (x, u, p, F): measurements y of the UAVs' own sensors, and their derivatives in parts:
+        those by (x, F) with the payload's acceleration held, sparse, by that acceleration, and its
+        own by (x, F)
     """
     return _loaded(N, rates, library(N, rates))
 
 
 @lru_cache(maxsize=4)
 def _loaded(N: int, rates: bool, path: Path | None) -> dict[str, ca.Function]:
+    """Return the functions in a library, and those that it lacks as built by CasADi."""
     compiled: dict[str, ca.Function] = {}
     if path is not None:
         importer = ca.Importer(str(path), "dll")
-        compiled = {
-            name: ca.external(name, importer) for name in _FUNCTIONS if importer.has_function(name)
-        }
-    return compiled if len(compiled) == len(_FUNCTIONS) else _build(N, rates) | compiled
+        for name in _FUNCTIONS:
+            if importer.has_function(name):
+                compiled[name] = ca.external(name, importer)
+
+    if len(compiled) == len(_FUNCTIONS):
+        return compiled
+    return _build(N, rates) | compiled
 
 
 def needs_compilation(N: int, rates: bool = False) -> bool:
@@ -134,11 +143,12 @@ def compile_functions(N: int, rates: bool = False) -> bool:
     Return whether they are.
     """
     if needs_compilation(N, rates):
-        sources = [
-            _OFTEN.format(_source(function)) if name == "step" else _source(function)
-            for name, function in functions(N, rates).items()
-            if function.n_instructions() <= _MAX_LENGTH
-        ]
+        sources = []
+        for name, function in functions(N, rates).items():
+            if function.n_instructions() > _MAX_LENGTH:
+                continue
+            source = _source(function)
+            sources.append(_OPTIMISED.format(source) if name == "step" else source)
         compiler.compile_library(_file(N, rates), "\n".join(sources).encode(), _FLAGS)
     return library(N, rates) is not None
 
@@ -150,12 +160,14 @@ def library(N: int, rates: bool) -> Path | None:
 
 
 def _file(N: int, rates: bool) -> Path:
-    return compiler.compiled_file(f"model-{'rates-' if rates else ''}N{N}", _digest(), _FLAGS)
+    """Return the path of the library of a system of N UAVs."""
+    inputs = "rates-" if rates else ""
+    return compiler.compiled_file(f"model-{inputs}N{N}", _digest(), _FLAGS)
 
 
 @lru_cache
 def _digest() -> bytes:
-    """Return a hash of all code that determines the functions, as it is when this process first asks."""
+    """Return a hash of all code that determines the functions, as this process first finds it."""
     files = __file__, dynamics.__file__, rotations.__file__, state.__file__
     sources = [Path(str(file)).read_bytes() for file in files]
     return hashlib.sha256(b"".join([ca.CasadiMeta.version().encode(), *sources])).digest()
@@ -173,78 +185,110 @@ def _source(function: ca.Function) -> str:
 
 @lru_cache(maxsize=2)
 def _build(N: int, rates: bool) -> dict[str, ca.Function]:
+    """Return all functions of N UAVs as CasADi evaluates them."""
     s = Symbols.of(N, rates)
+    arguments = [s.x, s.u, s.p, s.F]
     motion = dynamics.motion(s)
     y = dynamics.outputs(s)
+    derivative = ca.Function("derivative", arguments, [motion.derivative])
     sense = _sense(s, motion)
-    f = ca.Function("derivative", [s.x, s.u, s.p, s.F], [motion.derivative])
+    sensed = sense.call(arguments, True, False)[:1]
     return {
-        "derivative": f,
-        "tensions": ca.Function("tensions", [s.x, s.u, s.p, s.F], [motion.tensions]),
+        "derivative": derivative,
+        "tensions": ca.Function("tensions", arguments, [motion.tensions]),
         "velocities": ca.Function("velocities", [s.x, s.p], [dynamics.velocities(s)]),
         "outputs": ca.Function("outputs", [s.x, s.p], [y]),
         "linearise": _linearise(s, motion, y),
-        "step": _step(s, f),
+        "step": _step(s, derivative),
         "sense": sense,
-        "sensed": ca.Function(
-            "sensed", [s.x, s.u, s.p, s.F], sense.call([s.x, s.u, s.p, s.F], True, False)[:1]
-        ),
+        "sensed": ca.Function("sensed", arguments, sensed),
     }
 
 
 def _sense(s: Symbols, motion: dynamics.Motion) -> ca.Function:
-    """Return the measurements, and as in `_linearise` their derivatives with a held, by a, and those of a."""
-    a, wrt = ca.SX.sym("a", 6), ca.vertcat(s.x, s.F)
+    """Return the measurements and their derivatives by (x, F): (61).
+
+    The payload's acceleration a is held as in `_linearise`: dy = dy/d(x, F) + dy/da da/d(x, F).
+    """
+    a = ca.SX.sym("a", 6)
+    wrt = ca.vertcat(s.x, s.F)
     given = dynamics.motion(s, a)
     y = dynamics.sensed(s, given.tensions)
-    by_acceleration = dynamics.solve_positive_definite(
-        motion.mass, ca.jacobian(given.unbalanced, wrt)
-    )
-    found = ca.substitute(
-        [y, ca.jacobian(y, wrt), ca.jacobian(y, a), by_acceleration], [a], [motion.acceleration]
-    )
-    return ca.Function(
-        "sense", [s.x, s.u, s.p, s.F], [ca.densify(found[0]), found[1], *map(ca.densify, found[2:])]
-    )
+
+    # da/d(x, F) = M^-1 d(b - M a)/d(x, F), a held.
+    unbalanced = ca.jacobian(given.unbalanced, wrt)
+    a_wrt = dynamics.solve_positive_definite(motion.mass, unbalanced)
+
+    parts = [y, ca.jacobian(y, wrt), ca.jacobian(y, a), a_wrt]
+    y, y_wrt, y_a, a_wrt = ca.substitute(parts, [a], [motion.acceleration])
+    results = [ca.densify(y), y_wrt, ca.densify(y_a), ca.densify(a_wrt)]
+    return ca.Function("sense", [s.x, s.u, s.p, s.F], results)
 
 
 def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
-    """Return the parts of `model.linearisation.Linearisation`.
+    """Return x', y, the factors of `model.linearisation.Linearisation`, and C: (15)-(15b).
 
-    A solves M a = b, so a' is M^-1 (b - M a)', a held.
+    Factors are transposed, so that their entries follow row by row.
     """
-    a, Pi = ca.SX.sym("a", 6), dynamics.projection(s.x, s.N)
+    C = ca.jacobian(y, s.x)
+    transposed = [ca.sparsify(factor).T for factor in [*_factors(s, motion), C]]
+    results = [ca.densify(motion.derivative), ca.densify(y), *transposed]
+    return ca.Function("linearise", [s.x, s.u, s.p, s.F], results)
+
+
+def _factors(s: Symbols, motion: dynamics.Motion) -> list[ca.SX]:
+    """Return X, U, P, V_x and V_u of A_c = X + P V_x, B_c = U + P V_u: (15b).
+
+    g(x, u, a) is the derivative under a given acceleration a of the payload, which solves M a = b.
+    """
+    a = ca.SX.sym("a", 6)
+    Pi = dynamics.projection(s.x, s.N)
     given = dynamics.motion(s, a)
-    direct, pushed = (
-        given.derivative,
-        [ca.jacobian(given.unbalanced, s.x) @ Pi, ca.jacobian(given.unbalanced, s.u)],
-    )
-    by_acceleration = dynamics.solve_positive_definite(motion.mass, ca.horzcat(*pushed))
-    parts = [ca.jacobian(direct, s.x) @ Pi, ca.jacobian(direct, s.u), ca.jacobian(direct, a)]
-    parts += [by_acceleration[:, : s.x.numel()], by_acceleration[:, s.x.numel() :]]
-    parts = [*ca.substitute(parts, [a], [motion.acceleration]), ca.jacobian(y, s.x)]
-    # Transposed: row by row.
-    found = [motion.derivative, y, *(ca.sparsify(part).T for part in parts)]
-    return ca.Function(
-        "linearise", [s.x, s.u, s.p, s.F], [ca.densify(found[0]), ca.densify(y), *found[2:]]
-    )
+    g = given.derivative
+
+    # [V_x, V_u] = M^-1 d(b - M a)/d(x, u), a held.
+    by_state = ca.jacobian(given.unbalanced, s.x) @ Pi
+    by_input = ca.jacobian(given.unbalanced, s.u)
+    V = dynamics.solve_positive_definite(motion.mass, ca.horzcat(by_state, by_input))
+    n = s.x.numel()
+    V_x = V[:, :n]
+    V_u = V[:, n:]
+
+    X = ca.jacobian(g, s.x) @ Pi
+    U = ca.jacobian(g, s.u)
+    P = ca.jacobian(g, a)
+    factors: list[ca.SX] = ca.substitute([X, U, P, V_x, V_u], [a], [motion.acceleration])
+    return factors
 
 
 def _step(s: Symbols, f: ca.Function) -> ca.Function:
-    """Return one Dormand-Prince step.
+    """Return one Dormand-Prince step: (13a), (13b).
 
     The derivative is called, not repeated, so that the code stays short.
     """
-    x, u, p, F = (ca.MX.sym(name, getattr(s, name).numel()) for name in ("x", "u", "p", "F"))
-    h, slopes = ca.MX.sym("h"), list[ca.MX]()
+    x = ca.MX.sym("x", s.x.numel())
+    u = ca.MX.sym("u", s.u.numel())
+    p = ca.MX.sym("p", s.p.numel())
+    F = ca.MX.sym("F", s.F.numel())
+    h = ca.MX.sym("h")
+
+    # x'_j = f(x + h sum_l a_jl x'_l, u)
+    slopes: list[ca.MX] = []
     for coefficients in _DP_STAGES:
         slopes.append(f(x + _weighted(h, coefficients, slopes), u, p, F))
+
+    # x+ = x + h sum_j b_j x'_j,  error = h sum_j (b_j - b_j^(4)) x'_j
     fifth = x + _weighted(h, _DP_FIFTH, slopes)
-    error = _weighted(h, [b5 - b4 for b5, b4 in zip(_DP_FIFTH, _DP_FOURTH, strict=True)], slopes)
+    differences = [b5 - b4 for b5, b4 in zip(_DP_FIFTH, _DP_FOURTH, strict=True)]
+    error = _weighted(h, differences, slopes)
+
     project = ca.Function("project", [s.x], [dynamics.project(s.x, s.N)])
     return ca.Function("step", [x, u, p, F, h], [project(fifth), error])
 
 
 def _weighted(h: ca.MX, coefficients: Sequence[float], slopes: Sequence[ca.MX]) -> ca.MX:
+    """Return h times the weighted sum of slopes; weights of zero are left out."""
     terms = [b * slope for b, slope in zip(coefficients, slopes, strict=True) if b]
-    return h * sum(terms[1:], start=terms[0]) if terms else ca.MX(0)
+    if not terms:
+        return ca.MX(0)
+    return h * sum(terms[1:], start=terms[0])

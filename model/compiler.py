@@ -73,19 +73,23 @@ def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
     """
     if intact(path):
         return True
+
     compiler = find_compiler()
     if compiler is None:
         return False
+
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
             library = Path(folder) / path.name
-            command = [compiler, *_COMMON, *flags, "-o", str(library), "-x", "c", "-", "-lm"]
+            from_input = ["-x", "c", "-", "-lm"]
+            command = [compiler, *_COMMON, *flags, "-o", str(library), *from_input]
             subprocess.run(
                 command, input=source, check=True, capture_output=True, timeout=_TIMEOUT_S
             )
             checksum = _checksum_file(library)
             checksum.write_text(_checksum(library.read_bytes()), encoding="utf-8")
+
             # Other processes see each file in full or not at all; a library without its checksum
             # is compiled again.
             os.replace(checksum, _checksum_file(path))
@@ -106,7 +110,7 @@ def _checksum(library: bytes) -> str:
 
 
 def _checksum_file(path: Path) -> Path:
-    """Return the file beside a library that has its hash: a library cut by a full disk has another."""
+    """Return the file with a library's hash: a library that a full disk cut has another."""
     return path.with_name(f"{path.name}.sha256")
 
 

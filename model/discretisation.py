@@ -35,33 +35,55 @@ def zero_order_hold(
     *,
     remainder: float = _REMAINDER,
 ) -> Discrete:
-    """Discretise exactly over a period, s: (16)-(17); A and B of a known one, for another f, stay.
+    """Discretise exactly over a period, s.
 
+    A and B of a known hold are kept, and only the drift of another f is computed.
     Raises: ShapeError: A_c is not finite, or too large for exp(A_c T_s).
+    Source: docs/equations.md (16), (17).
     """
     if not native.AVAILABLE:
-        return _zero_order_hold(linear, period_s)
-    at, sizes = native.at, (*linear.pattern.shapes[1], linear.pattern.shapes[2][1])
-    A, B, f_d = np.empty((sizes[0], sizes[0])), np.empty(sizes[:2]), np.empty(sizes[0])
+        return by_exponential(linear, period_s)
+
+    n, m = linear.pattern.shapes[1]
+    _, accelerations = linear.pattern.shapes[2]
+    sizes = n, m, accelerations
+    A = np.empty((n, n))
+    B = np.empty((n, m))
+    f_d = np.empty(n)
+
     theta = native.KERNELS.zero_order_hold(
-        *sizes, *linear.pattern.addresses, at(linear.values), at(linear.f), period_s, _THETA_MAX, _THETA_POSSIBLE,
-        remainder, known is not None, at(A), at(B), at(f_d),
+        *sizes,
+        *linear.pattern.addresses,
+        native.address(linear.values),
+        native.address(linear.f),
+        period_s,
+        _THETA_MAX,
+        _THETA_POSSIBLE,
+        remainder,
+        known is not None,
+        native.address(A),
+        native.address(B),
+        native.address(f_d),
         native.work("hold", native.KERNELS.zero_order_hold_work(*sizes)),
-    )  # fmt: skip
+    )
     _check_growth(theta, period_s)
-    return Discrete(A=A, B=B, f_d=f_d) if known is None else Discrete(A=known.A, B=known.B, f_d=f_d)
+    if known is None:
+        return Discrete(A=A, B=B, f_d=f_d)
+    return Discrete(A=known.A, B=known.B, f_d=f_d)
 
 
-def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
+def by_exponential(linear: Linearisation, period_s: float) -> Discrete:
+    """Return the hold as the exponential of the augmented matrix: [A B f_d] of (16)."""
     from scipy.linalg import expm  # 0.3 s at start, only without compiled kernels
 
-    n, m = linear.B_c.shape
+    # theta of (17): the largest column sums of |X|^2 and |X|^3.
     X = np.abs(linear.A_c) * period_s
     with np.errstate(over="ignore", invalid="ignore"):
         sums = X.sum(axis=0) @ X
-        _check_growth(
-            float(np.maximum(sums.max() ** (1 / 2), (sums @ X).max() ** (1 / 3))), period_s
-        )
+        theta = np.maximum(sums.max() ** (1 / 2), (sums @ X).max() ** (1 / 3))
+        _check_growth(float(theta), period_s)
+
+    n, m = linear.B_c.shape
     augmented = np.zeros((n + m + 1, n + m + 1))
     augmented[:n] = np.column_stack([linear.A_c, linear.B_c, linear.f])
     held = expm(augmented * period_s)[:n]
@@ -84,6 +106,7 @@ def euler(linear: Linearisation, period_s: float) -> Discrete:
 
 
 def _check_growth(theta: float, period_s: float) -> None:
+    """Check that the exponential of A_c T_s is finite. Raises: ShapeError."""
     if not theta <= _THETA_POSSIBLE:
         growth = f"growth by exp({theta:g}) in {period_s:g} s"
         raise ShapeError(f"A_c: expected finite numbers with a finite exponential, got {growth}")

@@ -4,11 +4,28 @@ A 6 x 6 system in the payload's acceleration (docs/equations.md).
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 
 from transport.model import state
 from transport.model.rotations import euler_rates, rotation
+
+
+class PayloadSymbols(NamedTuple):
+    """Parameters of the payload."""
+
+    mass: ca.SX  # m_0, kg
+    inertia: ca.SX  # J_0, (3, 3), payload frame, kg m^2
+
+
+class UavSymbols(NamedTuple):
+    """Parameters of a UAV and its rod."""
+
+    mass: ca.SX  # m_i, kg
+    inertia: ca.SX  # J_i, (3, 3), body frame, kg m^2
+    rho: ca.SX  # attachment point, (3,), payload frame, m
+    length: ca.SX  # l_i of the rod, m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,8 +35,7 @@ class Symbols:
     State x, input u, parameters p and external forces F (payload, UAVs), N.
 
     p holds g, m0, the upper triangle of J0, and for each UAV m_i, the upper triangle of J_i, rho_i,
-    l_i
-    (`System.vector`), then the gains of inner loops on body rates.
+    l_i (`System.vector`), then the gains of inner loops on body rates.
     """
 
     N: int
@@ -31,20 +47,32 @@ class Symbols:
 
     @staticmethod
     def of(N: int, rates: bool = False) -> "Symbols":
-        """Return new symbols for N UAVs whose inputs are thrust and moments, or thrust and commanded body rates."""
-        sizes = {"x": 12 + 12 * N, "u": 4 * N, "p": 8 + 11 * N + 3 * rates, "F": 3 + 3 * N}
+        """Return new symbols for N UAVs.
+
+        Their inputs are thrust and moments, or thrust and commanded body rates.
+        """
         return Symbols(
-            N, **{name: ca.SX.sym(name, size) for name, size in sizes.items()}, rates=rates
+            N=N,
+            x=ca.SX.sym("x", 12 + 12 * N),
+            u=ca.SX.sym("u", 4 * N),
+            p=ca.SX.sym("p", 8 + 11 * N + 3 * rates),
+            F=ca.SX.sym("F", 3 + 3 * N),
+            rates=rates,
         )
 
-    def payload(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """g (m/s^2), m0 (kg), J0 (3, 3, payload frame, kg m^2)."""
-        return self.p[0], self.p[1], _symmetric(self.p[2:8])
+    @property
+    def gravity(self) -> ca.SX:
+        """g, m/s^2."""
+        return self.p[0]
 
-    def uav(self, i: int) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """m_i (kg), J_i (3, 3, kg m^2), rho_i (3, m), l_i (m) of UAV i (0-based)."""
+    def payload(self) -> PayloadSymbols:
+        """Return the parameters of the payload."""
+        return PayloadSymbols(mass=self.p[1], inertia=_symmetric(self.p[2:8]))
+
+    def uav(self, i: int) -> UavSymbols:
+        """Return the parameters of UAV i (0-based)."""
         q = self.p[8 + 11 * i : 8 + 11 * (i + 1)]
-        return q[0], _symmetric(q[1:7]), q[7:10], q[10]
+        return UavSymbols(mass=q[0], inertia=_symmetric(q[1:7]), rho=q[7:10], length=q[10])
 
     def force(self, body: int) -> ca.SX:
         """External force on the payload (0) or on UAV 1..N, (3,), inertial frame, N."""
@@ -57,12 +85,19 @@ class Motion:
 
     derivative: ca.SX  # x' = f(x, u, F), (12 + 12 N,)
     tensions: ca.SX  # (N,), positive when the rod pulls
-    # Payload's acceleration and angular acceleration, payload frame, (6,): all that a UAV and its
-    # rod notice of the other UAVs; M of the equation M acceleration = b, (6, 6); b - M
-    # acceleration, zero unless that is given, (6,).
+    # Payload's acceleration and angular acceleration alpha, payload frame, (6,): all that a UAV and
+    # its rod notice of the other UAVs.
     acceleration: ca.SX
-    mass: ca.SX
-    unbalanced: ca.SX
+    mass: ca.SX  # M of the equation M alpha = b, (6, 6)
+    unbalanced: ca.SX  # b - M alpha, zero unless alpha is given, (6,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Balance:
+    """The equation M alpha = b of the payload's acceleration alpha, (6,): (11)."""
+
+    M: ca.SX  # (6, 6)
+    b: ca.SX  # (6,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,66 +111,97 @@ class _Rod:
     Omega: ca.SX  # angular velocity, (3,)
     s_P: ca.SX  # specific force of the UAV without rod, (3,)
     centripetal: ca.SX  # omega0 x (omega0 x rho), (3,)
-    along: ca.SX  # tension per mass with the payload at rest
-    wrench: ca.SX  # force and moment on the payload per tension, (6,)
+    along: ca.SX  # kappa of (11): tension per mass with the payload at rest
+    wrench: ca.SX  # w of (11): force and moment on the payload per tension, (6,)
 
 
 def motion(symbols: Symbols, given: ca.SX | None = None) -> Motion:
     """Return the right-hand side, also under a given payload acceleration, (6,).
 
-    The payload's acceleration a0 = v0' + omega0 x v0 and omega0' solve a 6 x 6 system, M [a0,
-    omega0'] = b, to which every UAV adds m w w' and -m along w, with w = [e, rho x e].
+    The payload's acceleration alpha = [a0, omega0'], a0 = v0' + omega0 x v0, solves a 6 x 6
+    system.
     Source: docs/equations.md (4)-(13), (37), (57).
     """
-    x, N = symbols.x, symbols.N
-    v0, omega0 = x[state.V0], x[state.OMEGA0]
-    R0 = rotation(x[state.THETA0])
-    g, m0, J0 = symbols.payload()
-    g_P = g * R0[2, :].T  # gravity in the payload frame
+    R0 = rotation(symbols.x[state.THETA0])
+    g_P = symbols.gravity * R0[2, :].T  # gravity in the payload frame
 
-    # The payload alone.
-    payload_M = ca.diagcat(m0 * ca.SX.eye(3), J0)
-    payload_force = m0 * g_P + R0.T @ symbols.force(0)
-    payload_b = ca.vertcat(payload_force, -ca.cross(omega0, J0 @ omega0))
-
-    rods = [_rod(symbols, i, R0, g_P) for i in range(N)]
-    M = payload_M
-    b = payload_b
-    for rod in rods:
-        M = M + rod.m * (rod.wrench @ rod.wrench.T)
-        b = b - rod.m * rod.along * rod.wrench
-    solved = solve_positive_definite(M, b)
+    alone = _payload_alone(symbols, R0, g_P)
+    rods = [_rod(symbols, i, R0, g_P) for i in range(symbols.N)]
+    balance = _with_rods(alone, rods)
+    solved = solve_positive_definite(balance.M, balance.b)
     acceleration = solved if given is None else given
-    a0, omega0_dot = acceleration[:3], acceleration[3:]
 
-    derivative = [
-        R0 @ v0,
-        a0 - ca.cross(omega0, v0),
-        euler_rates(x[state.THETA0]) @ omega0,
-        omega0_dot,
-    ]
+    # T_i = m_i (w_i' alpha + kappa_i); what it leaves of the payload's own balance: (11).
     tensions = []
-    unbalanced = payload_b - payload_M @ acceleration
-    for i, rod in enumerate(rods):
-        derivative += _uav_derivative(symbols, i, rod, acceleration)
+    unbalanced = alone.b - alone.M @ acceleration
+    for rod in rods:
         tension = rod.m * (rod.along + ca.dot(rod.wrench, acceleration))
         tensions.append(tension)
         unbalanced = unbalanced - tension * rod.wrench
+
+    derivative = _payload_derivative(symbols, R0, acceleration)
+    for i, rod in enumerate(rods):
+        derivative += _uav_derivative(symbols, i, rod, acceleration)
     return Motion(
         derivative=ca.vertcat(*derivative),
         tensions=ca.vertcat(*tensions),
         acceleration=solved,
-        mass=M,
+        mass=balance.M,
         unbalanced=unbalanced,
     )
 
 
+def _payload_alone(symbols: Symbols, R0: ca.SX, g_P: ca.SX) -> _Balance:
+    """Return the payload's balance without rods.
+
+    M = [m0 I, 0; 0, J0],  b = [m0 g R0'k + R0'F_0, -omega0 x J0 omega0]: (11), (37).
+    """
+    payload = symbols.payload()
+    omega0 = symbols.x[state.OMEGA0]
+
+    force = payload.mass * g_P + R0.T @ symbols.force(0)
+    gyroscopic = -ca.cross(omega0, payload.inertia @ omega0)
+    M = ca.diagcat(payload.mass * ca.SX.eye(3), payload.inertia)
+    return _Balance(M=M, b=ca.vertcat(force, gyroscopic))
+
+
+def _with_rods(alone: _Balance, rods: list[_Rod]) -> _Balance:
+    """Return the balance with rods: M += m_i w_i w_i',  b -= m_i kappa_i w_i: (11)."""
+    M = alone.M
+    b = alone.b
+    for rod in rods:
+        M = M + rod.m * (rod.wrench @ rod.wrench.T)
+        b = b - rod.m * rod.along * rod.wrench
+    return _Balance(M=M, b=b)
+
+
+def _payload_derivative(symbols: Symbols, R0: ca.SX, acceleration: ca.SX) -> list[ca.SX]:
+    """Return the derivatives of the payload's states.
+
+    r0' = R0 v0,  v0' = a0 - omega0 x v0,  Theta0' = E omega0,  and omega0': (4), (12).
+    """
+    x = symbols.x
+    v0 = x[state.V0]
+    omega0 = x[state.OMEGA0]
+    return [
+        R0 @ v0,
+        acceleration[:3] - ca.cross(omega0, v0),
+        euler_rates(x[state.THETA0]) @ omega0,
+        acceleration[3:],
+    ]
+
+
 def _rod(symbols: Symbols, i: int, R0: ca.SX, g_P: ca.SX) -> _Rod:
-    """Return a UAV and its rod, 0-based: s = g - f/m R0' R_i b3 + R0' F_i / m, (8)-(10), (37)."""
+    """Return a UAV and its rod, 0-based.
+
+    s = g R0'k - f/m R0' R_i k + R0' F_i / m,
+    kappa = e . (omega0 x (omega0 x rho) - s) + l |Omega|^2,  w = [e, rho x e]: (6), (11), (37).
+    """
     m, _, rho, length = symbols.uav(i)
     omega0 = symbols.x[state.OMEGA0]
     block = symbols.x[state.uav_slice(i)]
-    e, Omega = block[state.E], block[state.ROD_RATE]
+    e = block[state.E]
+    Omega = block[state.ROD_RATE]
     thrust = symbols.u[state.INPUTS * i]
 
     # Specific force without rod: gravity, lift along -b3 of the body, external force.
@@ -162,7 +228,7 @@ def _uav_derivative(symbols: Symbols, i: int, rod: _Rod, acceleration: ca.SX) ->
     omega' = J^-1 (tau - omega x J omega), or by the inner loop K (command - omega)
     Source: docs/equations.md (5), (6), (12), (13), (57).
     """
-    J = symbols.uav(i)[1]
+    J = symbols.uav(i).inertia
     omega0 = symbols.x[state.OMEGA0]
     block = symbols.x[state.uav_slice(i)]
     omega = block[state.OMEGA]
@@ -187,11 +253,16 @@ def _uav_derivative(symbols: Symbols, i: int, rod: _Rod, acceleration: ca.SX) ->
 def uav_positions(symbols: Symbols) -> list[ca.SX]:
     """Return r_i = r0 + R0 (rho_i - l_i e_i) for each UAV, (3,), inertial frame, m.
 
-    Source: paper (1).
+    Source: docs/equations.md (14); paper (1).
     """
-    x, R0 = symbols.x, rotation(symbols.x[state.THETA0])
-    bodies = [(x[state.uav_slice(i)][state.E], *symbols.uav(i)) for i in range(symbols.N)]
-    return [x[state.R0] + R0 @ (rho - length * e) for e, _, _, rho, length in bodies]
+    x = symbols.x
+    R0 = rotation(x[state.THETA0])
+    positions = []
+    for i in range(symbols.N):
+        uav = symbols.uav(i)
+        e = x[state.uav_slice(i)][state.E]
+        positions.append(x[state.R0] + R0 @ (uav.rho - uav.length * e))
+    return positions
 
 
 def velocities(symbols: Symbols) -> ca.SX:
@@ -200,18 +271,25 @@ def velocities(symbols: Symbols) -> ca.SX:
     Source: docs/equations.md (39).
     """
     x = symbols.x
-    R0, v0, omega0 = rotation(x[state.THETA0]), x[state.V0], x[state.OMEGA0]
+    R0 = rotation(x[state.THETA0])
+    v0 = x[state.V0]
+    omega0 = x[state.OMEGA0]
+
+    # R0 v0, and R0 (v0 + omega0 x rho_i - l_i Omega_i x e_i) of each UAV.
     rows: list[ca.SX] = [(R0 @ v0).T]
     for i in range(symbols.N):
-        _, _, rho, length = symbols.uav(i)
+        uav = symbols.uav(i)
         block = x[state.uav_slice(i)]
-        swing = length * ca.cross(block[state.ROD_RATE], block[state.E])
-        rows.append((R0 @ (v0 + ca.cross(omega0, rho) - swing)).T)
+        swing = uav.length * ca.cross(block[state.ROD_RATE], block[state.E])
+        rows.append((R0 @ (v0 + ca.cross(omega0, uav.rho) - swing)).T)
     return ca.vertcat(*rows)
 
 
 def outputs(symbols: Symbols) -> ca.SX:
-    """Return y = h(x) = [r_1..r_N, Theta_0, yaw rates of UAVs, r_0, r_0'], (4 N + 9), SI, inertial: paper (12)."""
+    """Return y = h(x) = [r_1..r_N, Theta_0, yaw rates of UAVs, r_0, r_0'], (4 N + 9), SI, inertial.
+
+    Source: docs/equations.md (14); paper (12).
+    """
     x = symbols.x
     yaw_rates = [x[state.uav_slice(i)][state.OMEGA][2] for i in range(symbols.N)]
     payload = [x[state.R0], rotation(x[state.THETA0]) @ x[state.V0]]
@@ -219,26 +297,34 @@ def outputs(symbols: Symbols) -> ca.SX:
 
 
 def sensed(symbols: Symbols, tensions: ca.SX) -> ca.SX:
-    """Return what the UAVs' own sensors measure under tensions, (15 N,), as in `model.state`.
+    """Return the measurements of the UAVs' own sensors under tensions, (15 N,).
 
-    Equations.md (61).
+    In the order of `model.state`.
+    Source: docs/equations.md (61).
     """
-    x, velocity, found = symbols.x, velocities(symbols), list[ca.SX]()
+    x = symbols.x
     R0 = rotation(x[state.THETA0])
+    velocity = velocities(symbols)
+    measured: list[ca.SX] = []
     for i, position in enumerate(uav_positions(symbols)):
-        block, m = x[state.uav_slice(i)], symbols.uav(i)[0]
+        block = x[state.uav_slice(i)]
+
+        # Specific force (R_i'(T_i R0 e_i + F_i) - f_i b3) / m_i, body frame.
         pull = R0 @ block[state.E] * tensions[i] + symbols.force(i + 1)
         lift = ca.vertcat(0.0, 0.0, symbols.u[state.INPUTS * i])
-        force = (rotation(block[state.THETA]).T @ pull - lift) / m
-        found += [position, velocity[i + 1, :].T, block[state.THETA], block[state.OMEGA], force]
-    return ca.vertcat(*found)
+        specific_force = (rotation(block[state.THETA]).T @ pull - lift) / symbols.uav(i).mass
+
+        measured += [position, velocity[i + 1, :].T, block[state.THETA], block[state.OMEGA]]
+        measured.append(specific_force)
+    return ca.vertcat(*measured)
 
 
 def project(x: ca.SX, N: int) -> ca.SX:
-    """Return the state with the rods projected back onto |e_i| = 1 and e_i . Omega_i = 0."""
+    """Return the state with the rods projected back onto |e_i| = 1 and e_i . Omega_i = 0: (13a)."""
     parts = [x[: state.PAYLOAD]]
     for i in range(N):
         block = x[state.uav_slice(i)]
+        # e <- e / |e|,  Omega <- Omega - e (e . Omega)
         e = block[state.E] / ca.norm_2(block[state.E])
         Omega = block[state.ROD_RATE]
         parts += [e, Omega - e * ca.dot(e, Omega), block[state.THETA], block[state.OMEGA]]
@@ -253,7 +339,10 @@ def projection(x: ca.SX, N: int) -> ca.SX:
     parts = [ca.SX.eye(state.PAYLOAD)]
     for i in range(N):
         block = x[state.uav_slice(i)]
-        e, Omega = block[state.E], block[state.ROD_RATE]
+        e = block[state.E]
+        Omega = block[state.ROD_RATE]
+
+        # Pi_i = [I - e e', 0; -e Omega', I - e e']
         across = ca.SX.eye(3) - e @ e.T
         rod = ca.vertcat(ca.horzcat(across, ca.SX(3, 3)), ca.horzcat(-e @ Omega.T, across))
         parts += [rod, ca.SX.eye(state.PER_UAV - 6)]
@@ -261,25 +350,32 @@ def projection(x: ca.SX, N: int) -> ca.SX:
 
 
 def _symmetric(upper: ca.SX) -> ca.SX:
+    """Return a symmetric matrix, (3, 3), by its upper triangle, (6,)."""
     xx, xy, xz, yy, yz, zz = ca.vertsplit(upper)
     return ca.vertcat(ca.horzcat(xx, xy, xz), ca.horzcat(xy, yy, yz), ca.horzcat(xz, yz, zz))
 
 
 def solve_positive_definite(M: ca.SX, b: ca.SX) -> ca.SX:
-    """Return M^-1 b, (size, columns), by an unrolled L D L^T factorisation.
+    """Return M^-1 b, (size, columns), by an unrolled L D L' factorisation.
 
-    Short, exact derivatives.
+    Its expressions are short and have exact derivatives.
     """
     size = M.shape[0]
+
+    # D_j = M_jj - sum_k L_jk^2 D_k,  L_ij = (M_ij - sum_k L_ik L_jk D_k) / D_j,  k < j
     L = [[ca.SX(0)] * size for _ in range(size)]
     D: list[ca.SX] = []
     for j in range(size):
         D.append(M[j, j] - sum(L[j][k] ** 2 * D[k] for k in range(j)))
         for i in range(j + 1, size):
             L[i][j] = (M[i, j] - sum(L[i][k] * L[j][k] * D[k] for k in range(j))) / D[j]
+
+    # L z = b
     z: list[ca.SX] = []
     for i in range(size):
         z.append(b[i, :] - sum(L[i][k] * z[k] for k in range(i)))
+
+    # L' solution = D^-1 z
     solution: list[ca.SX] = [ca.SX(0)] * size
     for i in reversed(range(size)):
         solution[i] = z[i] / D[i] - sum(L[k][i] * solution[k] for k in range(i + 1, size))

@@ -1,6 +1,6 @@
 """Arithmetic of truncated Taylor series (jets).
 
-F^(j)(t) / j! along the first axis (Griewank, Walther 2008, 13).
+A jet holds the coefficients F^(j)(t) / j! along the first axis (Griewank, Walther 2008, 13).
 """
 
 from math import factorial
@@ -13,15 +13,19 @@ from transport.model.arrays import Array
 
 def derivative(a: Array) -> Array:
     """Return the jet of the time derivative, one order lower."""
+    # (a')_j = (j + 1) a_(j + 1)
     orders = np.arange(1, len(a), dtype=np.float64)
     return np.asarray(a[1:] * orders.reshape(-1, *[1] * (a.ndim - 1)))
 
 
 def product(a: Array, b: Array) -> Array:
     """Return the jet of a product; the other axes broadcast."""
-    return np.array(
-        [sum(a[i] * b[k - i] for i in range(k + 1)) for k in range(min(len(a), len(b)))]
-    )
+    # (a b)_k = sum_i a_i b_(k - i)
+    orders = min(len(a), len(b))
+    coefficients = []
+    for k in range(orders):
+        coefficients.append(sum(a[i] * b[k - i] for i in range(k + 1)))
+    return np.array(coefficients)
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -30,9 +34,14 @@ def dot(a: Array, b: Array) -> Array:
 
 
 def composed(outer: Array, inner: Array) -> Array:
-    """Return the jet of f(g(t)) from Taylor coefficients of f at g(t), which may have further axes, and that of g."""
+    """Return the jet of f(g(t)).
+
+    outer: Taylor coefficients of f at g(t), which may have further axes. inner: the jet of g.
+    """
+    # Horner's scheme in g - g_0: f_0 + (g - g_0) (f_1 + (g - g_0) (f_2 + ...)).
     steps = inner.reshape(*inner.shape, *[1] * (outer.ndim - inner.ndim)).copy()
     steps[0] = 0.0
+
     result = np.zeros((len(inner), *outer.shape[1:]), dtype=np.result_type(outer, inner))
     for coefficient in outer[len(inner) - 1 :: -1]:
         result = product(result, steps)
@@ -42,7 +51,9 @@ def composed(outer: Array, inner: Array) -> Array:
 
 def power(a: Array, exponent: float) -> Array:
     """Return the jet of a power of a series without zeros."""
-    coefficients, factor = [], 1.0
+    # Taylor coefficients of x^p at a_0: p (p - 1) .. (p - j + 1) / j! a_0^(p - j).
+    coefficients = []
+    factor = 1.0
     for j in range(len(a)):
         coefficients.append(factor * a[0] ** (exponent - j))
         factor *= (exponent - j) / (j + 1)
@@ -51,12 +62,20 @@ def power(a: Array, exponent: float) -> Array:
 
 def sine(a: Array, lead: float = 0.0) -> Array:
     """Return the jet of sin(a + lead), lead in rad."""
-    values = [np.sin(a[0] + lead + j * np.pi / 2.0) / factorial(j) for j in range(len(a))]
-    return composed(np.array(values), a)
+    # The j-th derivative of the sine leads by j quarter turns.
+    coefficients = []
+    for j in range(len(a)):
+        coefficients.append(np.sin(a[0] + lead + j * np.pi / 2.0) / factorial(j))
+    return composed(np.array(coefficients), a)
 
 
 def of_polynomial(polynomial: Any, x: Array, orders: int) -> Array:
-    """Return Taylor coefficients 0..orders-1 of a function with `deriv`, such as a NumPy polynomial, at x, (k,)."""
-    return np.array(
-        [(polynomial.deriv(j) if j else polynomial)(x) / factorial(j) for j in range(orders)]
-    )
+    """Return Taylor coefficients 0..orders-1 of a polynomial at x, (k,): (orders, k).
+
+    Also of another function with `deriv`, as polynomials of NumPy have.
+    """
+    coefficients = []
+    for j in range(orders):
+        derived = polynomial.deriv(j) if j else polynomial
+        coefficients.append(derived(x) / factorial(j))
+    return np.array(coefficients)

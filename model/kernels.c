@@ -2,7 +2,8 @@
 
    Each function has an equivalent in Python, which tests it (tests/model/test_native.py) and replaces it without a C
    compiler. Matrices are dense and row-major, sizes are numbers of entries, nothing is allocated or kept; the order of
-   summation depends on the sizes and the zeros alone.
+   summation depends on the sizes and the zeros alone. Numbers in brackets are equations
+   of docs/equations.md, in whose letters the comments are.
 
    Work arrays are padded: their rows are a multiple of LANES long, so that no loop has a remainder. */
 
@@ -28,6 +29,7 @@ INLINE lanes splat(double a) { return a - (lanes){0.0}; }
 INLINE void combine(int count, int chains, ptrdiff_t terms, const ptrdiff_t *index, const double *value,
                     const double *X, ptrdiff_t width, double *to)
 {
+    /* sum_c = sum of a_k X_k over every `chains`-th k, then to += sum_0 + sum_1 + .. */
     lanes sum[8];
     for (int v = 0; v < count * chains; v++) sum[v] = splat(0.0);
     ptrdiff_t k = 0;
@@ -37,6 +39,7 @@ INLINE void combine(int count, int chains, ptrdiff_t terms, const ptrdiff_t *ind
             const lanes a = splat(value[k + c]);
             for (int v = 0; v < count; v++) sum[c * count + v] += a * row[v];
         }
+    /* Terms that are left: to the first chain. */
     for (; k < terms; k++) {
         const lanes *row = (const lanes *)(X + index[k] * width);
         const lanes a = splat(value[k]);
@@ -47,6 +50,7 @@ INLINE void combine(int count, int chains, ptrdiff_t terms, const ptrdiff_t *ind
     for (int v = 0; v < count; v++) ((lanes *)to)[v] += sum[v];
 }
 
+/* One row of a product over all columns, a multiple of LANES, in the widest groups of vectors that fit. */
 static void combine_row(ptrdiff_t terms, const ptrdiff_t *index, const double *value, const double *X,
                         ptrdiff_t width, ptrdiff_t columns, double *to)
 {
@@ -66,6 +70,7 @@ typedef struct {
 
 static ptrdiff_t compress_work(ptrdiff_t rows, ptrdiff_t columns) { return 2 * rows * columns + rows + 1; }
 
+/* A dense matrix, rows of length `width`, as lists. */
 static sparse compress(ptrdiff_t rows, ptrdiff_t columns, ptrdiff_t width, const double *A, double *work)
 {
     /* In `work`: values, indices, beginnings. */
@@ -111,6 +116,7 @@ static void sum_magnitudes(const sparse *S, const double *x, double *to)
         for (ptrdiff_t k = S->begin[i]; k < S->begin[i + 1]; k++) to[S->index[k]] += x[i] * fabs(S->value[k]);
 }
 
+/* a' b, in LANES chains. */
 INLINE double dot(ptrdiff_t n, const double *a, const double *b)
 {
     lanes sum = splat(0.0);
@@ -125,8 +131,8 @@ INLINE double dot(ptrdiff_t n, const double *a, const double *b)
 #define POWERS 64  /* most terms of a series; theta <= 2 needs 25 */
 #define PANEL 32   /* columns of a product at a time, so that they stay in the cache */
 
-/* Term k of a series from the one before, and its sum: rows of S times X, scaled, to `next` and added to `sum`, for
-   `count` vectors of columns. */
+/* Term k of the series (17) from the one before, and its sum: next = scale S X, sum += next, for `count` vectors of
+   columns. */
 INLINE void next_term(int count, const sparse *S, const double *X, ptrdiff_t width, double scale, double *next,
                       double *sum, ptrdiff_t sum_width)
 {
@@ -151,6 +157,7 @@ static double next_power(const sparse *X, const sparse *P, const sparse *V, doub
 {
     const ptrdiff_t n = X->rows;
     double *next = work, *by_acceleration = next + n, largest = 0.0;
+    /* 1' |X|^j = 1' |X|^(j - 1) (|X| + |P| |V|) T: (17) with the factors of (15b). */
     memset(work, 0, (size_t)(n + V->rows) * sizeof *work);
     sum_magnitudes(X, sums, next);
     sum_magnitudes(P, sums, by_acceleration);
@@ -188,6 +195,8 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
     double *next = term + (n + r) * PANEL, *merged = next + (n + r) * PANEL;
     double *lists = merged + 2 * n * (n + r) + n + 1;
 
+    /* theta = max(b_2^(1/2), b_3^(1/3)), b_k = | |X|^k |_1, and beta >= 0, the smallest with theta / 2^beta <=
+       theta_max: (17). */
     double largest[POWERS + 2], *sums = term;
     for (ptrdiff_t j = 0; j < n; j++) sums[j] = 1.0;
     for (int k = 1; k <= 3; k++) largest[k] = next_power(&X, &P, &V_x, period, sums, next);
@@ -199,9 +208,11 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
         const double needed = ceil(log2(theta / theta_max));
         halvings = needed > 0.0 ? (int)needed : 0;
     }
+    /* T = T_s / 2^beta. */
     const double T = ldexp(period, -halvings);
-    /* Terms k >= 1 until the remainder is small: |X^(k + 2i)| <= |X^k| |X^2|^i, so the rest is at most a geometric series
-       that begins with the terms k and k + 1. */
+    /* The smallest K whose remainder is small: |X^(k + 2i)| <= |X^k| |X^2|^i, so the rest is at most a geometric series
+       that begins with the terms K and K + 1, (b_K / (K + 1)! + b_(K + 1) / (K + 2)!) / (1 - b_2 / ((K + 2) (K + 3))):
+       (17). With halvings b_k is 2^(-beta k) times that of the whole period. */
     int terms = 1;
     for (double factorial = 2.0; terms < POWERS; factorial *= ++terms + 1) {
         const int k = terms;
@@ -212,12 +223,13 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
         if (ratio < 1.0 && (term_k + term_next) / (1.0 - ratio) <= remainder) break;
     }
 
+    /* V = [V_x, V_u, 0]. */
     memset(V, 0, (size_t)(r * width) * sizeof *V);
     for (ptrdiff_t i = 0; i < r; i++) {
         for (ptrdiff_t k = V_x.begin[i]; k < V_x.begin[i + 1]; k++) V[i * width + index[k]] = value[k];
         for (ptrdiff_t k = V_u.begin[i]; k < V_u.begin[i + 1]; k++) V[i * width + n + index[k]] = value[k];
     }
-    /* The factors as one matrix; sum = T [X + P V_x, U + P V_u, f] is the first term. */
+    /* sum = T [X + P V_x, U + P V_u, f] = T [A_c, B_c, f], the first term of (17): (15b). */
     memset(sum, 0, (size_t)(n * width) * sizeof *sum);
     for (ptrdiff_t i = 0; i < n; i++) {
         double *row = sum + i * width;
@@ -238,11 +250,13 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
     }
     first[n] = entries;
     const sparse XP = {n, first, places, merged};
+    /* sum = Phi(T) [A_c, B_c, f] = [A - I, B, f_d], panel by panel; with A and B known only the panel of f_d: (16),
+       (17). */
     for (ptrdiff_t at = known && !halvings ? (n + m) / PANEL * PANEL : 0; at < width; at += PANEL) {
         const ptrdiff_t some = width - at < PANEL ? width - at : PANEL;
         for (ptrdiff_t i = 0; i < n; i++) memcpy(term + i * some, sum + i * width + at, (size_t)some * sizeof *term);
         for (int k = 1; k < terms; k++) {
-            /* (X + P V_x) T / (k + 1) times this term. */
+            /* Term k = (X + P V_x) T / (k + 1) times term k - 1, with [X P] and, below the term, V_x times it. */
             const double scale = T / (k + 1);
             multiply(&V_x, term, some, term + n * some);
             if (some == PANEL) next_term(PANEL / LANES, &XP, term, some, scale, next, sum + at, width);
@@ -253,11 +267,13 @@ double zero_order_hold(ptrdiff_t n, ptrdiff_t m, ptrdiff_t accelerations, const 
         }
     }
     for (int halving = 0; halving < halvings; halving++) {
-        /* Phi(2T) = Phi(T) + A(T) Phi(T), so [A - I, B, f_d] is doubled and A - I times itself comes on top. */
+        /* Phi(2T) = Phi(T) + e^(A_c T) Phi(T), so
+           [A - I, B, f_d] <- 2 [A - I, B, f_d] + (A - I) [A - I, B, f_d]: (17). */
         const sparse S = compress(n, n, width, sum, lists);
         multiply(&S, sum, width, product);
         for (ptrdiff_t i = 0; i < n * width; i++) sum[i] = 2.0 * sum[i] + product[i];
     }
+    /* A = I + A_c Phi, B = Phi B_c, f_d = Phi f: (16). */
     for (ptrdiff_t i = 0; i < n; i++) {
         const double *row = sum + i * width;
         f_d[i] = row[n + m];
@@ -277,7 +293,9 @@ ptrdiff_t predict_work(ptrdiff_t n, ptrdiff_t m, ptrdiff_t own)
 
 /* Effect of each decision and free response over the horizon, with the others' inputs fed back,
 
-       x(k+1) = A x(k) + f_d + B_own v(k) + B_others (drive(k) + K x(k)),   x(0) = 0; see mpc/prediction.py.
+       x(k+1) = A x(k) + f_d + B_own v(k) + B_others (drive(k) + K x(k)),   x(0) = 0;
+
+   (22)-(24), (35); see mpc/prediction.py.
 
    own: (count,). K: (m, n), 0 without feedback. drive: (steps, m). impulse: (n, steps, count), effect on the state one,
    two, .. steps later. dX: (steps + 1, n). feedback = K impulse, (m, steps, count); dU = K dX, (steps, m). */
@@ -289,6 +307,7 @@ void predict(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t count, const p
     double *now = work, *next = now + n * w, *inputs = next + n * w, *lists = inputs + m * w;
     double *B_others = lists + compress_work(n, n) + compress_work(n, m) + compress_work(m, n);
     const sparse A_ = compress(n, n, n, A, lists);
+    /* now = [S(0) = B_own, x^free(0) = 0]; B_others = B without the owned columns. */
     memset(now, 0, (size_t)(n * w) * sizeof *now);
     memcpy(B_others, B, (size_t)(n * m) * sizeof *B);
     for (ptrdiff_t c = 0; c < count; c++)
@@ -300,11 +319,13 @@ void predict(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m, ptrdiff_t count, const p
     sparse K_;
     if (K) K_ = compress(m, n, n, K, lists + compress_work(n, n) + compress_work(n, m));
     memset(inputs, 0, (size_t)(m * w) * sizeof *inputs);
+    /* [S(k+1), x^free(k+1)] = (A + B_others K) [S(k), x^free(k)] + [0, B_others drive(k) + f_d]. */
     for (ptrdiff_t k = 0;; k++) {
         for (ptrdiff_t i = 0; i < n; i++) dX[k * n + i] = now[i * w + count];
         if (k == steps) return;
         for (ptrdiff_t i = 0; i < n; i++)
             memcpy(impulse + i * D + k * count, now + i * w, (size_t)count * sizeof *impulse);
+        /* Answers of the law to decision and state, K S(k) and K x^free(k): (35). */
         if (K) {
             multiply(&K_, now, w, inputs);
             for (ptrdiff_t i = 0; i < m; i++) {
@@ -336,6 +357,7 @@ typedef double chains __attribute__((vector_size(32), aligned(8)));
    were first made so. Several rows hide the latency of additions. */
 INLINE void chained_rows(int count, ptrdiff_t n, const double *A, const double *b, double *to)
 {
+    /* to_r = sum of A_rj b_j over j = 0, 4, .. ; 1, 5, .. ; 2, 6, .. ; 3, 7, .. , and what is left. */
     chains sum[8];
     for (int r = 0; r < count; r++) sum[r] = (chains){0.0};
     ptrdiff_t j = 0;
@@ -348,6 +370,7 @@ INLINE void chained_rows(int count, ptrdiff_t n, const double *A, const double *
     }
 }
 
+/* to = A b in the order of `chained_rows`. */
 static void chained(ptrdiff_t rows, ptrdiff_t n, const double *A, const double *b, double *to)
 {
     ptrdiff_t i = 0;
@@ -355,7 +378,7 @@ static void chained(ptrdiff_t rows, ptrdiff_t n, const double *A, const double *
     for (; i < rows; i++) chained_rows(1, n, A + i * n, b, to + i);
 }
 
-/* Response from zero to a drive, dX(k + 1) = A dX(k) + W(k), (steps + 1, n). */
+/* Response from zero to a drive, dX(k + 1) = A dX(k) + W(k), (steps + 1, n): (23). */
 void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *W, double *dX)
 {
     memset(dX, 0, (size_t)n * sizeof *dX);
@@ -365,7 +388,8 @@ void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *
     }
 }
 
-/* States Z, (steps + 1, n), and inputs U, (steps, m), under u = at_x0 + K (x - x0) within bounds; see mpc/rollout.py.
+/* States Z, (steps + 1, n), and inputs U, (steps, m), under u = at_x0 + K (x - x0) within bounds: (35a), (73); see
+   mpc/rollout.py.
 
    advance: a CasADi function (x, u, p, F, h) -> (x, error); arg, res, iw, w: room for it, arg[2] to arg[4] are set. */
 void rollout(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m,
@@ -375,12 +399,14 @@ void rollout(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m,
 {
     for (ptrdiff_t k = 0; k < steps; k++) {
         double *x = Z + k * n, *ahead = x + n, *u = U + k * m;
+        /* u(k) = clip(at_x0(k) + K (x(k) - x0)); `ahead` is room for the difference. */
         for (ptrdiff_t i = 0; i < n; i++) ahead[i] = x[i] - Z[i];
         chained(m, n, K, ahead, u);
         for (ptrdiff_t i = 0; i < m; i++) {
             const double wanted = at_x0[k * m + i] + u[i];
             u[i] = wanted < lower[i] ? lower[i] : wanted > upper[i] ? upper[i] : wanted;
         }
+        /* x(k + 1): one step of (13b), without its error. */
         arg[0] = x, arg[1] = u, res[0] = ahead, res[1] = 0;
         advance(arg, res, iw, w, 0);
     }
@@ -406,6 +432,7 @@ static void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *
                   const double *feedback, double w, const double *lower, const double *upper, const double *rate,
                   double *U, double *c, double *work)
 {
+    /* u* = clip(u_0 + Lambda z), v = u* - u_0: (24), (27a), (28a). */
     double *v = work;
     for (ptrdiff_t k = 0; k < steps; k++)
         for (ptrdiff_t i = 0; i < m; i++) {
@@ -414,6 +441,7 @@ static void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *
             U[at] = best < lower[i] ? lower[i] : best > upper[i] ? upper[i] : best;
             v[at] = U[at] - U_free[at];
         }
+    /* c = w (u* - u_law - K dx) + (1 - w) c^shift: (36a). */
     for (ptrdiff_t k = 0; k < steps; k++)
         for (ptrdiff_t i = 0; i < m; i++) {
             const ptrdiff_t at = k * m + i, of = k * all + own[i];
@@ -424,6 +452,7 @@ static void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *
                 if (w < 1.0) c[at] += (1.0 - w) * previous[of];
             }
         }
+    /* The plan that these corrections give, u = u_law + c + K dx, within rates, then bounds: (28a), (30a), (36a). */
     if (w == 1.0) return;
     for (ptrdiff_t k = 0; k < steps; k++)
         for (ptrdiff_t i = 0; i < m; i++) {
@@ -436,8 +465,8 @@ static void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *
         }
 }
 
-/* The problem of one step; see mpc/compiled_program.py. Three kinds of outputs: the model's, the user's terms, and the inputs of
-   the other agents' UAVs. Sizes of arrays behind their names; D = steps * m. */
+/* The problem of one step; see mpc/compiled_program.py. Three kinds of outputs: the model's, the user's terms, and the
+   inputs of the other agents' UAVs. Sizes of arrays behind their names; D = steps * m. */
 typedef struct {
     ptrdiff_t steps, n, m, size;              /* horizon, states, owned inputs, decisions and slacks */
     ptrdiff_t outputs, terms, inputs;         /* outputs of each kind */
@@ -475,6 +504,7 @@ typedef struct {
 void respond(const problem *p)
 {
     const ptrdiff_t all = p->all_inputs;
+    /* U = u_law(x0) + c, or the announced inputs; S, a room, holds their deviation from u0: (22), (35). */
     for (ptrdiff_t k = 0; k < p->steps; k++)
         for (ptrdiff_t i = 0; i < all; i++) {
             const ptrdiff_t at = k * all + i;
@@ -483,6 +513,7 @@ void respond(const problem *p)
         }
     predict(p->steps, p->n, all, p->m, p->own, p->A, p->B, p->f_d, p->K, p->S, p->effect, p->dX, p->feedback, p->dU,
             p->work);
+    /* U += K dX; owned inputs without a decision are u_0,o: (24), (35). */
     for (ptrdiff_t k = 0; k < p->steps; k++) {
         for (ptrdiff_t i = 0; i < all && p->K; i++) p->U[k * all + i] += p->dU[k * all + i];
         for (ptrdiff_t i = 0; i < p->m; i++) p->U_free[k * p->m + i] = p->U[k * all + p->own[i]] = p->u0[p->own[i]];
@@ -500,29 +531,39 @@ static void effects(const problem *c, const ptrdiff_t *every, double *L, double 
 {
     const ptrdiff_t steps = c->steps, n = c->n, m = c->m, D = steps * m, w = padded(D);
     const ptrdiff_t p = c->outputs + c->terms + c->inputs, rank = c->rank;
+    /* On states, L(a) = effect(a) Lambda: (27a). */
     memset(L, 0, (size_t)((n + p + rank) * w) * sizeof *L);
     for (ptrdiff_t i = 0; i < n; i++)
         for (ptrdiff_t a = 0; a < steps; a++)
             for (ptrdiff_t k = 0; k < m; k++) L[i * w + a * m + k] = c->effect[i * D + a * m + k] * c->scale[k];
+    /* On outputs, S = C L: (25). */
     for (ptrdiff_t o = 0; o < c->outputs; o++) {
         const ptrdiff_t from = c->begin[c->chosen[o]], to = c->begin[c->chosen[o] + 1];
         combine_row(to - from, c->index + from, c->value + from, L, w, w, flat + o * w);
     }
+    /* On the user's terms, S = gradient L: (48). */
     for (ptrdiff_t o = 0; o < c->terms; o++)
         combine_row(n, every, c->slope + o * n, L, w, w, flat + (c->outputs + o) * w);
+    /* On the inputs of the other agents' UAVs, S(a) = K effect(a) Lambda: (36e). */
     for (ptrdiff_t o = 0; o < c->inputs; o++)
         for (ptrdiff_t a = 0; a < steps; a++)
             for (ptrdiff_t k = 0; k < m; k++)
                 flat[(c->outputs + c->terms + o) * w + a * m + k] =
                     c->feedback[c->answering[o] * D + a * m + k] * c->scale[k];
+    /* On the root of the cost-to-go, root L: (36d). */
     for (ptrdiff_t o = 0; o < rank; o++) combine_row(n, every, c->root + o * n, L, w, w, reached + o * w);
+    /* The same without padding, for the rows of constraints. */
     for (ptrdiff_t o = 0; o < p; o++) memcpy(c->S + o * D, flat + o * w, (size_t)D * sizeof *flat);
 }
 
 /* Hessian, both triangles equal to the bit; `work` is that of `condense`.
 
    A prediction is block-Toeplitz: G(k) = [S(k-1) .. S(0) 0 .. 0], S(a) the effect of a decision on the outputs a + 1
-   steps later. So block (i, j) of the Hessian is a sum of S(a)' Q S(b) along a - b = j - i; see mpc/condensing.py. */
+   steps later: (25). So block (i, j) of the Hessian is a sum of S(a)' Q S(b) along a - b = j - i,
+
+       H_ij = P(N_p - 2 - i, N_p - 2 - j) + S(N_p - 1 - i)' Q_f S(N_p - 1 - j) + R_ij,
+       P(a, b) = S(a)' Q S(b) + P(a - 1, b - 1): (26), and 2 root' root of the cost-to-go, (36d); see
+   mpc/condensing.py. */
 static void hessian(const problem *c, const ptrdiff_t *every, const double *flat, const double *reached, double *value,
                     double *work)
 {
@@ -536,20 +577,24 @@ static void hessian(const problem *c, const ptrdiff_t *every, const double *flat
         const ptrdiff_t i = steps - 1 - a, columns = padded((a + 1) * m);
         for (ptrdiff_t r = 0; r < m; r++) {
             double *sum = sums + r * (w + margin), *to = c->H + (i * m + r) * stride;
+            /* row = 2 S(a)' Q [S(0) .. S(a)]. */
             memset(row, 0, (size_t)columns * sizeof *row);
             for (ptrdiff_t o = 0; o < p; o++) value[o] = 2.0 * c->Q[o] * flat[o * w + a * m + r];
             combine_row(p, every, value, flat, w, columns, row);
+            /* last = 2 (root S(a))' root [S(0) .. S(a)]. */
             memset(last, 0, (size_t)columns * sizeof *last);
             for (ptrdiff_t o = 0; o < rank; o++) value[o] = 2.0 * reached[o * w + a * m + r];
             combine_row(rank, every, value, reached, w, columns, last);
             /* Step N_p has the weight Q_f alone, so the sums with Q end one step earlier, without this product. */
             memmove(sum + m, sum, (size_t)(a * m) * sizeof *sum);
             memset(sum, 0, (size_t)m * sizeof *sum);
+            /* H_ij = (Q_f / Q) row + last + 2 P(a - 1, b - 1). */
             for (ptrdiff_t b = 0; b <= a; b++) {
                 const ptrdiff_t j = steps - 1 - b;
                 for (ptrdiff_t k = 0; k < m; k++)
                     to[j * m + k] = c->terminal * row[b * m + k] + last[b * m + k] + sum[b * m + k];
             }
+            /* 2 P(a, b) for the next a, and 2 R on the diagonal. */
             for (ptrdiff_t k = 0; k < (a + 1) * m; k++) sum[k] += row[k];
             to[i * m + r] += 2.0 * c->effort[r] * c->scale[r];
         }
@@ -561,7 +606,8 @@ static void hessian(const problem *c, const ptrdiff_t *every, const double *flat
     }
 }
 
-/* Hessian and gradient of the cost, doubled: 1/2 z' H z + g' z is its value. Known effects and Hessian stay. */
+/* Hessian and gradient of the cost, doubled: 1/2 z' H z + g' z is its value: (26)-(27a). Known effects and Hessian
+   stay. */
 static void condense(const problem *c)
 {
     const ptrdiff_t steps = c->steps, n = c->n, m = c->m, D = steps * m, w = padded(D), margin = padded(m);
@@ -578,7 +624,7 @@ static void condense(const problem *c)
         hessian(c, every, flat, reached, value, c->work);
     }
 
-    /* Errors of the free response at steps 1 .. steps, times 2 Q. */
+    /* 2 eta(k) = 2 Q_k (h(x_0) + C dx^free(k) - y^ref(k)) at steps k = 1 .. N_p: (27), and of the terms, (48). */
     for (ptrdiff_t k = 0; k < steps; k++) {
         const double *dx = c->dX + (k + 1) * n, *y_ref = c->y_ref + (k + 1) * c->model_outputs;
         double *error = errors + k * p;
@@ -592,18 +638,19 @@ static void condense(const problem *c)
         for (ptrdiff_t o = 0; o < c->terms; o++) error[c->outputs + o] = c->at_x0[o] + dot(n, c->slope + o * n, dx);
         for (ptrdiff_t o = 0; o < c->inputs; o++) {
             const ptrdiff_t at = c->answering[o];
-            /* Step N_p has no input. */
+            /* u(k) - u^tgt of the other agents' UAVs, (36e); step N_p has no input. */
             error[c->outputs + c->terms + o] =
                 k + 1 < steps ? c->U[(k + 1) * c->all_inputs + at] - c->u_target[at] : 0.0;
         }
         for (ptrdiff_t o = 0; o < p; o++) error[o] *= 2.0 * c->Q[o] * (k + 1 < steps ? 1.0 : c->terminal);
     }
 
-    /* Gradient, the last decision first: G(k)' of an error is [S(k-1) .. S(0)]' of it. */
+    /* g = sum_k G(k)' 2 eta(k), the last decision first: G(k)' of an error is [S(k-1) .. S(0)]' of it: (27). */
     memset(gradient, 0, (size_t)(w + margin) * sizeof *gradient);
     for (ptrdiff_t k = 0; k < steps; k++)
         combine_row(p, every, errors + k * p, flat, w, padded((k + 1) * m), gradient + (steps - 1 - k) * m);
     if (rank) {
+        /* g += 2 (root L)' root (x_0 + dx(N_p) - x^ref(N_p)) + 2 L' slope: (36d). */
         const double *dx = c->dX + steps * n;
         for (ptrdiff_t i = 0; i < n; i++) value[i] = c->error[i] + dx[i];
         for (ptrdiff_t o = 0; o < rank; o++) to_go[o] = 2.0 * dot(n, c->root + o * n, value);
@@ -611,20 +658,22 @@ static void condense(const problem *c)
         for (ptrdiff_t i = 0; i < n; i++) value[i] = 2.0 * c->end_slope[i];
         combine_row(n, every, value, L, w, w, gradient);
     }
+    /* In the order of the decisions, with 2 Lambda R_o (u_0,o - u_o^tgt): (27). */
     for (ptrdiff_t j = 0; j < steps; j++)
         for (ptrdiff_t k = 0; k < m; k++) {
             const double effort = c->U[j * c->all_inputs + c->own[k]] - c->u_target[c->own[k]];
             c->g[j * m + k] = gradient[(steps - 1 - j) * m + k] + 2.0 * c->effort[k] * effort;
         }
 
+    /* Slacks: Pi on the diagonal of the Hessian, pi in the gradient: (27a). */
     for (ptrdiff_t x = D; x < c->size; x++) {
         for (ptrdiff_t y = 0; y < c->size; y++) c->H[x * stride + y] = c->H[y * stride + x] = 0.0;
         c->H[x * stride + x] = c->g[x] = c->penalties[x - D];
     }
 }
 
-/* Lower block-Toeplitz matrix of an impulse response, (s, steps, m), into rows of length `stride`, (steps, s) of them;
-   entries above the diagonal stay as they are. */
+/* Lower block-Toeplitz matrix Gamma of an impulse response, (s, steps, m), into rows of length `stride`, (steps, s) of
+   them: block (k, j) is S(k - j), (25); entries above the diagonal stay as they are. */
 static void toeplitz(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const double *impulse, double *to, ptrdiff_t stride)
 {
     for (ptrdiff_t k = 0; k < steps; k++)
@@ -636,7 +685,8 @@ static void toeplitz(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const double *im
         }
 }
 
-/* Distances of pairs of UAVs along their present direction; see mpc/constraints/separation.py.
+/* Distances of pairs of UAVs along their present direction n_ij = (r_i - r_j) / |r_i - r_j|: (29); see
+   mpc/constraints/separation.py.
 
    pairs: (count, 2). r: positions, (3 N). free_: the same at steps 1 .. steps, rows of length `outputs`. effect: of
    the decisions on them, (3 N, steps, m). by: (count, steps, m), effect on the distances; distance: (steps, count). */
@@ -650,11 +700,13 @@ void distances(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t count, const ptrdiff_t *p
         const double apart = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
         if (apart == 0.0) d[0] = 1.0; /* two UAVs in one point have no direction; any separates them */
         else d[0] /= apart, d[1] /= apart, d[2] /= apart;
+        /* n_ij' (S_i - S_j) */
         for (ptrdiff_t k = 0; k < D; k++) {
             double sum = 0.0;
             for (int x = 0; x < 3; x++) sum += d[x] * (effect[(i + x) * D + k] - effect[(j + x) * D + k]);
             by[pair * D + k] = sum;
         }
+        /* n_ij' (r_i(k) - r_j(k)) without a decision */
         for (ptrdiff_t k = 0; k < steps; k++) {
             const double *at = free_ + k * outputs;
             double sum = 0.0;
@@ -669,6 +721,7 @@ void fill(const problem *p)
 {
     const ptrdiff_t steps = p->steps, m = p->m, D = steps * m;
     condense(p);
+    /* Bounds of the decision: u_min <= u_0,o + Lambda z(k) <= u_max, at k = 0 also within the rate: (28a). */
     for (ptrdiff_t k = 0; k < steps; k++)
         for (ptrdiff_t i = 0; i < m; i++) {
             double low = p->low[i] - p->U_free[i], high = p->high[i] - p->U_free[i];
@@ -684,12 +737,15 @@ void fill(const problem *p)
         }
     double *rows = p->rows + (steps - 1) * m * p->size, *distance = p->signals + p->pairs * D;
     double *lower = p->row_lower + (steps - 1) * m, *upper = p->row_upper + (steps - 1) * m;
+    /* n_ij' (r_i(k) - r_j(k)) + epsilon >= d_min: (29). The rows of the rates, constant, stand ahead of these. */
     if (p->pairs) {
         distances(steps, m, p->pairs, p->pair, p->outputs, p->y, p->free, p->S, p->signals, distance);
         toeplitz(steps, p->pairs, m, p->signals, rows, p->size);
         for (ptrdiff_t i = 0; i < steps * p->pairs; i++) lower[i] = p->separation - distance[i];
         rows += steps * p->pairs * p->size, lower += steps * p->pairs, upper += steps * p->pairs;
     }
+    /* -theta_max - epsilon <= theta_0 + dtheta(k) <= theta_max + epsilon, first the upper rows, then the lower ones:
+       (29a). */
     if (p->angles) {
         const ptrdiff_t half = steps * p->angles;
         for (ptrdiff_t a = 0; a < p->angles && !p->known; a++)
@@ -707,7 +763,7 @@ void fill(const problem *p)
     }
 }
 
-/* Plan from the scaled decision z, with a weight of the new corrections; see `relax`. */
+/* Plan from the scaled decision z, with a weight of the new corrections: (36a); see `relax`. */
 void conclude(const problem *p, const double *z, double w, double *U, double *c)
 {
     relax(p->steps, p->m, p->all_inputs, p->own, z, p->scale, p->U_free, p->uncorrected, p->announced, p->dU,
@@ -716,7 +772,8 @@ void conclude(const problem *p, const double *z, double w, double *U, double *c)
 
 #define PIVOTS 16 /* rows of the factor per update of the remaining matrix */
 
-/* H = U' U in place, rows of length `width` (a multiple of LANES, zero beyond n); undefined below the diagonal.
+/* Cholesky factor H = U' U in place, U_ii = sqrt(H_ii - sum_k U_ki^2), U_ij = (H_ij - sum_k U_ki U_kj) / U_ii; rows of
+   length `width` (a multiple of LANES, zero beyond n); undefined below the diagonal.
    Returns 0 when H is not positive definite. */
 static int factorise(ptrdiff_t n, ptrdiff_t width, double *H)
 {
@@ -724,6 +781,7 @@ static int factorise(ptrdiff_t n, ptrdiff_t width, double *H)
     double value[PIVOTS];
     for (ptrdiff_t from = 0; from < n; from += PIVOTS) {
         const ptrdiff_t to = from + PIVOTS < n ? from + PIVOTS : n;
+        /* Rows from .. to are finished; those behind lose the products with them. */
         for (ptrdiff_t i = from; i < n; i++) {
             const ptrdiff_t terms = (i < to ? i : to) - from, first = i / LANES * LANES;
             for (ptrdiff_t k = 0; k < terms; k++) {
@@ -744,11 +802,13 @@ static int factorise(ptrdiff_t n, ptrdiff_t width, double *H)
 /* U' U x = b in place, x of length `width`. */
 static void substitute(ptrdiff_t n, ptrdiff_t width, const double *U, double *x)
 {
+    /* U' y = b */
     for (ptrdiff_t k = 0; k < n; k++) {
         const double *row = U + k * width;
         x[k] /= row[k];
         for (ptrdiff_t j = k + 1; j < n; j++) x[j] -= row[j] * x[k];
     }
+    /* U x = y */
     for (ptrdiff_t k = n - 1; k >= 0; k--) {
         const double *row = U + k * width;
         lanes sum = splat(0.0);
@@ -768,7 +828,12 @@ ptrdiff_t within_bounds_work(ptrdiff_t n, ptrdiff_t rows)
     return solving > rows + n ? solving : rows + n;
 }
 
-/* minimise 1/2 z' H z + g' z within bounds by a primal-dual active-set method; see mpc/qp.py.
+/* minimise 1/2 z' H z + g' z within bounds by a primal-dual active-set method (Hintermueller, Ito, Kunisch 2003); see
+   mpc/qp.py. With F the free and A the held coordinates of a guess,
+
+       H_FF z_F = -g_F - H_FA z_A,   mu_A = -(g + H z)_A,   mu_F = 0,
+
+   and coordinates beyond their bounds are held in the next guess, those whose multiplier points inwards are freed.
 
    Returns the number of guesses, or 0 if there were too many or H is not positive definite. */
 static int within_bounds(ptrdiff_t n, const double *H, const double *g, const double *lower, const double *upper,
@@ -776,6 +841,7 @@ static int within_bounds(ptrdiff_t n, const double *H, const double *g, const do
 {
     double *U = work, *x = U + n * padded(n);
     ptrdiff_t *free_ = (ptrdiff_t *)(x + 2 * padded(n)), *held = free_ + n; /* held: -1 at the lower bound, 1, or 0 */
+    /* The first guess is that of z = 0: bounds beyond which the descent from it leads are held. */
     for (ptrdiff_t i = 0; i < n; i++) held[i] = lower[i] >= 0.0 && g[i] > 0.0 ? -1 : upper[i] <= 0.0 && g[i] < 0.0;
     for (int guess = 1; guess <= most; guess++) {
         ptrdiff_t free_count = 0;
@@ -783,6 +849,7 @@ static int within_bounds(ptrdiff_t n, const double *H, const double *g, const do
             if (held[i]) z[i] = held[i] < 0 ? lower[i] : upper[i];
             else free_[free_count++] = i;
         }
+        /* H_FF and -g_F - H_FA z_A */
         const ptrdiff_t width = padded(free_count);
         memset(x, 0, (size_t)width * sizeof *x);
         for (ptrdiff_t a = 0; a < free_count; a++) {
@@ -798,6 +865,7 @@ static int within_bounds(ptrdiff_t n, const double *H, const double *g, const do
         if (!factorise(free_count, width, U)) return 0;
         substitute(free_count, width, U, x);
         for (ptrdiff_t a = 0; a < free_count; a++) z[free_[a]] = x[a];
+        /* mu, and the coordinates that the next guess holds */
         int changed = 0;
         for (ptrdiff_t i = 0; i < n; i++) {
             ptrdiff_t next = 0;
@@ -819,7 +887,7 @@ static int within_bounds(ptrdiff_t n, const double *H, const double *g, const do
 
 static double larger(double a, double b) { return b <= a || a != a ? a : b; } /* nan is kept */
 
-/* Violations of bounds and of complementarity by one value; see mpc/qp.py. */
+/* Violations of bounds, max(low - value, value - high), and of complementarity, |xi chi|, by one value: (28). */
 static void judge(double value, double multiplier, double low, double high, double *outside, double *slackness)
 {
     *outside = larger(*outside, larger(low - value, value - high));
@@ -827,12 +895,13 @@ static void judge(double value, double multiplier, double low, double high, doub
     else if (multiplier != 0.0) *slackness = larger(*slackness, fabs(multiplier * (isinf(low) ? 1.0 : value - low)));
 }
 
-/* Karush-Kuhn-Tucker residuals; see mpc/qp.py. found: stationarity, primal, complementarity. */
+/* Karush-Kuhn-Tucker residuals (28); see mpc/qp.py. found: stationarity, primal, complementarity. */
 void residuals(ptrdiff_t n, ptrdiff_t rows, const double *H, const double *g, const double *lower, const double *upper,
                const double *A, const double *row_lower, const double *row_upper, const double *z,
                const double *bound_multipliers, const double *row_multipliers, double *found, double *work)
 {
     double outside = 0.0, slackness = 0.0, slope = 0.0, of_g = 0.0, of_z = 0.0, objective = 0.0, *push = work;
+    /* push = A_z' nu; rows that leave their bounds, and |nu chi|. */
     memset(push, 0, (size_t)n * sizeof *push);
     for (ptrdiff_t r = 0; r < rows; r++) {
         const double *row = A + r * n;
@@ -840,6 +909,7 @@ void residuals(ptrdiff_t n, ptrdiff_t rows, const double *H, const double *g, co
         if (row_multipliers[r] != 0.0)
             for (ptrdiff_t j = 0; j < n; j++) push[j] += row_multipliers[r] * row[j];
     }
+    /* |H_z z + g_z + mu + A_z' nu|, coordinates that leave their bounds, |mu chi|, and the norms of (28). */
     for (ptrdiff_t i = 0; i < n; i++) {
         const double curved = dot(n, H + i * n, z);
         judge(z[i], bound_multipliers[i], lower[i], upper[i], &outside, &slackness);
@@ -853,6 +923,7 @@ void residuals(ptrdiff_t n, ptrdiff_t rows, const double *H, const double *g, co
     found[2] = slackness / (1.0 + fabs(objective));
 }
 
+/* Whether all numbers are finite. */
 static int all_finite(ptrdiff_t n, const double *a)
 {
     lanes sum = splat(0.0); /* x - x is nan for an infinite x */

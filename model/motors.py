@@ -1,22 +1,31 @@
 """First-order lag of the motors.
 
-The actual inputs a follow the commanded inputs u by a' = (u - a) / lag.
-
+The actual inputs a follow the commanded inputs u by a' = (u - a) / lambda, with lambda the lag.
 Two held inputs per step have the mean and first moment of a: a Magnus method of order 4 (Blanes,
 Moan 2006). With commanded body rates a is the command that would give the present angular
 acceleration at once, omega + omega' / K.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from transport.model.arrays import Array, padded
-from transport.model.linearisation import NAMES, Linearisation, Model, Pattern
+from transport.model.linearisation import Linearisation, Model
+from transport.model.pattern import NAMES, Pattern
 from transport.model.state import INPUTS, OMEGA, PAYLOAD, PER_UAV
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Period:
+    """A time of constant commands, as it is integrated."""
+
+    duration_s: float
+    steps: int  # of equal length, >= 1
+    lag_s: float = 0.0  # of the motors
 
 
 def decay(lag_s: float, duration_s: float) -> float:
@@ -34,15 +43,19 @@ def _deviations(lag_s: float, step_s: float) -> tuple[float, float]:
     Their mean and first moment are those of the exponential. Source: docs/equations.md (54).
     """
     left = decay(lag_s, step_s)
+    # mu = lambda / h (1 - exp(-h / lambda))
     mean = lag_s / step_s * (1.0 - left)
-    # Four times the first moment about the middle of the step, over step^2.
+    # nu: four times the first moment about the middle of the step, over h^2.
     moment = 4.0 * ((lag_s / step_s) ** 2 * (1.0 - left) - lag_s / step_s * (1.0 + left) / 2.0)
     return mean - moment, mean + moment
 
 
 def held(a: Array, u: Array, lag_s: float, step_s: float) -> tuple[tuple[Array, Array], Array]:
-    """Return two inputs, held for half a step each, that stand for the actual ones a, (m,), and a at the end.
+    """Return two inputs, held for half a step each, and the actual inputs at the end.
 
+    The two stand for the actual inputs during the step.
+
+    a, u: actual and commanded inputs at the beginning of the step, (m,) each.
     Source: docs/equations.md (54).
     """
     deviation = a - u
@@ -66,19 +79,25 @@ def shares(lag_s: float, step_s: float, gains: tuple[float, ...] | None, uavs: i
 
 
 def _rate_shares(lag_s: float, step_s: float, gain: float) -> Array:
-    """Return the shares of one commanded body rate, (3, 2): z' = M z of [a, rate] under a zero command."""
+    """Return the shares of one commanded body rate, (3, 2).
+
+    z' = M z of z = [a, rate] under a zero command. Source: docs/equations.md (58a).
+    """
     from scipy.linalg import expm  # 0.3 s at start; only a lag inside an inner loop needs it
 
     M = np.array([[gain - 1.0 / lag_s, -gain], [gain, -gain]])
+    # z(h) = e^(M h) z(0); its integral over the step is M^-1 (e^(M h) - I) z(0).
     end = expm(M * step_s)
     area = np.linalg.solve(M, end - np.eye(2))
+
+    # Mean and first moment of a, as of the exponential in (54).
     mean = area[0] / step_s
     moment = 4.0 * (np.linalg.solve(M, step_s * end - area)[0] / step_s**2 - mean / 2.0)
     return np.array([mean - moment, mean + moment, end[0]])
 
 
 def rate_places(m: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return the positions of body rates as inputs, in u of m inputs, and of the rates themselves, in x."""
+    """Return the positions of commanded body rates in u, of m inputs, and of the rates in x."""
     uavs, axes = np.divmod(np.arange(3 * m // INPUTS), 3)
     in_inputs = INPUTS * uavs + 1 + axes
     in_states = PAYLOAD + PER_UAV * uavs + OMEGA.start + axes
@@ -86,26 +105,21 @@ def rate_places(m: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
 
 
 def integrate(
-    model: Model,
-    z: Array,
-    u: Array,
-    duration_s: float,
-    steps: int,
-    lag_s: float,
-    forces: Array | None = None,
+    model: Model, z: Array, u: Array, period: Period, forces: Array | None = None
 ) -> tuple[Array, float]:
     """Return x or, with lag, [x, a] after constant commands, and the largest local error.
 
-    Of order 4. Source: docs/equations.md (54), (58a).
+    With lag the order is 4. Source: docs/equations.md (54), (58a).
     """
-    if lag_s == 0.0:
-        return model.integrate(z, u, duration_s, steps, forces=forces)
+    if period.lag_s == 0.0:
+        return model.integrate(z, u, period.duration_s, period.steps, forces=forces)
+
     x = z[: model.system.n]
     a = z[model.system.n :]
-    step_s = duration_s / steps
+    step_s = period.duration_s / period.steps
     worst = 0.0
-    for _ in range(steps):
-        (first, second), a = _held_inputs(model, x, a, u, lag_s, step_s)
+    for _ in range(period.steps):
+        (first, second), a = _held_inputs(model, x, a, u, period.lag_s, step_s)
         for half in (first, second):
             x, error = model.integrate(x, half, step_s / 2.0, 1, forces=forces)
             worst = max(worst, error)
@@ -119,10 +133,12 @@ def _held_inputs(
     gains = model.system.rate_gains
     if gains is None:
         return held(a, u, lag_s, step_s)
+
     in_inputs, in_states = rate_places(len(u))
     rates = np.zeros_like(u)
     rates[in_inputs] = x[in_states]
 
+    # u + (share of a) (a - u) + (share of the rates) (omega - u)
     left = shares(lag_s, step_s, tuple(gains.tolist()), model.system.N)
     first, second, end = u + left[:, 0] * (a - u) + left[:, 1] * (rates - u)
     return (first, second), end
@@ -130,28 +146,43 @@ def _held_inputs(
 
 @lru_cache(64)
 def _with_lag(pattern: Pattern, rates: bool) -> tuple[Pattern, npt.NDArray[np.intp]]:
-    """Return the pattern of a system [x, a] with motors, and the order of its entries, -1/lag and 1/lag, (m,) each.
+    """Return the pattern of a system [x, a] with motors, and the order of its entries.
 
-        X = [[X, U], [0, -1/lag]],    U = [[0], [1/lag]],    P = [[P], [0]],    V_x = [V_x, V_u],    V_u = 0
+    Entries are those of the system without motors, followed by -1/lambda and 1/lambda, (m,) each:
 
-    With commanded body rates the row of a' also is that of the body rate, with -1/lag on itself.
+        X = [[X, U], [0, -1/lambda]],    U = [[0], [1/lambda]],
+        P = [[P], [0]],    V_x = [V_x, V_u],    V_u = 0
+
+    With commanded body rates the row of a' also is that of the body rate, with -1/lambda on itself.
+    Source: docs/equations.md (55), (58a).
     """
+    factors = _factors_with_lag(pattern, rates)
+    numbers = np.concatenate([factor[factor > 0.0] for factor in factors])
+    return Pattern.of(factors), numbers.astype(np.intp) - 1
+
+
+def _factors_with_lag(pattern: Pattern, rates: bool) -> list[Array]:
+    """Return the factors of a system with motors, with the numbers of their entries, from 1."""
     X, U, P, V_x, V_u, C = map(pattern.numbered, NAMES)
     n, m = U.shape
-    follow, command = (
-        np.diag(len(pattern.index) + 1.0 + np.arange(part * m, (part + 1) * m)) for part in (0, 1)
-    )
-    moved = np.zeros((m, n))
+
+    # Entries -1/lambda and 1/lambda follow those of the pattern.
+    first = len(pattern.index) + 1.0
+    on_itself = np.diag(first + np.arange(m))
+    on_command = np.diag(first + np.arange(m, 2 * m))
+
+    by_state = np.zeros((m, n))
     if rates:
         inputs, states = rate_places(m)
-        moved[inputs] = X[states]
-    below = np.zeros((m, P.shape[1]))
-    factors = [
-        np.block([[X, U], [moved, follow]]), np.vstack([np.zeros((n, m)), command]), np.vstack([P, below]),
-        np.hstack([V_x, V_u]), 0.0 * V_u, padded(C, n + m),
-    ]  # fmt: skip
-    order = np.concatenate([factor[factor > 0.0] for factor in factors]).astype(np.intp) - 1
-    return Pattern.of(factors), order
+        by_state[inputs] = X[states]
+    return [
+        np.block([[X, U], [by_state, on_itself]]),
+        np.vstack([np.zeros((n, m)), on_command]),
+        np.vstack([P, np.zeros((m, P.shape[1]))]),
+        np.hstack([V_x, V_u]),
+        0.0 * V_u,
+        padded(C, n + m),
+    ]
 
 
 def lagged(
@@ -159,15 +190,18 @@ def lagged(
 ) -> Linearisation:
     """Return the expansion of [x, a] and the command u, from that of x and a.
 
-    a' = (u - a) / lag, with commanded body rates + omega'. Source: docs/equations.md (55), (58a).
+    a' = (u - a) / lambda, with commanded body rates + omega'.
+    Source: docs/equations.md (55), (58a).
     """
-    pattern, order = _with_lag(linear.pattern, rates)
     rate = np.full(len(a), 1.0 / lag_s)
     on_itself = -rate
     moving = (u - a) / lag_s
+
     if rates:
         inputs, states = rate_places(len(a))
         on_itself[inputs] += linear.pattern.dense(linear.values, "U")[states, inputs]
         moving[inputs] += linear.f[states]
+
+    pattern, order = _with_lag(linear.pattern, rates)
     values = np.concatenate([linear.values, on_itself, rate])[order]
     return replace(linear, f=np.concatenate([linear.f, moving]), pattern=pattern, values=values)

@@ -17,8 +17,13 @@ from transport.model.arrays import Array
 Places = npt.NDArray[np.intp]
 
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
+_ALIGNMENT = 64  # of work spaces, bytes: the widest vectors of a processor
 
-_address, _number, _double = ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_double
+_address = ctypes.c_void_p
+_number = ctypes.c_ssize_t
+_double = ctypes.c_double
+
+# Results and arguments of the kernels.
 _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "zero_order_hold_work": (_number, [_number] * 3),
     "zero_order_hold": (
@@ -40,85 +45,27 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "residuals": (None, [_number] * 2 + [_address] * 12),
 }
 
+# The struct `problem` of the kernels, in its order.
+_PROBLEM: tuple[tuple[Any, str], ...] = (
+    (_number, "steps n m size outputs terms inputs"),
+    (_number, "model_outputs all_inputs rank pairs angles known"),
+    (_double, "terminal separation tilt"),
+    (_address, "begin index value chosen answering own pair angle"),
+    (_address, "A B f_d K x0 u0 uncorrected announced y y_ref"),
+    (_address, "slope at_x0 u_target Q scale effort low high rate"),
+    (_address, "root error end_slope penalties effect feedback dX dU"),
+    (_address, "U U_free H g lower upper rows row_lower row_upper"),
+    (_address, "S free signals kept work"),
+)
+
 
 class Problem(ctypes.Structure):
     """The struct `problem` of the kernels.
 
-    Arrays by their addresses (`at`), which do not keep them alive.
+    Arrays by their addresses (`address`), which do not keep them alive.
     """
 
-    _fields_ = (
-        *((name, _number) for name in ("steps", "n", "m", "size", "outputs", "terms", "inputs")),
-        *(
-            (name, _number)
-            for name in ("model_outputs", "all_inputs", "rank", "pairs", "angles", "known")
-        ),
-        *((name, _double) for name in ("terminal", "separation", "tilt")),
-        *(
-            (name, _address)
-            for name in ("begin", "index", "value", "chosen", "answering", "own", "pair", "angle")
-        ),
-        *(
-            (name, _address)
-            for name in ("A", "B", "f_d", "K", "x0", "u0", "uncorrected", "announced", "y", "y_ref")
-        ),
-        *(
-            (name, _address)
-            for name in (
-                "slope",
-                "at_x0",
-                "u_target",
-                "Q",
-                "scale",
-                "effort",
-                "low",
-                "high",
-                "rate",
-            )
-        ),
-        *(
-            (name, _address)
-            for name in (
-                "root",
-                "error",
-                "end_slope",
-                "penalties",
-                "effect",
-                "feedback",
-                "dX",
-                "dU",
-            )
-        ),
-        *(
-            (name, _address)
-            for name in (
-                "U",
-                "U_free",
-                "H",
-                "g",
-                "lower",
-                "upper",
-                "rows",
-                "row_lower",
-                "row_upper",
-            )
-        ),
-        *((name, _address) for name in ("S", "free", "signals", "kept", "work")),
-    )
-
-
-def at(array: npt.NDArray[Any]) -> int:
-    """Return the address of a row-major array of float64 or indices, 0 for an empty one."""
-    if array.size == 0:
-        return 0
-    try:
-        return ctypes.addressof(_KINDS[array.dtype.char](array))
-    except (KeyError, TypeError, ValueError):  # another type, read-only, or not row-major
-        if not array.flags.c_contiguous or array.dtype.char not in _KINDS:
-            raise TypeError(
-                f"expected a row-major array of float64 or indices, got {array.dtype} with strides {array.strides}"
-            ) from None
-        return int(array.__array_interface__["data"][0])
+    _fields_ = tuple((name, kind) for kind, names in _PROBLEM for name in names.split())
 
 
 _KINDS: dict[str, Callable[[Any], Any]] = {
@@ -127,28 +74,53 @@ _KINDS: dict[str, Callable[[Any], Any]] = {
 }
 
 
-def work(which: str, size: int) -> int:
-    """Return the address of a work space of that size, shared by all its calls.
+def address(array: npt.NDArray[Any]) -> int:
+    """Return the address of a row-major array of float64 or indices, 0 for an empty one.
+
+    Raises: TypeError: an array of another type or layout.
+    """
+    if array.size == 0:
+        return 0
+    try:
+        return ctypes.addressof(_KINDS[array.dtype.char](array))
+    except (KeyError, TypeError, ValueError):  # another type, read-only, or not row-major
+        if array.flags.c_contiguous and array.dtype.char in _KINDS:
+            return int(array.__array_interface__["data"][0])
+        expected = "expected a row-major array of float64 or indices"
+        got = f"got {array.dtype} with strides {array.strides}"
+        raise TypeError(f"{expected}, {got}") from None
+
+
+class _WorkSpace:
+    """Memory for a kernel, aligned."""
+
+    def __init__(self, size: int) -> None:
+        self._memory: Array = np.zeros(size + _ALIGNMENT // 8)
+        unaligned = address(self._memory)
+        self.address = unaligned + -unaligned % _ALIGNMENT
+
+
+# By kernel and size; never freed, as addresses do not keep the memory alive.
+_WORK_SPACES: dict[tuple[str, int], _WorkSpace] = {}
+
+
+def work(kernel: str, size: int) -> int:
+    """Return the address of a work space of that size, shared by all calls of a kernel.
 
     Kernels hold the interpreter lock.
     """
-    found = _WORK.get((which, size))
-    if found is None:
-        space = np.zeros(size + 8)
-        found = _WORK[which, size] = (
-            space,
-            at(space) + -at(space) % 64,
-        )  # aligned to the widest vectors
-    return found[1]
-
-
-# By kernel and size; never freed, as addresses do not keep the arrays alive.
-_WORK: dict[tuple[str, int], tuple[Array, int]] = {}
+    space = _WORK_SPACES.get((kernel, size))
+    if space is None:
+        space = _WorkSpace(size)
+        _WORK_SPACES[kernel, size] = space
+    return space.address
 
 
 def _load() -> Any:
+    """Return the compiled kernels; None where they are switched off or cannot be compiled."""
     if not compiler.enabled():
         return None
+
     source = Path(__file__).with_name("kernels.c").read_bytes()
     path = compiler.compiled_file("kernels", source, _FLAGS)
     if not compiler.compile_library(path, source, _FLAGS):
@@ -158,9 +130,11 @@ def _load() -> Any:
         library = ctypes.PyDLL(str(path))
     except OSError:
         return None
+
     for name, (result, arguments) in _SIGNATURES.items():
         function = getattr(library, name)
-        function.restype, function.argtypes = result, arguments
+        function.restype = result
+        function.argtypes = arguments
     return library
 
 

@@ -1,4 +1,7 @@
-"""Obstacles as boxes, also flat or endless, grown by a radius, and exact distances from UAVs, rods and payload."""
+"""Obstacles as boxes, also flat or endless, grown by a radius.
+
+Distances from UAVs, rods and payload are exact.
+"""
 
 from dataclasses import dataclass
 from itertools import product
@@ -10,10 +13,8 @@ from transport.model.arrays import Array
 from transport.model.parameters import System, payload_half_size
 from transport.model.rotations import rotation
 
-_FAR_M, _HALVINGS = (
-    1e6,
-    64,
-)  # half size for an infinite one, m, and halvings of a segment: to rounding of it
+_FAR_M = 1e6  # half size in place of an infinite one, m
+_HALVINGS = 64  # of a segment: to rounding of its parameter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,38 +34,47 @@ class Solid:
     def from_points(self, r_I: Array) -> tuple[Array, Array]:
         """Return distances of points, (..., 3), negative inside, m, and their gradients, (..., 3).
 
-        (69a).
+        Source: docs/equations.md (69a).
         """
+        # q = R_b'(r - c),  delta = |q - clip(q, -h, h)| - a
         q = (r_I - self.centre_I) @ self.R
         beyond = q - np.clip(q, -self.half, self.half)
-        outside, depth = np.linalg.norm(beyond, axis=-1), self.half - np.abs(q)
-        nearest = np.eye(3)[np.argmin(depth, axis=-1)] * np.where(q < 0.0, -1.0, 1.0)
-        within = outside == 0.0
-        normal = np.where(
-            within[..., None], nearest, beyond / np.where(within, 1.0, outside)[..., None]
-        )
-        return np.where(within, -depth.min(axis=-1), outside) - self.radius, normal @ self.R.T
+        outside = np.linalg.norm(beyond, axis=-1)
+
+        # Inside the box: minus the distance from its nearest face.
+        depth = self.half - np.abs(q)
+        nearest_face = np.eye(3)[np.argmin(depth, axis=-1)] * np.where(q < 0.0, -1.0, 1.0)
+
+        is_inside = outside == 0.0
+        direction = beyond / np.where(is_inside, 1.0, outside)[..., None]
+        normal = np.where(is_inside[..., None], nearest_face, direction)
+        distance = np.where(is_inside, -depth.min(axis=-1), outside)
+        return distance - self.radius, normal @ self.R.T
 
     def from_segments(self, a_I: Array, b_I: Array) -> Array:
-        """Return the distances of segments between points, (..., 3) each, at least minus the radius, (...,), m."""
-        return (
-            _apart((a_I - self.centre_I) @ self.R, (b_I - self.centre_I) @ self.R, self.half)
-            - self.radius
-        )
+        """Return the distances of segments between points, (..., 3) each, (...,), m.
+
+        At least minus the radius.
+        """
+        a = (a_I - self.centre_I) @ self.R
+        b = (b_I - self.centre_I) @ self.R
+        return _between_box_and_segments(a, b, self.half) - self.radius
 
     def from_boxes(self, r_I: Array, R: Array, half: Array) -> Array:
         """Return the distances of boxes, (k,), at least minus the radius, m.
 
-        Of centres, rotations and half sizes.
+        Given their centres, (k, 3), rotations, (k, 3, 3), and half sizes, (3,).
         """
-        ends = np.einsum("kij,epj->kepi", R, _edges(half)) + r_I[:, None, None]
-        own = _edges(self.half) @ self.R.T + self.centre_I
-        seen = np.einsum("kij,kepi->kepj", R, own - r_I[:, None, None])
-        theirs, ours = (
-            self.from_segments(ends[:, :, 0], ends[:, :, 1]),
-            _apart(seen[:, :, 0], seen[:, :, 1], half),
-        )
-        return np.asarray(np.minimum(theirs.min(axis=1), ours.min(axis=1) - self.radius))
+        # Boxes that do not touch are nearest at an edge of one of them: (69a).
+        their_edges = np.einsum("kij,epj->kepi", R, _edges(half)) + r_I[:, None, None]
+        from_theirs = self.from_segments(their_edges[:, :, 0], their_edges[:, :, 1])
+
+        own_edges = _edges(self.half) @ self.R.T + self.centre_I
+        in_their_axes = np.einsum("kij,kepi->kepj", R, own_edges - r_I[:, None, None])
+        from_own = _between_box_and_segments(in_their_axes[:, :, 0], in_their_axes[:, :, 1], half)
+
+        nearest = np.minimum(from_theirs.min(axis=1), from_own.min(axis=1) - self.radius)
+        return np.asarray(nearest)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,64 +88,87 @@ class Obstacle:
     penalty: float  # weight of a violation in the program of a controller, 1/m
 
     def from_points(self, r_I: Array) -> tuple[Array, Array]:
-        """Return distances of points, (..., 3), from the nearest solid, (...,), m, and their gradients, (..., 3)."""
-        distances, normals = (
-            np.array(part) for part in zip(*(s.from_points(r_I) for s in self.solids), strict=True)
-        )
+        """Return distances of points, (..., 3), from the nearest solid, and their gradients.
+
+        (...,), m, and (..., 3).
+        """
+        each = [solid.from_points(r_I) for solid in self.solids]
+        distances = np.array([distance for distance, _ in each])
+        normals = np.array([normal for _, normal in each])
+
         nearest = np.argmin(distances, axis=0)[None]
-        return distances.min(axis=0), np.take_along_axis(normals, nearest[..., None], axis=0)[0]
+        normal = np.take_along_axis(normals, nearest[..., None], axis=0)[0]
+        return distances.min(axis=0), normal
 
     def margins(self, N: int) -> Array:
-        """Return the smallest distances of the bodies of N UAVs in the order of `clearances`, (2 N + 1,), m."""
+        """Return the smallest distances of the bodies of N UAVs, (2 N + 1,), m.
+
+        In the order of `clearances`.
+        """
         return np.repeat([self.margin_m, self.load_margin_m], [N, N + 1])
 
 
 def bodies(N: int) -> list[str]:
     """Return the names of the bodies in the order of `clearances`: UAVs, rods, payload."""
-    return [f"{what}{i}" for what in ("UAV", "rod ") for i in range(1, N + 1)] + ["payload"]
+    uavs = [f"UAV{i}" for i in range(1, N + 1)]
+    rods = [f"rod {i}" for i in range(1, N + 1)]
+    return [*uavs, *rods, "payload"]
 
 
 def clearances(system: System, obstacle: Obstacle, x: Array) -> Array:
     """Return distances of UAV centres, rods and payload from an obstacle at states, (k, n).
 
-    (k, 2 N + 1), m: (69a).
+    (k, 2 N + 1), m. Source: docs/equations.md (69a).
     """
-    view, R = state.StateView(x), np.array([rotation(Theta) for Theta in x[:, state.THETA0]])
-    rho, lengths = (
-        np.array([getattr(uav, key) for uav in system.uavs]) for key in ("rho", "rod_length")
-    )
-    low = view.r0_I[:, None] + np.einsum("kij,nj->kni", R, rho)
-    high = low - lengths[:, None] * np.einsum("kij,knj->kni", R, view.e_P)
+    view = state.StateView(x)
+    R = np.array([rotation(Theta) for Theta in x[:, state.THETA0]])
+    rho = np.array([uav.rho for uav in system.uavs])
+    lengths = np.array([uav.rod_length for uav in system.uavs])
+
+    # Both ends of the rods: r0 + R rho_i, and r_i = r0 + R (rho_i - l_i e_i) at the UAVs.
+    attachments = view.r0_I[:, None] + np.einsum("kij,nj->kni", R, rho)
+    uavs = attachments - lengths[:, None] * np.einsum("kij,knj->kni", R, view.e_P)
     half = payload_half_size(system)
-    found = [
-        np.column_stack(
-            [s.from_points(high)[0], s.from_segments(low, high), s.from_boxes(view.r0_I, R, half)]
-        )
-        for s in obstacle.solids
-    ]
-    return np.asarray(np.min(found, axis=0))
+
+    by_solid = []
+    for solid in obstacle.solids:
+        from_uavs, _ = solid.from_points(uavs)
+        from_rods = solid.from_segments(attachments, uavs)
+        from_payload = solid.from_boxes(view.r0_I, R, half)
+        by_solid.append(np.column_stack([from_uavs, from_rods, from_payload]))
+    return np.asarray(np.min(by_solid, axis=0))
 
 
-def _apart(a: Array, b: Array, half: Array) -> Array:
-    """Return the distances of segments from a box about the origin.
+def _between_box_and_segments(a: Array, b: Array, half: Array) -> Array:
+    """Return the distances of segments from a box about the origin, (...,), m.
 
-    Zeros of the slope of a convex function.
+    The distance is convex along a segment: halving leads to the zero of its slope, (69a).
     """
-    along, low, high = b - a, np.zeros(a.shape[:-1]), np.ones(a.shape[:-1])
+    along = b - a
+    low = np.zeros(a.shape[:-1])
+    high = np.ones(a.shape[:-1])
     for _ in range(_HALVINGS):
         s = (low + high) / 2.0
         p = a + s[..., None] * along
-        falls = ((p - np.clip(p, -half, half)) * along).sum(axis=-1) < 0.0
-        low, high = np.where(falls, s, low), np.where(falls, high, s)
+        beyond = p - np.clip(p, -half, half)
+        is_falling = (beyond * along).sum(axis=-1) < 0.0
+        low = np.where(is_falling, s, low)
+        high = np.where(is_falling, high, s)
+
     p = a + ((low + high) / 2.0)[..., None] * along
     return np.asarray(np.linalg.norm(p - np.clip(p, -half, half), axis=-1))
 
 
 def _edges(half: Array) -> Array:
     """Return the ends of all edges of a box about the origin, (edges, 2, 3)."""
-    signs = np.array(list(product((-1.0, 1.0), repeat=3)))
-    pairs = [
-        (a, b) for a in signs for b in signs if np.abs(a - b).sum() == 2.0 and a.sum() < b.sum()
-    ]
+    corners = np.array(list(product((-1.0, 1.0), repeat=3)))
+    pairs = []
+    for a in corners:
+        for b in corners:
+            is_edge = np.abs(a - b).sum() == 2.0
+            if is_edge and a.sum() < b.sum():
+                pairs.append((a, b))
+
     ends = np.minimum(half, _FAR_M) * np.array(pairs)
-    return np.unique(ends.reshape(len(ends), 6) + 0.0, axis=0).reshape(-1, 2, 3)
+    distinct = np.unique(ends.reshape(len(ends), 6) + 0.0, axis=0)  # a flat box has fewer
+    return distinct.reshape(-1, 2, 3)

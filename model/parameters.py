@@ -10,9 +10,10 @@ from transport.model.arrays import Array, ArrayLike, ShapeError, assign, checked
 
 GRAVITY = 9.81  # m/s^2; the paper gives none
 
-_INERTIA_SLACK = (
-    1e-9  # of the triangle inequality of the principal moments: exact flat bodies are allowed
-)
+# Of the triangle inequality of the principal moments: exact flat bodies are allowed.
+_INERTIA_SLACK = 1e-9
+# Largest asymmetry of an inertia, relative to its largest entry: rounding.
+_ASYMMETRY = 1e-12
 _LEAST_HALF_M = 0.05  # half length of each edge of the payload's box, m
 
 
@@ -25,7 +26,8 @@ class Payload:
     """The carried rigid body."""
 
     mass: float  # kg
-    inertia: Array  # about the centre of mass in the payload frame, (3, 3), kg m^2; given as such or as its diagonal
+    # About the centre of mass in the payload frame, (3, 3), kg m^2, given as such or as diagonal.
+    inertia: Array
 
     def __init__(self, *, mass: float, inertia: ArrayLike) -> None:
         assign(self, mass=float(mass), inertia=_inertia("payload inertia", inertia))
@@ -36,18 +38,18 @@ class Uav:
     """One quadrotor and the rod from its centre of mass to the payload."""
 
     mass: float  # kg
-    inertia: Array  # about the centre of mass in the UAV's body frame, (3, 3), kg m^2; given as such or as its diagonal
+    # About the centre of mass in the body frame, (3, 3), kg m^2, given as such or as diagonal.
+    inertia: Array
     rho: Array  # attachment point in the payload frame, (3,), m
     rod_length: float  # m
 
     def __init__(
         self, *, mass: float, inertia: ArrayLike, rho: ArrayLike, rod_length: float
     ) -> None:
-        J = _inertia("UAV inertia", inertia)
         assign(
             self,
             mass=float(mass),
-            inertia=J,
+            inertia=_inertia("UAV inertia", inertia),
             rho=checked("rho", rho, (3,)),
             rod_length=float(rod_length),
         )
@@ -102,16 +104,22 @@ class System:
 
     @property
     def commands_rates(self) -> bool:
-        """Whether the inputs are thrust and body rates instead of thrust and moments."""
+        """True if the inputs are thrust and body rates instead of thrust and moments."""
         return self.rate_gains is not None
 
     def vector(self) -> Array:
-        """Return all parameters in the order of `model.dynamics.Symbols`, (8 + 11 N,) or (11 + 11 N,), SI."""
+        """Return all parameters in the order of `model.dynamics.Symbols`, SI.
+
+        (8 + 11 N,), with commanded body rates (11 + 11 N,).
+        """
         upper = np.triu_indices(3)
         parts = [np.array([self.gravity, self.payload.mass]), self.payload.inertia[upper]]
         for uav in self.uavs:
             parts += [np.array([uav.mass]), uav.inertia[upper], uav.rho, np.array([uav.rod_length])]
-        vector = np.concatenate(parts if self.rate_gains is None else [*parts, self.rate_gains])
+        if self.rate_gains is not None:
+            parts.append(self.rate_gains)
+
+        vector = np.concatenate(parts)
         frozen(vector)
         return vector
 
@@ -132,19 +140,24 @@ def table_1() -> System:
 
 
 def _inertia(name: str, value: ArrayLike) -> Array:
+    """Return the inertia of a body, (3, 3), given as such or as its diagonal.
+
+    Raises: ParameterError: an inertia that no body has.
+    """
     try:
-        diagonal = isinstance(value, np.ndarray | list | tuple) and np.ndim(value[0]) == 0
-        array = checked(name, value, (3,) if diagonal else (3, 3))
+        is_diagonal = isinstance(value, np.ndarray | list | tuple) and np.ndim(value[0]) == 0
+        array = checked(name, value, (3,) if is_diagonal else (3, 3))
     except (ShapeError, IndexError) as error:
         raise ParameterError(str(error)) from error
+
     J = np.diag(array) if array.ndim == 1 else array
-    if not np.allclose(J, J.T, rtol=0.0, atol=1e-12 * np.abs(J).max()):
+    if not np.allclose(J, J.T, rtol=0.0, atol=_ASYMMETRY * np.abs(J).max()):
         raise ParameterError(f"{name}: expected a symmetric matrix, got {J.tolist()}")
+
     moments = np.linalg.eigvalsh(J)
     if moments[0] <= 0.0:
-        raise ParameterError(
-            f"{name}: expected positive principal moments, got {moments.tolist()} kg m^2"
-        )
+        expected = "expected positive principal moments"
+        raise ParameterError(f"{name}: {expected}, got {moments.tolist()} kg m^2")
     if moments[2] > (moments[0] + moments[1]) * (1.0 + _INERTIA_SLACK):
         problem = f"no body has principal moments {moments.tolist()} kg m^2"
         raise ParameterError(f"{name}: {problem}: the largest exceeds the sum of the other two")
@@ -162,5 +175,8 @@ def payload_half_size(system: System) -> Array:
 
 
 def resting_height(system: System, ground_m: float) -> float:
-    """Return z of the centre of mass of a level payload on the ground, inertial frame (z down), m."""
+    """Return z of the centre of mass of a level payload on the ground.
+
+    Inertial frame (z down), m.
+    """
     return ground_m - float(payload_half_size(system)[2])

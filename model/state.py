@@ -33,9 +33,9 @@ SENSED = 15
 POSITION = slice(0, 3)  # inertial frame, m
 VELOCITY = slice(3, 6)  # inertial frame, m/s
 SPECIFIC_FORCE = slice(12, 15)  # acceleration minus gravity, UAV body frame, m/s^2
-# In a plan, of each of the last ticks, the newest first: 1 if it is known, else 0; measurements;
-# inputs until then.
-REPORTED, REPORTS = 1 + SENSED + INPUTS, 4
+# Numbers that a plan reports of a tick: 1 if it is known, else 0; measurements; inputs until then.
+REPORTED = 1 + SENSED + INPUTS
+REPORTS = 4  # of the last ticks, the newest first
 
 # Largest plausible state, input or correction, SI; results computed from such numbers stay far
 # below the float64 range.
@@ -53,7 +53,10 @@ def input_slice(i: int) -> slice:
 
 
 def input_indices(uavs: Iterable[int]) -> npt.NDArray[np.intp]:
-    """Return the positions in u of the inputs of several UAVs (0-based), in the given order, (4 len(uavs),)."""
+    """Return the positions in u of the inputs of several UAVs (0-based), (4 len(uavs),).
+
+    In the given order.
+    """
     return np.array([INPUTS * i + j for i in uavs for j in range(INPUTS)], dtype=np.intp)
 
 
@@ -66,12 +69,12 @@ class StateView:
         self.v0_P = x[..., V0]  # payload velocity, (..., 3), payload frame, m/s
         self.Theta0 = x[..., THETA0]  # payload roll, pitch, yaw, (..., 3), rad
         self.omega0_P = x[..., OMEGA0]  # payload angular velocity, (..., 3), payload frame, rad/s
-        self.uavs = x[..., PAYLOAD:].reshape(*x.shape[:-1], -1, PER_UAV)  # UAV blocks, (..., N, 12)
-        self.e_P = self.uavs[..., E]  # rod directions, (..., N, 3), payload frame, unit
-        self.Omega_P = self.uavs[
-            ..., ROD_RATE
-        ]  # rod angular velocities, (..., N, 3), payload frame, rad/s
-        self.Theta = self.uavs[..., THETA]  # UAV roll, pitch, yaw, (..., N, 3), rad
-        self.omega_B = self.uavs[
-            ..., OMEGA
-        ]  # UAV angular velocities, (..., N, 3), UAV body frames, rad/s
+
+        # UAV blocks, (..., N, 12): rod directions, unit, and angular velocities, rad/s, in the
+        # payload frame; UAV roll, pitch, yaw, rad, and angular velocities in the body frame, rad/s;
+        # (..., N, 3) each.
+        self.uavs = x[..., PAYLOAD:].reshape(*x.shape[:-1], -1, PER_UAV)
+        self.e_P = self.uavs[..., E]
+        self.Omega_P = self.uavs[..., ROD_RATE]
+        self.Theta = self.uavs[..., THETA]
+        self.omega_B = self.uavs[..., OMEGA]

@@ -86,15 +86,15 @@ class CompiledProgram:
         With `only_new` the numbers stay as they are if neither is: `follow` replaces them.
         Source: docs/equations.md (22)-(24), (35).
         """
-        at = native.at
+        address = native.address
         problem = self._problem
         problem.A = self._input("A", discrete.A)
         problem.B = self._input("B", discrete.B)
         problem.K = self._input("K", _NO_GAIN if law is None else law.K)
-        problem.f_d = at(discrete.f_d)
-        problem.u0 = at(linear.u0)
-        problem.uncorrected = 0 if law is None else at(law.uncorrected)
-        problem.announced = at(U) if law is None else at(law.c)
+        problem.f_d = address(discrete.f_d)
+        problem.u0 = address(linear.u0)
+        problem.uncorrected = 0 if law is None else address(law.uncorrected)
+        problem.announced = address(U) if law is None else address(law.c)
 
         is_new = not self._changed.isdisjoint(("A", "B", "K"))
         if is_new or not only_new:
@@ -110,7 +110,7 @@ class CompiledProgram:
         without a control law the derivatives are those of the tick's own state.
         Source: docs/equations.md (26)-(30), (36e), (48).
         """
-        at = native.at
+        address = native.address
         problem = self._problem
         linear = objective.linear
         problem.terminal = objective.terminal
@@ -118,11 +118,11 @@ class CompiledProgram:
         problem.answering = self._input("answering", objective.responding)
         problem.Q = self._input("Q", objective.Q)
         problem.slope = self._input("slope", self._like_before("slope", objective.slopes))
-        problem.at_x0 = at(objective.terms)
-        problem.x0 = at(linear.x0)
-        problem.y = at(linear.model.y)
-        problem.y_ref = at(objective.y_ref)
-        problem.u_target = at(linear.u_target)
+        problem.at_x0 = address(objective.terms)
+        problem.x0 = address(linear.x0)
+        problem.y = address(linear.model.y)
+        problem.y_ref = address(objective.y_ref)
+        problem.u_target = address(linear.u_target)
         problem.model_outputs = len(linear.model.y)
         self._set_end(objective.end)
 
@@ -141,7 +141,7 @@ class CompiledProgram:
         U = np.empty(self._decision.shape)
         c = np.empty(self._decision.shape)
         problem = ctypes.addressof(self._problem)
-        native.KERNELS.conclude(problem, native.at(z), w, native.at(U), native.at(c))
+        native.KERNELS.conclude(problem, native.address(z), w, native.address(U), native.address(c))
         return U, c
 
     def follows(self, prediction: Prediction, law: FeedbackLaw) -> bool:
@@ -158,7 +158,7 @@ class CompiledProgram:
             if array.flags.writeable:
                 self._changed.add(name)
             return before[1]
-        address = native.at(array)
+        address = native.address(array)
         self._inputs[name] = array, address
         self._changed.add(name)
         return address
@@ -177,13 +177,13 @@ class CompiledProgram:
         problem.root = self._input("root", _NO_GAIN if end is None else end.root)
         problem.rank = 0 if end is None else len(end.root)
         if end is not None:
-            problem.error = native.at(end.error)
-            problem.end_slope = native.at(end.slope)
+            problem.error = native.address(end.error)
+            problem.end_slope = native.address(end.slope)
 
     def _set(self, name: str, array: np.ndarray) -> np.ndarray:
         """Give the struct the address of an array, and keep the array alive."""
         self._arrays[name] = array
-        setattr(self._problem, name, native.at(array))
+        setattr(self._problem, name, native.address(array))
         return array
 
     def _set_constants(self, outputs: native.Places, effort: Array) -> None:

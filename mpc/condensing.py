@@ -45,36 +45,53 @@ def condense(
 
     Source: docs/equations.md (26)-(28), (36e), (48); paper (25)-(27).
     """
-    linear = objective.linear
-    steps, _ = decision.shape
-    dX = prediction.dX_free
-    effect = prediction.effect * decision.scale
-
-    # Errors at steps 1..N_p without a decision; step N_p has no input.
-    C = linear.model.C[objective.outputs]
-    y = linear.model.y[objective.outputs] + dX[1:] @ C.T
-    output_error = y - objective.y_ref[1:, objective.outputs]
-    term_error = objective.terms + dX[1:] @ objective.slopes.T
-    effort = prediction.U_all - linear.u_target
-    last_effort = np.zeros(len(objective.responding))
-    others_effort = np.vstack([effort[1:, objective.responding], last_effort])
-    error = np.hstack([output_error, term_error, others_effort])
-
-    # Impulse responses of the same signals, and the prediction matrix of them.
-    on_state = np.tensordot(np.vstack([C, objective.slopes]), effect, 1)
-    on_others = prediction.feedback[objective.responding] * decision.scale
-    S = stacked(np.concatenate([on_state, on_others]))
-
-    weights = 2.0 * np.tile(objective.Q, (steps, 1))
-    weights[-1] *= objective.terminal
+    error = _error(prediction, objective)
+    S = _effect(decision, prediction, objective)
     R = 2.0 * objective.effort
-    H = S.T @ (weights.reshape(-1, 1) * S) + np.diag(np.tile(R * decision.scale, steps))
-    g = S.T @ (weights * error).reshape(-1) + (R * effort[:, decision.own]).reshape(-1)
+    effort = prediction.U_all[:, decision.own] - objective.linear.u_target[decision.own]
+
+    # Q of steps 1..N_p, the last one that of the terminal weight, doubled.
+    steps, _ = decision.shape
+    Q = 2.0 * np.tile(objective.Q, (steps, 1))
+    Q[-1] *= objective.terminal
+
+    H = S.T @ (Q.reshape(-1, 1) * S) + np.diag(np.tile(R * decision.scale, steps))
+    g = S.T @ (Q * error).reshape(-1) + (R * effort).reshape(-1)
 
     # Cost-to-go |root (error + dx)|^2 + 2 slope' dx of the last state, (36e).
     end = objective.end
     if end is not None:
+        effect = prediction.effect * decision.scale
         last = effect[:, ::-1].reshape(len(effect), -1)
+        ahead = end.root.T @ (end.root @ (end.error + prediction.dX_free[-1])) + end.slope
         H += 2.0 * last.T @ end.root.T @ end.root @ last
-        g += 2.0 * (end.root.T @ (end.root @ (end.error + dX[-1])) + end.slope) @ last
+        g += 2.0 * ahead @ last
     return (H + H.T) / 2.0, g
+
+
+def _error(prediction: Prediction, objective: Objective) -> Array:
+    """Return s, the errors of the weighted signals at steps 1..N_p without a decision.
+
+    (N_p, outputs + t + responding); step N_p has no input.
+    """
+    linear = objective.linear
+    dX = prediction.dX_free
+    C = linear.model.C[objective.outputs]
+    y = linear.model.y[objective.outputs] + dX[1:] @ C.T
+    outputs = y - objective.y_ref[1:, objective.outputs]
+
+    terms = objective.terms + dX[1:] @ objective.slopes.T
+
+    effort = prediction.U_all - linear.u_target
+    last_effort = np.zeros(len(objective.responding))
+    others = np.vstack([effort[1:, objective.responding], last_effort])
+    return np.hstack([outputs, terms, others])
+
+
+def _effect(decision: Decision, prediction: Prediction, objective: Objective) -> Array:
+    """Return S, the effect of the scaled decision on the weighted signals: (25)."""
+    C = objective.linear.model.C[objective.outputs]
+    on_states = prediction.effect * decision.scale
+    on_signals = np.tensordot(np.vstack([C, objective.slopes]), on_states, 1)
+    on_others = prediction.feedback[objective.responding] * decision.scale
+    return stacked(np.concatenate([on_signals, on_others]))

@@ -35,6 +35,17 @@ _STEEPEST = 1.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Horizon:
+    """Data of one step over the horizon."""
+
+    # Announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan, shifted.
+    U: Array
+    y_ref: Array  # reference outputs at steps 0..N_p, (N_p + 1, p)
+    law: FeedbackLaw | None = None  # shared control law, with closed-loop prediction
+    end: CostToGo | None = None  # the cost after the horizon, with terminal "riccati"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StepResult:
     """Plan of one step."""
 
@@ -113,12 +124,9 @@ class Controller:
         self,
         x0: Array,
         u0: Array,
-        U: Array,
-        y_ref: Array,
-        law: FeedbackLaw | None = None,
+        horizon: Horizon,
         forces: Array | None = None,
         ticks_since_start: int | None = None,
-        end: CostToGo | None = None,
     ) -> StepResult:
         """Return the plan of one step; never raises for a problem without solution.
 
@@ -127,19 +135,16 @@ class Controller:
                 + m,).
             u0: Inputs in force just before it, all UAVs, (m,): linearisation point and origin of
                 the rates.
-            U: Announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan,
-                shifted.
-            y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
-            law: Shared control law over the horizon, with closed-loop prediction.
-            end: The cost after the horizon, with terminal "riccati".
+            horizon: Announced inputs, reference and control law over the horizon.
             forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without
                 estimate.
             ticks_since_start: Since this controller began; soon after it w is larger in `conclude`.
         """
+        law = horizon.law
         linear = self.linearise(x0, u0, forces)
-        prediction = self.predict(linear, self.discretise(linear), U, law)
-        qp = self.condense(linear, prediction, y_ref, law, end)
-        return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
+        prediction = self.predict(linear, self.discretise(linear), horizon.U, law)
+        qp = self.condense(linear, prediction, horizon.y_ref, law, horizon.end)
+        return self.conclude(self.solve(qp), prediction, horizon.U, law, ticks_since_start)
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
         """Linearise about x0, (n,), or [x, actual inputs], (n + m,), and u0, (m,), SI.

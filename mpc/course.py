@@ -94,7 +94,8 @@ class CourseProgram:
         """
         m = self._decision.shape[1]
         size = self._decision.size
-        own, scale = self._decision.own, self._decision.scale
+        own = self._decision.own
+        scale = self._decision.scale
         penalties = self._stack.penalties
         if course.within:
             penalties = penalties[:0]

@@ -231,7 +231,8 @@ def _scalar(tree: ast.expr, symbols: Symbols, label: str) -> ca.SX:
 @lru_cache(maxsize=1)  # the texts of a scenario are read one after the other
 def _names(symbols: Symbols) -> dict[str, Any]:
     """Return the names of a text and their values."""
-    x, u = symbols.x, symbols.u
+    x = symbols.x
+    u = symbols.u
     names = {
         "r0": x[state.R0],
         "v0": x[state.V0],

@@ -49,7 +49,7 @@ class FailSafe:
 
     @property
     def follows(self) -> bool:
-        """Whether UAVs follow the reference, and do not only keep level."""
+        """True if UAVs follow the reference, and do not only keep level."""
         return self._X_ref is not None
 
     @property
@@ -75,7 +75,8 @@ class FailSafe:
         running = np.repeat([uav not in off for uav in range(self._system.N)], state.INPUTS)
         u_hover = np.where(running, hover.u, self.u_hover)
 
-        track, X_ref = self.track, self._X_ref
+        track = self.track
+        X_ref = self._X_ref
         if track is not None and released:
             system = with_released(self._system, released)
             track = flat.track(system, hover, track.paths, track.first, released)

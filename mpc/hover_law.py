@@ -39,7 +39,7 @@ class Crew:
 
     @property
     def needs_regulator(self) -> bool:
-        """Whether controllers with these settings use a shared control law or its cost-to-go."""
+        """True if controllers with these settings use a shared control law or its cost-to-go."""
         return self.settings.prediction == "closed_loop" or self.settings.terminal == "riccati"
 
 

@@ -131,24 +131,14 @@ class Loop:
         past commands, guesses of unmeasured coordinates].
         Raises: ParameterError: the bodies have no hover.
         """
-        periods, part_s = divmod(plant.delay_s, self.period_s)
-        late = round(periods)
-        F, G = self._continuous(plant)
-        # The plant's steps before and after the arrival of a delayed command.
-        before = _held(F, G, part_s)
-        after = _held(F, G, self.period_s - part_s)
+        arrival = self._arrival(plant)
+        late = arrival.late
+        before = arrival.before
+        after = arrival.after
 
-        whole = self._blocks(len(F), late)
+        whole = self._blocks(len(before.A), late)
         now = np.vstack([whole.motion[: self._r], whole.expected])
-        issued = np.empty((self._system.m, now.shape[1]))
-        gone = self._gone[:, 0]
-        issued[gone] = self._fail_safe[gone] @ now
-        guesses = []
-        for agent, controller in enumerate(self._controllers):
-            past = [now, *whole.past]
-            x, guess = self._estimate(agent, past, whole.commands, whole.guesses[agent])
-            issued[controller.own] = self._law[controller.own] @ x
-            guesses.append(guess)
+        issued, guesses = self._issued(whole, now)
 
         # Commands in force, now and before; the fail-safe needs no time for computing.
         commands = [issued, *whole.commands]  # newest first
@@ -161,20 +151,50 @@ class Loop:
         expected = self._A[self._r :] @ now + self._B[self._r :] @ acting[0]
         return np.vstack([moved, expected, now, *whole.past[:-1], *commands[:-1], *guesses])
 
+    def _arrival(self, plant: Mismatch) -> "_Arrival":
+        """Return the plant's step, divided where a delayed command arrives."""
+        periods, part_s = divmod(plant.delay_s, self.period_s)
+        F, G = self._continuous(plant)
+        return _Arrival(
+            late=round(periods),
+            before=_held(F, G, part_s),
+            after=_held(F, G, self.period_s - part_s),
+        )
+
+    def _issued(self, whole: "_Blocks", now: Array) -> tuple[Array, list[Array]]:
+        """Return the new commands, (m, size), and the agents' guesses of unmeasured coordinates."""
+        issued = np.empty((self._system.m, now.shape[1]))
+        gone = self._gone[:, 0]
+        issued[gone] = self._fail_safe[gone] @ now
+
+        guesses = []
+        past = [now, *whole.past]
+        for agent, controller in enumerate(self._controllers):
+            x, guess = self._estimate(agent, past, whole.commands, whole.guesses[agent])
+            issued[controller.own] = self._law[controller.own] @ x
+            guesses.append(guess)
+        return issued, guesses
+
     def _continuous(self, plant: Mismatch) -> tuple[Array, Array]:
         """Return x' = F x + G u of the actual bodies, with inner loop and lag of their motors.
 
         Raises: ParameterError: the bodies have no hover.
         """
-        system = self._system
-        bodies = plant.system(system)
+        bodies = plant.system(self._system)
         actual = hover(bodies)
         linear = Model(bodies).linearise(actual.x, actual.u)
-        T = self._T[: system.n, : self._r]
+        T = self._T[: self._system.n, : self._r]
         F = T.T @ linear.A_c @ T
         G = plant.gain * (T.T @ linear.B_c)
 
-        # Thrust and moments by state and by command: J K (rate command - rate), (57).
+        wrench = self._wrench(T)
+        if plant.lag_s > 0.0:
+            return self._with_motors(F, G, wrench, plant.lag_s)
+        return F + G @ wrench.by_state, G @ wrench.by_command
+
+    def _wrench(self, T: Array) -> "_Wrench":
+        """Return thrust and moments by state and by command: J K (rate command - rate), (57)."""
+        system = self._system
         by_state = np.zeros((system.m, system.n))
         by_command = np.eye(system.m)
         if system.rate_gains is not None:
@@ -183,17 +203,23 @@ class Loop:
                 gains = uav.inertia * system.rate_gains
                 by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
                 by_command[moments, moments][1:, 1:] = gains
-        by_state = by_state @ T
-        if plant.lag_s == 0.0:
-            return F + G @ by_state, G @ by_command
+        return _Wrench(by_state=by_state @ T, by_command=by_command)
 
-        # Actual inputs as states, in units of their effect: moments of small vehicles are tiny.
+    def _with_motors(
+        self, F: Array, G: Array, wrench: "_Wrench", lag_s: float
+    ) -> tuple[Array, Array]:
+        """Return the motion with actual inputs as states: a' = (wrench - a) / lag, (53).
+
+        They are in units of their effect: moments of small vehicles are tiny.
+        """
+        m = self._system.m
         unit = 1.0 / np.abs(G).max(axis=0)
-        own_decay = -np.eye(system.m) / plant.lag_s
-        to_motors = by_state / (unit * plant.lag_s)[:, None]
+        own_decay = -np.eye(m) / lag_s
+        to_motors = wrench.by_state / (unit * lag_s)[:, None]
+        commanded = wrench.by_command / (unit * lag_s)[:, None]
+
         with_motors = np.block([[F, G * unit], [to_motors, own_decay]])
-        commanded = by_command / (unit * plant.lag_s)[:, None]
-        return with_motors, np.vstack([np.zeros((self._r, system.m)), commanded])
+        return with_motors, np.vstack([np.zeros((self._r, m)), commanded])
 
     def _blocks(self, motion: int, late: int) -> "_Blocks":
         """Return the parts of the whole state, as rows of the identity."""
@@ -261,6 +287,23 @@ class Loop:
         others = eigenvalues[by_distance[self._system.N :]]
         decay = -math.log(float(np.abs(others).max())) / self.period_s
         return 1.0 / decay if decay > _DECAY else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Arrival:
+    """The plant's steps before and after the arrival of a delayed command within a period."""
+
+    late: int  # whole periods of the delay
+    before: Discrete
+    after: Discrete
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Wrench:
+    """Thrust and moments of the UAVs as the inner loops set them."""
+
+    by_state: Array  # (m, r)
+    by_command: Array  # (m, m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

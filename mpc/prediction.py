@@ -104,7 +104,7 @@ def own_response(A: Array, B_own: Array, V: Array) -> Array:
     if not native.AVAILABLE:
         return free_response(A, drive)
     dX = np.empty((len(V) + 1, len(A)))
-    native.KERNELS.free_response(len(V), len(A), *map(native.at, (A, drive, dX)))
+    native.KERNELS.free_response(len(V), len(A), *map(native.address, (A, drive, dX)))
     return dX
 
 

@@ -38,7 +38,8 @@ class Program:
         self._others = [each for each in self.stack.constraints if not each.in_kernel]
         self._user_costs = user_costs
 
-        system, settings = decision.system, decision.settings
+        system = decision.system
+        settings = decision.settings
         self._n = system.n + (system.m if settings.motor_lag_s > 0.0 else 0)
         # Outputs without a weight stay out of the program.
         self._outputs = np.flatnonzero(cost.Q)

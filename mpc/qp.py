@@ -24,7 +24,7 @@ Status = Literal["solved", "infeasible", "limit", "numerical"]
 RESIDUAL_TOLERANCE = 1e-6
 # A usual QP needs one guess of its active bounds, others two or three; the limit ends a cycle.
 MOST_GUESSES = 8
-_ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
+MOST_ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
 _TOLERANCE = 1e-9  # of DAQP, primal and dual
 _INTERIOR_TOLERANCE = 1e-11  # of Clarabel
 _INFINITY = 1e30  # DAQP's own
@@ -57,7 +57,7 @@ class QP:
     def addresses(self) -> list[int]:
         """Addresses of the data, row-major, for the compiled kernels."""
         data = self.H, self.g, self.lower, self.upper, self.A, self.row_lower, self.row_upper
-        return [native.at(array) for array in data]
+        return [native.address(array) for array in data]
 
     def __getstate__(self) -> dict[str, Array]:
         """Return the data for copies, which have addresses of their own."""
@@ -134,16 +134,17 @@ def _compiled_residuals(
     """Return the residuals by the compiled kernel."""
     rows, n = qp.A.shape
     values = np.empty(3)
-    solution = map(native.at, (z, bound_multipliers, row_multipliers))
+    solution = map(native.address, (z, bound_multipliers, row_multipliers))
     work = native.work("residuals", n)
-    native.KERNELS.residuals(n, rows, *qp.addresses, *solution, native.at(values), work)
+    native.KERNELS.residuals(n, rows, *qp.addresses, *solution, native.address(values), work)
     return Residuals(*values.tolist())
 
 
-def solve(qp: QP, solver: SolverName) -> Solution:
+def solve(qp: QP, solver: SolverName, most_iterations: int = MOST_ITERATIONS) -> Solution:
     """Solve by the chosen solver, check the residuals, and use Clarabel as fallback.
 
-    With DAQP the program with bounds alone is tried first. If all fail, return the last failure.
+    With DAQP, limited to a number of iterations, the program with bounds alone is tried first. If
+    all fail, return the last failure.
     """
     if solver == "daqp":
         by_bounds = within_bounds(qp)
@@ -154,7 +155,7 @@ def solve(qp: QP, solver: SolverName) -> Solution:
     if solver == "clarabel":
         return solve_clarabel(qp)
 
-    solution = solve_daqp(qp)
+    solution = solve_daqp(qp, most_iterations)
     if solution.status == "solved":
         return solution
     return replace(solve_clarabel(qp), fallback=True)
@@ -185,22 +186,22 @@ def within_bounds(qp: QP) -> Solution | None:
     multipliers = np.empty_like(qp.g)
     values = np.empty(3)
     work = native.work("within_bounds", native.KERNELS.within_bounds_work(n, rows))
-    answer = map(native.at, (z, multipliers, values))
+    answer = map(native.address, (z, multipliers, values))
     guesses = native.KERNELS.solve_within_bounds(
         n, rows, *qp.addresses, MOST_GUESSES, *answer, work
     )
     if guesses <= 0:
         return None
 
-    found = Residuals(*values.tolist())
-    if found.worst > RESIDUAL_TOLERANCE:
+    checked = Residuals(*values.tolist())
+    if checked.worst > RESIDUAL_TOLERANCE:
         return None
     return Solution(
         status="solved",
         z=z,
         bound_multipliers=multipliers,
         row_multipliers=np.zeros(rows),
-        residuals=found,
+        residuals=checked,
         iterations=guesses,
         solver="active_set",
     )
@@ -208,7 +209,7 @@ def within_bounds(qp: QP) -> Solution | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Answer:
-    """What a solver returns."""
+    """The answer of a solver, not checked yet."""
 
     status: Status
     z: Array
@@ -218,7 +219,7 @@ class _Answer:
     solver: SolverName
 
 
-def solve_daqp(qp: QP) -> Solution:
+def solve_daqp(qp: QP, most_iterations: int = MOST_ITERATIONS) -> Solution:
     """Solve by the dual active-set method of Arnstrom, Bemporad, Axehill 2022."""
     lower = np.maximum(np.concatenate([qp.lower, qp.row_lower]), -_INFINITY)
     upper = np.minimum(np.concatenate([qp.upper, qp.row_upper]), _INFINITY)
@@ -230,7 +231,7 @@ def solve_daqp(qp: QP) -> Solution:
         upper,
         lower,
         sense,
-        iter_limit=_ITERATIONS,
+        iter_limit=most_iterations,
         primal_tol=_TOLERANCE,
         dual_tol=_TOLERANCE,
     )

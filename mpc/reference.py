@@ -7,9 +7,10 @@ import numpy as np
 
 from transport.model.arrays import Array, continued, frozen
 from transport.model.flat import FlatReference, Track
+from transport.model.hover_reference import Reference as HoverReference
 from transport.model.identity import digest
-from transport.model.maneuver import Maneuver, Target
-from transport.model.maneuver import Reference as HoverReference
+from transport.model.maneuver import Maneuver
+from transport.model.target import Target
 from transport.mpc.shared import SharedResults
 
 # Instants before a target for which the law before it is kept: more than estimators look back.
@@ -72,7 +73,7 @@ class Reference:
 
     @property
     def is_flat(self) -> bool:
-        """Whether the team can fly it exactly."""
+        """True if the team can fly it exactly."""
         return isinstance(self._path, FlatReference)
 
     @property
@@ -101,7 +102,7 @@ class Reference:
 
     @property
     def sampled(self) -> Sampled:
-        """What controllers follow at the sampling instants."""
+        """The reference of controllers at the sampling instants."""
         # From the newest reference that has samples, one target after the other.
         pending: list[Reference] = []
         reference = self

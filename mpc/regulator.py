@@ -90,47 +90,79 @@ def regulator(
         raise FeedbackError(f"{_EXPECTED}, got {got}") from error
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Problem:
+    """The regulator's problem in coordinates xi of the manifold, UAVs without agents in A."""
+
+    T: Array  # basis of the manifold's directions, (n, r)
+    K_fixed: Array  # feedback of UAVs without agents, (m, n)
+    controlled: npt.NDArray[np.intp]  # positions in u of the inputs of UAVs with agents, (m_c,)
+    A: Array  # (r, r)
+    B: Array  # of the controlled inputs, (r, m_c)
+    CQC: Array  # C'QC, the stage cost of xi, (r, r)
+    R: Array  # diagonal of the weights on the controlled inputs, (m_c,)
+
+
 def _regulator(
     hovering: HoveringTeam, period_s: float, motor_lag_s: float, further: Array | None
 ) -> Regulator:
     """Return the regulator. Raises also: LinAlgError: numbers overflow."""
-    linear, discrete = _about_hover(hovering, period_s, motor_lag_s)
-    team, m = hovering.team, hovering.model.system.m
-    T = tangent(hovering.hover.x, team.off, team.released, motors=motor_lag_s > 0.0)
-    K: Array = np.zeros((m, len(T)))
-    for uav, gain in hovering.uncontrolled.items():
-        K[state.input_slice(uav), : gain.shape[1]] = gain
-    controlled = np.setdiff1d(np.arange(m), input_indices(sorted(hovering.uncontrolled)))
+    problem = _problem(hovering, period_s, motor_lag_s, further)
+    A = problem.A
+    B = problem.B
+    T = problem.T
+    P, discount = _cost_to_go(A, B, problem.CQC, problem.R, may_swing=bool(hovering.uncontrolled))
 
-    # Difference equation and cost in coordinates of the manifold.
-    A = T.T @ (discrete.A + discrete.B @ K) @ T
-    B = T.T @ discrete.B[:, controlled]
-    C = linear.C @ T
-    R = hovering.cost.R[controlled]
-    CQC = C.T @ (hovering.cost.Q[:, None] * C)
-    if further is not None:
-        terms = padded(further, len(T))
-        CQC += T.T @ terms.T @ terms @ T
-
-    P, discount = _cost_to_go(A, B, CQC, R, may_swing=bool(hovering.uncontrolled))
-    inner = np.diag(R) / discount**2 + B.T @ P @ B
-    preview_gain = np.negative(np.linalg.solve(inner, B.T), dtype=np.float64)
-    K[controlled] = preview_gain @ P @ A @ T.T
-    A_closed = A + B @ K[controlled] @ T
+    # K = -(R + B'PB)^-1 B'P A T'
+    H = np.diag(problem.R) / discount**2 + B.T @ P @ B
+    preview_gain = np.negative(np.linalg.solve(H, B.T), dtype=np.float64)
+    K = problem.K_fixed.copy()
+    K[problem.controlled] = preview_gain @ P @ A @ T.T
+    A_closed = A + B @ K[problem.controlled] @ T
 
     _check_stable(A_closed, period_s)
     _check_gain(K[:, : len(hovering.hover.x)], hovering.cost)
     root = _root(P) @ T.T
-    frozen(K, P, root, T, controlled, A, A_closed, preview_gain)
+    frozen(K, P, root, T, problem.controlled, A, A_closed, preview_gain)
     return Regulator(
         K=K,
         P=P,
         root=root,
         T=T,
-        controlled=controlled,
+        controlled=problem.controlled,
         A=A,
         A_closed=A_closed,
         preview_gain=preview_gain,
+    )
+
+
+def _problem(
+    hovering: HoveringTeam, period_s: float, motor_lag_s: float, further: Array | None
+) -> _Problem:
+    """Return difference equation and cost about hover in coordinates xi: (33), (45)."""
+    linear, discrete = _about_hover(hovering, period_s, motor_lag_s)
+    team = hovering.team
+    m = hovering.model.system.m
+    T = tangent(hovering.hover.x, team.off, team.released, motors=motor_lag_s > 0.0)
+
+    K_fixed: Array = np.zeros((m, len(T)))
+    for uav, gain in hovering.uncontrolled.items():
+        K_fixed[state.input_slice(uav), : gain.shape[1]] = gain
+    controlled = np.setdiff1d(np.arange(m), input_indices(sorted(hovering.uncontrolled)))
+
+    C = linear.C @ T
+    CQC = C.T @ (hovering.cost.Q[:, None] * C)
+    if further is not None:
+        terms = padded(further, len(T))
+        CQC += T.T @ terms.T @ terms @ T
+    return _Problem(
+        T=T,
+        K_fixed=K_fixed,
+        controlled=controlled,
+        A=T.T @ (discrete.A + discrete.B @ K_fixed) @ T,
+        B=T.T @ discrete.B[:, controlled],
+        CQC=CQC,
+        R=hovering.cost.R[controlled],
     )
 
 

@@ -9,7 +9,7 @@ from transport.mpc.prediction import Prediction, convolve
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mixture:
-    """What a new optimum is mixed with."""
+    """The data that a new optimum is mixed with."""
 
     at_x0: Array  # owned inputs by the law with the state held at x0, (N_p, m_own)
     previous: Array  # previous corrections, shifted, (N_p, m_own)

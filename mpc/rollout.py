@@ -1,5 +1,6 @@
 """Trajectories of the nonlinear model under the control law, within limits of inputs."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from transport.model import motors
 from transport.model.arrays import Array
+from transport.model.compiled_step import Feedback
 from transport.model.linearisation import Model
 from transport.mpc.decision import Decision
 from transport.mpc.feedback import FeedbackLaw
@@ -18,6 +20,14 @@ class Rollout(NamedTuple):
 
     Z: Array  # states at steps 0..N_p, (N_p + 1, n), with motor lag (N_p + 1, n + m)
     U: Array  # inputs at steps 0..N_p - 1, (N_p, m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounds:
+    """Smallest and largest inputs of all UAVs, (m,) each."""
+
+    lower: Array
+    upper: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,24 +52,51 @@ def rollout(
     estimated external forces, N, and mass. The inputs `own` have other limits.
     Source: docs/equations.md (35a), (73).
     """
-    lower = settings.lower(model.system.N)
-    upper = settings.upper(model.system.N)
-    period_s = settings.sampling_period_s
-    lag_s = settings.motor_lag_s
-    at_x0 = law.uncorrected + law.c
-    if own is None and law.K.ndim == 2 and lag_s == 0.0:
-        compiled = model.rollout(z0, at_x0, law.K, (lower, upper), period_s, forces)
+    bounds = Bounds(lower=settings.lower(model.system.N), upper=settings.upper(model.system.N))
+    period = motors.Period(
+        duration_s=settings.sampling_period_s, steps=1, lag_s=settings.motor_lag_s
+    )
+    if own is None and law.K.ndim == 2 and period.lag_s == 0.0:
+        at_x0 = law.uncorrected + law.c
+        feedback = Feedback(at_x=at_x0, K=law.K, lower=bounds.lower, upper=bounds.upper)
+        compiled = model.rollout(z0, feedback, period.duration_s, forces)
         if compiled is not None:
             return Rollout(*compiled)
 
-    step = model.stepper(period_s, forces)
+    step = _step(model, period, forces)
+    return _by_steps(step, z0, law, bounds, own)
+
+
+def _step(
+    model: Model, period: motors.Period, forces: Array | None
+) -> Callable[[Array, Array], Array]:
+    """Return the map from state and input to the state one period later."""
+    if period.lag_s == 0.0:
+        return model.stepper(period.duration_s, forces)
+
+    def after_step(z: Array, u: Array) -> Array:
+        return motors.integrate(model, z, u, period, forces)[0]
+
+    return after_step
+
+
+def _by_steps(
+    step: Callable[[Array, Array], Array],
+    z0: Array,
+    law: FeedbackLaw,
+    bounds: Bounds,
+    own: OwnInputs | None,
+) -> Rollout:
+    """Return the trajectory step by step: u = u_law(x0) + c + K_k (x - x0) within limits, (73)."""
+    at_x0 = law.uncorrected + law.c
     gains = law.K if law.K.ndim == 3 else [law.K] * len(at_x0)
     before = None if own is None else own.before
+
     Z = [z0]
     U = []
     for k, K in enumerate(gains):
         wanted = at_x0[k] + K @ (Z[k] - z0)
-        u = np.minimum(np.maximum(wanted, lower), upper)
+        u = np.minimum(np.maximum(wanted, bounds.lower), bounds.upper)
         if own is not None:
             owned = wanted[own.decision.own]
             if before is not None:
@@ -67,9 +104,5 @@ def rollout(
                 before = owned
             u[own.decision.own] = owned
         U.append(u)
-
-        if lag_s > 0.0:
-            Z.append(motors.integrate(model, Z[k], u, period_s, 1, lag_s, forces)[0])
-        else:
-            Z.append(step(Z[k], u))
+        Z.append(step(Z[k], u))
     return Rollout(np.array(Z), np.array(U))

@@ -1,4 +1,7 @@
-"""Settings of a controller, and the base of all sections: the only place of key, type, range, default and meaning."""
+"""Settings of a controller, and the base of all sections of a scenario.
+
+Here alone each key has its type, range, default and meaning.
+"""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -17,19 +20,17 @@ PenalisedInput = Literal["deviation", "absolute"]
 
 
 class SettingsError(ValueError):
-    """A setting that a controller cannot use; the text names it, what was expected and what came."""
+    """A setting that a controller cannot use; the text names it, with expected and actual value."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Key:
     """Properties of a key beside type and range, in the annotation of its field."""
 
-    unit: str | None = (
-        None  # in SI; None where the ending of the name tells (`protocol.scenario.keys.UNITS`)
-    )
-    within: tuple[float, float] | None = (
-        None  # smallest magnitude apart from zero, and largest; None: by the ending
-    )
+    # Unit in SI; None where the ending of the name tells (`protocol.scenario.keys.UNITS`).
+    unit: str | None = None
+    # Smallest magnitude apart from zero, and largest; None: by the ending.
+    within: tuple[float, float] | None = None
     label: str = ""  # name on the axis of a figure; empty: the words of the key
     shown: str = ""  # unit in figures, where it is not `unit`
     short: str = ""  # name as a keyword argument in Python, if it has one
@@ -74,7 +75,7 @@ Range = Annotated[
 
 
 def _weight(unit: str | None = None, label: str = "") -> Key:
-    """Return the properties of a weight or penalty: the condition of the QP is about their ratio."""
+    """Return the properties of a weight or penalty: their ratios set the condition of the QP."""
     return Key(unit=unit, within=(1e-12, 1e8), label=label)
 
 
@@ -106,18 +107,18 @@ class Weights(Section):
         0.1,
         0.1,
     )
-    """weight on each commanded body rate, per body axis; only with `controller.inputs=rates`, in place of `moments` and
-    `angular_acceleration`, for vehicles of any size"""
+    """weight on each commanded body rate, per body axis; only with `controller.inputs=rates`, in
+    place of `moments` and `angular_acceleration`, for vehicles of any size"""
     acceleration: Annotated[
         Positive | None, _weight("s⁴/m²", "weight on acceleration by thrust")
     ] = None
-    """weight on each thrust over the mass that the UAV lifts, its own and an equal share of the payload's; replaces
-    `thrust`, so that one value serves vehicles of any size"""
+    """weight on each thrust over the mass that the UAV lifts, its own and an equal share of the
+    payload's; replaces `thrust`, so that one value serves vehicles of any size"""
     angular_acceleration: Annotated[
         Positive | None, _weight("s⁴/rad²", "weight on angular acceleration by moments")
     ] = None
-    """weight on each moment over the UAV's inertia about that axis; replaces `moments`, so that one value serves
-    vehicles of any size"""
+    """weight on each moment over the UAV's inertia about that axis; replaces `moments`, so that one
+    value serves vehicles of any size"""
     tilt_rate: Annotated[NotNegative, _weight("s²/rad²", "weight on tilt rate")] = 0.0
     """weight on each UAV's first and second body rate"""
     penalised_input: PenalisedInput = "deviation"
@@ -139,7 +140,8 @@ class Weights(Section):
         R = np.tile([self.thrust, *self.moments], (system.N, 1))
         for row, uav in zip(R, system.uavs, strict=True):
             if self.acceleration is not None:
-                row[0] = self.acceleration / (uav.mass + system.payload.mass / system.N) ** 2
+                lifted = uav.mass + system.payload.mass / system.N
+                row[0] = self.acceleration / lifted**2
             if system.commands_rates:
                 row[1:] = self.rates
             elif self.angular_acceleration is not None:
@@ -147,11 +149,15 @@ class Weights(Section):
         return R.reshape(-1)
 
     def terms(self, N: int) -> tuple["CostTerm", ...]:
-        """Return the weights of N UAVs that are not on outputs of the model, as terms of the cost."""
-        rates = [
-            f"omega{uav}[{axis}]" for uav in range(1, N + 1) for axis in (0, 1) if self.tilt_rate
-        ]
-        return tuple(CostTerm(expression=rate, weight=self.tilt_rate) for rate in rates)
+        """Return the weights of N UAVs on other quantities than outputs, as terms of the cost."""
+        if self.tilt_rate == 0.0:
+            return ()
+        terms = []
+        for uav in range(1, N + 1):
+            for axis in (0, 1):
+                rate = f"omega{uav}[{axis}]"
+                terms.append(CostTerm(expression=rate, weight=self.tilt_rate))
+        return tuple(terms)
 
 
 class Limits(Section):
@@ -160,29 +166,38 @@ class Limits(Section):
     thrust_N: Range = (0.0, 45.0)
     """smallest and largest thrust; hover must lie between"""
     moments_Nm: PositiveVector = (1.0, 1.0, 0.5)
-    """largest moment about each body axis, either sign; with `controller.inputs=rates` that of the inner loop"""
+    """largest moment about each body axis, either sign; with `controller.inputs=rates` that of the
+    inner loop"""
     thrust_rate_N_s: Positive = 100.0
     """largest change of thrust; over one period it is this times T_s"""
     moment_rates_Nm_s: PositiveVector = (10.0, 10.0, 5.0)
     """largest change of each moment; no effect with `controller.inputs=rates`"""
     rates_rads: PositiveVector = (4.0, 4.0, 2.0)
-    """largest commanded rate about each body axis, either sign; only with `controller.inputs=rates`"""
+    """largest commanded rate about each body axis, either sign; only with
+    `controller.inputs=rates`"""
     rate_slopes_rads2: PositiveVector = (40.0, 40.0, 20.0)
     """largest change of each commanded body rate; only with `controller.inputs=rates`"""
 
 
 class Separation(Section):
-    """The smallest distance between the centres of any two UAVs, softened so that no state makes the QP infeasible."""
+    """The smallest distance between the centres of any two UAVs.
+
+    Softened, so that no state makes the QP infeasible.
+    """
 
     minimum_m: Annotated[Positive, Key(label="smallest allowed distance of UAVs")]
     """smallest distance between the centres of any two UAVs; at most the distance at hover"""
-    # Above the constraint's multiplier the softened problem has the solution of the hard one if that exists.
+    # Above the constraint's multiplier the softened problem has the solution of the hard one, if
+    # there is one.
     penalty: Annotated[Positive, _weight("1/m")] = 100.0
     """penalty on the largest violation over the horizon"""
 
 
 class Tilt(Section):
-    """The largest roll and pitch that an agent plans for its UAVs, softened: valid angles of the linearisation."""
+    """The largest roll and pitch that an agent plans for its UAVs, softened.
+
+    The linearisation is valid within them.
+    """
 
     limit_deg: Annotated[float, Interval(gt=0.0, lt=90.0), Key(label="largest planned tilt")]
     """largest roll and pitch, either sign, that an agent plans for its own UAVs"""
@@ -191,7 +206,10 @@ class Tilt(Section):
 
 
 class Tension(Section):
-    """The smallest rod tension that an agent plans for its UAVs, softened: a taut cable behaves as a rod."""
+    """The smallest rod tension that an agent plans for its UAVs, softened.
+
+    A taut cable behaves as a rod.
+    """
 
     minimum_N: Positive
     """smallest tension of the rods of its own UAVs that an agent plans; less than at hover"""
@@ -205,19 +223,23 @@ class Constraint(Section):
     expression: str
     """such as `"r0[2] >= -12.0"`"""
     soft: bool = True
-    """true: a state inequality may be violated at a penalty; equalities and input constraints are always hard"""
+    """true: a state inequality may be violated at a penalty; equalities and input constraints are
+    always hard"""
     penalty: Annotated[Positive, _weight("1 over the unit of the expression")] = 1000.0
     """penalty on the largest violation over the horizon"""
 
 
 class CostTerm(Section):
-    """A cost term of the user: weight times the square of an expression, at every step of the horizon."""
+    """A cost term of the user, at every step of the horizon.
+
+    Weight times the square of an expression.
+    """
 
     expression: str
     """term of the cost, such as `"v0[0]"`: of states alone, zero where the cost is zero"""
     weight: Annotated[Positive, _weight("1 over the square of the expression's unit")]
-    """weight of its square at each step of the horizon; at the last step `controller.weights.terminal` times as much,
-    or the cost-to-go"""
+    """weight of its square at each step of the horizon; at the last step
+    `controller.weights.terminal` times as much, or the cost-to-go"""
 
 
 class ControllerSettings(Section):
@@ -233,39 +255,43 @@ class ControllerSettings(Section):
     ] = 20
     """prediction horizon N_p, in sampling periods"""
     prediction: Annotated[PredictionName, Key(short="prediction")] = "open_loop"
-    """prediction of the others: their announced inputs (the paper), or the shared control law plus announced
-    corrections"""
+    """prediction of the others: their announced inputs (the paper), or the shared control law plus
+    announced corrections"""
     linearisation: Literal["present", "along"] = "present"
-    """closed_loop predicts by the linearisation about the present state, or along the trajectory that the shared
-    control law would take, deviations from it by the linearisation about hover
-    ([equations.md](equations.md#prediction-along-the-control-law)). along is valid for long horizons and large
-    deviations; no effect with open_loop"""
+    """closed_loop predicts by the linearisation about the present state, or along the trajectory
+    that the shared control law would take, deviations from it by the linearisation about hover
+    ([equations.md](equations.md#prediction-along-the-control-law)). along is valid for long
+    horizons and large deviations; no effect with open_loop"""
     fail_safe: Literal["level", "follow"] = "level"
-    """a UAV whose plan has run out keeps level, or follows its part of the reference softly, for which it measures its
-    own position and velocity ([equations.md](equations.md#fail-safe))"""
+    """a UAV whose plan has run out keeps level, or follows its part of the reference softly, for
+    which it measures its own position and velocity ([equations.md](equations.md#fail-safe))"""
     terminal: Literal["multiple", "riccati"] = "multiple"
-    """cost at the end of the horizon: Q_f, or the cost-to-go of the team's linear-quadratic regulator,
-    [equations.md](equations.md) (36d). riccati needs `controller.weights.penalised_input=deviation`"""
+    """cost at the end of the horizon: Q_f, or the cost-to-go of the team's linear-quadratic
+    regulator, [equations.md](equations.md) (36d). riccati needs
+    `controller.weights.penalised_input=deviation`"""
     preview: bool = False
-    """true: the shared control law and the cost-to-go use the reference ahead, [equations.md](equations.md) (36c).
-    true needs closed_loop or riccati"""
+    """true: the shared control law and the cost-to-go use the reference ahead,
+    [equations.md](equations.md) (36c). true needs closed_loop or riccati"""
     discretisation: Literal["exact", "euler"] = "exact"
-    """discretisation of the linearised model: zero-order hold, or one step of Euler's method for comparison"""
+    """discretisation of the linearised model: zero-order hold, or one step of Euler's method for
+    comparison"""
     relaxation: Annotated[float, Interval(gt=0.0, le=1.0)] = 1.0
     """share w in (0, 1] of the new optimum in the published plan w U* + (1 - w) U_shifted"""
     solver: Annotated[SolverName, Key(short="solver")] = "daqp"
-    """first QP solver. daqp: the program with bounds alone is tried first, and Clarabel solves any program whose
-    solution fails the residual check"""
+    """first QP solver. daqp: the program with bounds alone is tried first, and Clarabel solves any
+    program whose solution fails the residual check"""
     inputs: Literal["moments", "rates"] = "moments"
-    """what agents command beside the thrust: moments, or body rates that an inner loop on each UAV follows,
-    [equations.md](equations.md#body-rates) (57)"""
+    """commands of agents beside the thrust: moments, or body rates that an inner loop on each UAV
+    follows, [equations.md](equations.md#body-rates) (57)"""
     rate_time_constant_s: Annotated[
         PositiveVector, Key(label="time constant of the inner loop", shown="ms")
     ] = (0.04, 0.04, 0.04)  # fmt: skip
-    """time constant of the inner loop about each body axis, of controllers and plant; only with `inputs=rates`"""
+    """time constant of the inner loop about each body axis, of controllers and plant; only with
+    `inputs=rates`"""
     motor_lag_s: Annotated[NotNegative, Key(label="motor lag of the model", shown="ms")] = 0.0
-    """time constant of the motors that the controller predicts with, [equations.md](equations.md#motors) (55); 0, or
-    at least a hundredth of T_s. The time constant of the plant is `plant.motors.lag_s`"""
+    """time constant of the motors that the controller predicts with,
+    [equations.md](equations.md#motors) (55); 0, or at least a hundredth of T_s. The time constant
+    of the plant is `plant.motors.lag_s`"""
     weights: Weights = Weights()
     limits: Limits = Limits()
     separation: Separation | None = None
@@ -276,19 +302,23 @@ class ControllerSettings(Section):
 
     def lower(self, uavs: int) -> Array:
         """Return the smallest inputs of that many UAVs, (4 uavs,)."""
-        turning = self.limits.rates_rads if self.inputs == "rates" else self.limits.moments_Nm
-        return np.array([self.limits.thrust_N[0], *(-largest for largest in turning)] * uavs)
+        smallest_N, _ = self.limits.thrust_N
+        turning = self._largest_turning()
+        return np.array([smallest_N, *(-largest for largest in turning)] * uavs)
 
     def upper(self, uavs: int) -> Array:
         """Return the largest inputs of that many UAVs, (4 uavs,)."""
-        turning = self.limits.rates_rads if self.inputs == "rates" else self.limits.moments_Nm
-        return np.array([self.limits.thrust_N[1], *turning] * uavs)
+        _, largest_N = self.limits.thrust_N
+        return np.array([largest_N, *self._largest_turning()] * uavs)
 
     def step(self, uavs: int) -> Array:
         """Return the largest change of the inputs over one sampling period, (4 uavs,)."""
-        turning = (
-            self.limits.rate_slopes_rads2
-            if self.inputs == "rates"
-            else self.limits.moment_rates_Nm_s
-        )
-        return np.array([self.limits.thrust_rate_N_s, *turning] * uavs) * self.sampling_period_s
+        turning = self.limits.moment_rates_Nm_s
+        if self.inputs == "rates":
+            turning = self.limits.rate_slopes_rads2
+        per_second = np.array([self.limits.thrust_rate_N_s, *turning] * uavs)
+        return per_second * self.sampling_period_s
+
+    def _largest_turning(self) -> tuple[float, ...]:
+        """Return the largest moments, or commanded body rates, about each axis."""
+        return self.limits.rates_rads if self.inputs == "rates" else self.limits.moments_Nm

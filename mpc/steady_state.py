@@ -3,12 +3,14 @@
 Offset-free MPC: Pannocchia, Rawlings 2003. Source: docs/equations.md (40).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from transport.model import state
 from transport.model.arrays import Array, frozen
+from transport.model.linearisation import Linearisation
 from transport.mpc.manifold import tangent
 from transport.mpc.regulator import HoveringTeam
 
@@ -24,6 +26,14 @@ class Target:
     M_u: Array  # input per newton, (m, 3 + 3 N), SI
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Equations:
+    """Linear equations G z = h of z = [xi, du], a column of h for each force."""
+
+    G: Array
+    h: Array
+
+
 def target(hovering: HoveringTeam) -> Target:
     """Return the steady state with least output error, then least effort, else as at hover.
 
@@ -33,37 +43,58 @@ def target(hovering: HoveringTeam) -> Target:
 
     Source: docs/equations.md (40).
     """
-    hover, team = hovering.hover, hovering.team
+    hover = hovering.hover
     linear = hovering.model.linearise(hover.x, hover.u)
-    E = hovering.model.force_effect(hover.x, hover.u)
-    T = tangent(hover.x, team.off, team.released)
-    states = T.shape[1]
+    T = tangent(hover.x, hovering.team.off, hovering.team.released)
+    at_rest = _at_rest(hovering, linear, T)
+
+    # The roots of Q and R times outputs and inputs, least squares towards zero.
     inputs = len(hover.u)
-
-    # Equations of the steady state, and of the inputs of UAVs without agents.
-    equations = [T.T @ np.hstack([linear.A_c @ T, linear.B_c])]
-    right_sides = [-T.T @ E]
-    for uav, K in hovering.uncontrolled.items():
-        equations.append(np.hstack([-K @ T, np.eye(inputs)[state.input_slice(uav)]]))
-        right_sides.append(np.zeros((len(K), E.shape[1])))
-    at_rest = np.vstack(equations)
-    forced = np.vstack(right_sides)
-
     Q_root = np.sqrt(hovering.cost.Q)
     R_root = np.sqrt(hovering.cost.R)
-    error = np.hstack([Q_root[:, None] * (linear.C @ T), np.zeros((len(Q_root), inputs))])
-    effort = np.hstack([np.zeros((inputs, states)), np.diag(R_root)])
+    output_error = np.hstack([Q_root[:, None] * (linear.C @ T), np.zeros((len(Q_root), inputs))])
+    effort = np.hstack([np.zeros((inputs, T.shape[1])), np.diag(R_root)])
 
-    z = np.zeros((states + inputs, E.shape[1]))
-    free = np.eye(states + inputs)  # directions in which z may still move
-    for G, h in ((at_rest, forced), (error, 0.0), (effort, 0.0)):
-        U, s, Vt = np.linalg.svd(G @ free)
-        rank = int((s > _EFFECT * np.linalg.norm(G)).sum())
-        missing = U[:, :rank].T @ (h - G @ z)
-        z += free @ Vt[:rank].T @ (missing / s[:rank, None])
-        free = free @ Vt[rank:].T
-
-    M_x = T @ z[:states]
-    M_u = z[states:]
+    z = _least_in_turn(at_rest, [output_error, effort])
+    M_x = T @ z[: T.shape[1]]
+    M_u = z[T.shape[1] :]
     frozen(M_x, M_u)
     return Target(M_x=M_x, M_u=M_u)
+
+
+def _at_rest(hovering: HoveringTeam, linear: Linearisation, T: Array) -> _Equations:
+    """Return the equations of the steady state, and of the inputs of UAVs without agents.
+
+    T'(A_c T xi + B_c du) = -T' E F,  du_i - K_i T xi = 0: (38), (40).
+    """
+    hover = hovering.hover
+    E = hovering.model.force_effect(hover.x, hover.u)
+    G = [T.T @ np.hstack([linear.A_c @ T, linear.B_c])]
+    h = [-T.T @ E]
+
+    each_input = np.eye(len(hover.u))
+    for uav, K in hovering.uncontrolled.items():
+        G.append(np.hstack([-K @ T, each_input[state.input_slice(uav)]]))
+        h.append(np.zeros((len(K), E.shape[1])))
+    return _Equations(G=np.vstack(G), h=np.vstack(h))
+
+
+def _least_in_turn(equations: _Equations, terms: Sequence[Array]) -> Array:
+    """Return z that solves equations and makes |G z| of the terms least, one after the other.
+
+    Each in the least squares within the directions that the ones before leave free.
+    """
+    unknowns = equations.G.shape[1]
+    z = np.zeros((unknowns, equations.h.shape[1]))
+    free = np.eye(unknowns)
+
+    problems = [equations, *(_Equations(G=G, h=np.zeros((len(G), 1))) for G in terms)]
+    for problem in problems:
+        # G free = U S V': z moves along the directions with an effect, the others stay free.
+        G = problem.G
+        U, s, Vt = np.linalg.svd(G @ free)
+        rank = int((s > _EFFECT * np.linalg.norm(G)).sum())
+        missing = U[:, :rank].T @ (problem.h - G @ z)
+        z += free @ Vt[:rank].T @ (missing / s[:rank, None])
+        free = free @ Vt[rank:].T
+    return z

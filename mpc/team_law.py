@@ -201,7 +201,7 @@ class TeamLaw:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Followed:
-    """What the laws of all teams follow: a reference, from its newest change on."""
+    """The reference that the laws of all teams follow, from its newest change on."""
 
     fail_safe: FailSafe  # of the whole team
     ahead: Change | None  # the part whose preview is computed; None without reference
@@ -291,7 +291,8 @@ def led_law(law: TeamLaw, followed: Followed) -> TeamLaw:
     released = about_hover.hovering.team.released
     if released:
         hovering = about_hover.hovering
-        system, hover = hovering.model.system, hovering.hover
+        system = hovering.model.system
+        hover = hovering.hover
         part = flat.track(system, hover, part.paths, part.first, released)
     before = law.tracker
     key = digest(about_hover.key, part.key, before.key)

@@ -61,6 +61,7 @@ class Recursion:
         self._regulator = law.regulator
         self._fail_safe = fail_safe
         self._track = track
+        self._period_s = law.crew.settings.sampling_period_s
         self._key = key
         self._since = since - track.first  # instants are rows of the reference from here on
 
@@ -78,6 +79,11 @@ class Recursion:
             self._last = len(before.gains) - 1
             missing = max(self._last + 1 - self._since, 0)
             self.ready += -(-missing // INSTANTS)
+
+    @property
+    def computed(self) -> int:
+        """Number of instants whose gains are computed."""
+        return len(self._computed)
 
     def meanwhile(self, off: frozenset[int], horizon: int) -> Tracker:
         """Return the regulator until this one is ready: the gains before, without UAVs off."""
@@ -157,36 +163,49 @@ class Recursion:
 
     def _difference(self, k: int) -> "_Difference":
         """Return the difference equation about row k, with the fail-safes in force, (70)."""
-        track = self._track
-        law = self._law
-        model = law.hovering.model
-        period_s = law.crew.settings.sampling_period_s
-        x = track.X[k]
+        model = self._law.hovering.model
+        x = self._track.X[k]
+        u = self._track.U[k]
+        K_fixed, u_fixed = self._fixed(k)
 
-        K_fixed = np.zeros((model.system.m, model.system.n))
-        u_fixed = track.U[k].copy()
-        for uav, gain in law.hovering.uncontrolled.items():
+        # A_k, B_k are the hold about the middle of the period, Pi keeps the rods' lengths.
+        Pi = _projection(x)
+        middle = model.linearise(self._track.X_middle[k], u)
+        discrete = zero_order_hold(middle, self._period_s)
+        A = (discrete.A + discrete.B @ K_fixed) @ Pi
+
+        # The stage cost with the user's terms: |weighted dx|^2.
+        crew = self._law.crew
+        terms = padded(crew.user_costs.about(x), len(x))
+        outputs = np.sqrt(self._law.hovering.cost.Q)[:, None] * model.linearise(x, u).C
+        weighted = np.vstack([outputs, terms]) @ Pi
+        return _Difference(
+            A=A,
+            B=discrete.B,
+            drift=self._drift(k, u_fixed),
+            weighted=weighted,
+            K_fixed=K_fixed,
+            u_fixed=u_fixed,
+        )
+
+    def _fixed(self, k: int) -> tuple[Array, Array]:
+        """Return the feedback of UAVs without agents, (m, n), and the inputs on the reference."""
+        hovering = self._law.hovering
+        K_fixed = np.zeros((hovering.model.system.m, hovering.model.system.n))
+        u_fixed = self._track.U[k].copy()
+        for uav, gain in hovering.uncontrolled.items():
             own = state.input_slice(uav)
             K_fixed[own] = gain
             u_fixed[own] = self._on_reference(uav, k)
+        return K_fixed, u_fixed
 
-        # Pi keeps the rods' lengths; A, B are the hold about the middle of the period.
-        Pi = _projection(x)
-        middle = model.linearise(track.X_middle[k], track.U[k])
-        discrete = zero_order_hold(middle, period_s)
-        A = (discrete.A + discrete.B @ K_fixed) @ Pi
-
-        # d = Pi (model's step from the reference - reference)
-        x_ahead = track.X[min(k + 1, len(track.X) - 1)]
-        moved, _ = model.integrate(x, u_fixed, period_s, _STEPS)
-        drift = _projection(x_ahead) @ (moved - x_ahead)
-
-        C = model.linearise(x, track.U[k]).C
-        terms = padded(law.crew.user_costs.about(x), len(x))
-        weighted = np.vstack([np.sqrt(law.hovering.cost.Q)[:, None] * C, terms]) @ Pi
-        return _Difference(
-            A=A, B=discrete.B, drift=drift, weighted=weighted, K_fixed=K_fixed, u_fixed=u_fixed
-        )
+    def _drift(self, k: int, u_fixed: Array) -> Array:
+        """Return d_k = Pi_(k+1) (model's step from the reference - reference), (n,): (70)."""
+        X = self._track.X
+        x_ahead = X[min(k + 1, len(X) - 1)]
+        moved, _ = self._law.hovering.model.integrate(X[k], u_fixed, self._period_s, _STEPS)
+        drift: Array = _projection(x_ahead) @ (moved - x_ahead)
+        return drift
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

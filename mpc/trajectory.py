@@ -130,7 +130,9 @@ class TimeInvariant:
 
     def of_states_and_inputs(self, expand: Expansion) -> Signals:
         """Return functions of state and inputs; the others respond to the state by the law."""
-        linear, prediction, own = self.linear, self.prediction, self.decision.own
+        linear = self.linear
+        prediction = self.prediction
+        own = self.decision.own
         n = len(linear.x0)
         value, slope = expand(np.concatenate([linear.x0, linear.u0]))
         by_state = slope[:, :n]
@@ -189,7 +191,8 @@ class TimeVarying:
 
         dx(k+1) = A_closed(k) dx(k) + B_own(k) dc(k),  du(k) = K(k) dx(k) + [dc(k) for owned inputs]
         """
-        own, scale = self.decision.own, self.decision.scale
+        own = self.decision.own
+        scale = self.decision.scale
         steps, m = self.decision.shape
         states = [np.zeros((len(self.Z[0]), self.decision.size))]
         inputs = []

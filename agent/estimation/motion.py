@@ -52,7 +52,8 @@ class Motion:
     def predict(self, x: Array, tick: int, u: Array, forces: Array | None) -> Array:
         """Return the state one period after `tick`; the reference if that diverges."""
         model = self.model_at(tick)
-        end, _ = motors.integrate(model, x, u, self.period_s, self.steps, self.lag_s, forces)
+        period = motors.Period(duration_s=self.period_s, steps=self.steps, lag_s=self.lag_s)
+        end, _ = motors.integrate(model, x, u, period, forces)
         if np.abs(end).max() > state.LARGEST:
             return self.reference_at(tick + 1)
         return self.moved(end, tick + 1)

@@ -5,10 +5,12 @@ from functools import partial
 
 import numpy as np
 
+from transport.model.arrays import ArrayLike
 from transport.model.curves import Curve
-from transport.model.maneuver import Maneuver, Phase
+from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle, Solid
 from transport.model.parameters import Payload, System, Uav
+from transport.model.phase import Phase
 from transport.protocol.scenario.errors import building
 from transport.protocol.scenario.maneuver_sections import ObstacleSection, PhaseSection
 from transport.protocol.scenario.schema import Scenario, UavSection
@@ -64,18 +66,18 @@ def maneuver_of(scenario: Scenario) -> Maneuver:
 
 def _phase(section: PhaseSection, *, is_smooth: bool) -> Phase:
     """Return a phase; a table of a smooth path is a spline."""
-    curve = section.curve()
-    way = section.way
-    if curve is None and way is not None and is_smooth:
-        curve = Curve(kind=None, duration_s=section.duration_s, ramp_s=0.0, table=way)
-        way = None
+    table = section.way
+    way: Curve | ArrayLike | None = section.curve()
+    if way is None and table is not None:
+        way = table
+        if is_smooth:
+            way = Curve(kind=None, duration_s=section.duration_s, ramp_s=0.0, table=table)
     return Phase(
         name=section.name,
         duration_s=section.duration_s,
         kind=section.kind,
         displacement_I=section.displacement_m,
         way=way,
-        curve=curve,
         formation=section.formation,
     )
 

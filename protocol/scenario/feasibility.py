@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.model.flat import LEAST_TENSION, MOST_TILT, Flight, flight, slowed
+from transport.model.flight import LEAST_TENSION, MOST_TILT, Flight, flight, slowed
 from transport.model.hover import Hover
 from transport.model.parameters import System
 from transport.model.state import INPUTS, StateView

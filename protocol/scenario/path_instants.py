@@ -12,7 +12,8 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.curves import Curve
-from transport.model.maneuver import HANDOVER, Maneuver, Phase
+from transport.model.maneuver import Maneuver
+from transport.model.phase import HANDOVER, Phase
 
 # Intervals of a piece, on which positions are polynomials of degree 7 to 13 in time: an extreme
 # between two instants exceeds theirs by less than 0.3 %.
@@ -92,10 +93,10 @@ def _phase_instants(phase: Phase) -> Array:
     handover_s = HANDOVER * duration_s
     parts_s = [_divided([0.0, handover_s, duration_s / 2.0, duration_s - handover_s, duration_s])]
 
-    if phase.curve is not None:
-        parts_s.append(curve_instants(phase.curve))
-    if phase.way is not None:
-        parts_s.append(phase.way[:, 0])  # at constant speed between rows
+    if isinstance(phase.way, Curve):
+        parts_s.append(curve_instants(phase.way))
+    elif phase.way is not None:
+        parts_s.append(phase.way[:, 0])  # a table: at constant speed between rows
 
     if phase.formation is not None:
         changes_s = duration_s * np.array([0.0, *phase.formation[:, 0]])

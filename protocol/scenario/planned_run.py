@@ -4,9 +4,10 @@ from collections.abc import Iterable
 from typing import Protocol, Self
 
 from transport.model.hover import Hover
-from transport.model.maneuver import Maneuver, Target
+from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle
 from transport.model.parameters import System
+from transport.model.target import Target
 from transport.mpc.reference import Reference
 from transport.mpc.settings import ControllerSettings
 from transport.protocol.scenario.schema import Scenario

@@ -10,11 +10,12 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.flat import FlatReference, Track
 from transport.model.hover import Hover, hover
+from transport.model.hover_reference import Reference as HoverReference
 from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver, Target
-from transport.model.maneuver import Reference as HoverReference
+from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle
 from transport.model.parameters import System
+from transport.model.target import Target
 from transport.mpc.expressions import UserCosts, check_constraints
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.reference import Reference

@@ -7,8 +7,8 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.model.curves import ORDERS, Curve
-from transport.model.maneuver import Target
 from transport.model.parameters import resting_height
+from transport.model.target import Target
 from transport.protocol.scenario.clearance import first_blocked
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.feasibility import exceeded, least_slowing

@@ -3,7 +3,7 @@
 import math
 from operator import itemgetter
 
-from transport.model.maneuver import Target
+from transport.model.target import Target
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.planned_run import PlannedRun

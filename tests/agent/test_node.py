@@ -7,7 +7,7 @@ from tests.support.nodes import AgentNode
 from tests.support.runs import end, integrated, measurement, plan, roster, setup
 from transport.model import state
 from transport.model.arrays import Array
-from transport.mpc.controller import Controller
+from transport.mpc.controller import Controller, Horizon
 from transport.mpc.prediction import Linear
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Message, Plan, Presence, StepReport
@@ -113,7 +113,8 @@ def test_plan_is_the_controllers(run: Setup, node: AgentNode) -> None:
     U[:, :4] = np.vstack([first.inputs[1:], first.inputs[-1:]])
     U[:, 4:8] = shove
     y_ref = run.reference.outputs(0.05 * np.arange(1.0, 7.0))
-    expected = Controller(run.model, run.hover, run.settings, (0,)).step(x, u0, U, y_ref)
+    one = Controller(run.model, run.hover, run.settings, (0,))
+    expected = one.step(x, u0, Horizon(U=U, y_ref=y_ref))
     np.testing.assert_allclose(made.inputs, expected.U, rtol=0.0, atol=ESTIMATE_TOLERANCE)
 
 

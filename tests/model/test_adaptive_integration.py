@@ -9,8 +9,9 @@ import pytest
 from tests.model.test_integration import HELD_THRUST, TRAJECTORY_TOLERANCE, deviation, exact
 from tests.support import reference
 from tests.support.random_systems import random_input, random_state, random_system
-from transport.model import linearisation, state
+from transport.model import state
 from transport.model.arrays import Array
+from transport.model.integration import StepLimits, integrate
 from transport.model.linearisation import Model
 from transport.model.state import StateView
 from transport.protocol.scenario.plant_sections import PlantSection
@@ -74,15 +75,18 @@ def test_calm_motion_has_the_bits_of_equal_steps() -> None:
         assert with_tolerance[1] == error
 
 
-def test_work_is_bounded_and_the_error_stated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the shortest or the most steps do not suffice, the integration ends and its error exceeds the tolerance."""
+@pytest.mark.parametrize(
+    ("limits", "steps"),
+    [
+        (StepLimits(tolerance=DEFAULT.tolerance, most_tried=50), 1),
+        (StepLimits(tolerance=DEFAULT.tolerance, shortest=1.0), STEPS),
+    ],
+    ids=["most", "shortest"],
+)
+def test_work_is_bounded_and_the_error_stated(limits: StepLimits, steps: int) -> None:
+    """Where the shortest or the most steps do not suffice, the integration ends with a larger error."""
     model, x, u = violent(0)
-    monkeypatch.setattr(linearisation, "MOST_STEPS", 50)
-    _, error = model.integrate(x, u, PERIOD_S, 1, tolerance=DEFAULT.tolerance)
-    assert error > DEFAULT.tolerance
-    monkeypatch.undo()
-    monkeypatch.setattr(linearisation, "SHORTEST", 1.0)
-    _, error = model.integrate(x, u, PERIOD_S, STEPS, tolerance=DEFAULT.tolerance)
+    _, error = integrate(model.step(u), x, PERIOD_S, steps, limits)
     assert error > DEFAULT.tolerance
 
 

@@ -10,11 +10,13 @@ import pytest
 
 from transport.model.arrays import Array
 from transport.model.curves import Curve
-from transport.model.flat import FlatReference, flight
+from transport.model.flat import FlatReference
+from transport.model.flight import flight
 from transport.model.hover import failed_hover, hover, with_released
 from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver, Phase
+from transport.model.maneuver import Maneuver
 from transport.model.parameters import ParameterError, Payload, System, Uav, table_1
+from transport.model.phase import Phase
 from transport.model.state import input_slice, uav_slice
 
 # Central differences of order 8 over steps of 0.3 ms: rounding of numbers up to 10 over the step.
@@ -78,7 +80,7 @@ def along(curve: Curve) -> Maneuver:
         name="way",
         duration_s=curve.duration_s,
         displacement_I=end_I,
-        curve=curve,
+        way=curve,
         formation=leaning,
     )
     return Maneuver(start_I=[1.0, 2.0, -9.0], phases=[rest, way, rest], profile="smooth")

@@ -6,10 +6,13 @@ import pytest
 from tests.support.paper_form import K
 from tests.support.systems import paper_maneuver
 from transport.model.arrays import Array, ShapeError
+from transport.model.curves import Curve
 from transport.model.hover import hover
+from transport.model.hover_reference import Reference
 from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver, Phase, Profile, Reference
+from transport.model.maneuver import Maneuver
 from transport.model.parameters import ParameterError, table_1
+from transport.model.phase import Phase, Profile
 from transport.model.state import StateView
 
 PROFILES: list[Profile] = ["ramp", "min_jerk", "step"]
@@ -201,6 +204,19 @@ def test_what_controllers_follow_is_below_the_path_on_the_ground() -> None:
     )
     assert (x - flown_x)[:, [2, 5]] == pytest.approx(np.column_stack([depth, rate]))
     assert np.abs(np.delete(x - flown_x, [2, 5], axis=1)).max() == 0.0
+
+
+def test_curves_carry_no_weight_to_or_from_the_ground() -> None:
+    """Between take-off and landing the reference stays on the path, also along a circle: (59)."""
+    circle = Curve(kind="circle", duration_s=3.0, ramp_s=1.0, size_I=(1.0, 1.0, 0.0))
+    up, along, down, rest = delivery().phases
+    turn = Phase(name="turn", kind="circle", duration_s=3.0, displacement_I=[0, 0, 0], way=circle)
+
+    straight = Maneuver(start_I=[0, 0, -0.125], phases=[up, along, down, rest], press_m=0.2)
+    turning = Maneuver(start_I=[0, 0, -0.125], phases=[up, turn, down, rest], press_m=0.2)
+    times_s = np.linspace(0.0, 17.0, 341)
+    for expected, actual in zip(straight.press(times_s), turning.press(times_s), strict=True):
+        np.testing.assert_array_equal(actual, expected)
 
 
 def test_after_a_landing_comes_a_take_off() -> None:

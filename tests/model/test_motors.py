@@ -9,9 +9,9 @@ from scipy.linalg import expm
 
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 from transport.model.arrays import Array
-from transport.model.discretisation import _zero_order_hold, zero_order_hold
+from transport.model.discretisation import by_exponential, zero_order_hold
 from transport.model.linearisation import Model
-from transport.model.motors import decay, integrate, lagged
+from transport.model.motors import Period, decay, integrate, lagged
 from transport.model.parameters import table_1
 
 PERIOD_S = 0.05
@@ -59,7 +59,8 @@ def reference(lag_s: float) -> Array:
 def error(lag_s: float, steps: int) -> float:
     """Return the largest difference from the ODE solver after a period."""
     model, x, a, u, forces = case()
-    found, local = integrate(model, np.concatenate([x, a]), u, PERIOD_S, steps, lag_s, forces)
+    period = Period(duration_s=PERIOD_S, steps=steps, lag_s=lag_s)
+    found, local = integrate(model, np.concatenate([x, a]), u, period, forces)
     assert 0.0 <= local < PLANT_ERROR
     return float(np.abs(found - reference(lag_s)).max())
 
@@ -82,14 +83,14 @@ def test_accuracy(lag_s: float) -> None:
 def test_without_lag_the_command_acts() -> None:
     """With lag 0 the integration is that of the held command, bit for bit."""
     model, x, _, u, forces = case()
-    found, local = integrate(model, x, u, PERIOD_S, 2, 0.0, forces)
+    found, local = integrate(model, x, u, Period(duration_s=PERIOD_S, steps=2), forces)
     expected, local_expected = model.integrate(x, u, PERIOD_S, 2, forces=forces)
     np.testing.assert_array_equal(found, expected)
     assert local == local_expected
     assert decay(0.0, PERIOD_S) == 0.0
 
 
-@pytest.mark.parametrize("hold", [zero_order_hold, _zero_order_hold])
+@pytest.mark.parametrize("hold", [zero_order_hold, by_exponential])
 @pytest.mark.parametrize("lag_s", [5e-4, *LAGS_S])
 def test_expansion_of_motion_and_motors(lag_s: float, hold: object) -> None:
     """The factors of the augmented system multiply out to (55), and its hold is the matrix exponential's."""

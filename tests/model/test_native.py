@@ -14,7 +14,8 @@ from tests.support.random_systems import random_forces, random_input, random_sta
 from tests.support.systems import ring
 from transport.model import compiler, native
 from transport.model.compiled import Compiled, compile_functions, functions
-from transport.model.discretisation import _zero_order_hold, zero_order_hold
+from transport.model.compiled_step import Feedback
+from transport.model.discretisation import by_exponential, zero_order_hold
 from transport.model.hover import hover
 from transport.model.linearisation import Linearisation, Model
 from transport.mpc.prediction import free_response
@@ -50,7 +51,7 @@ def linearisation(n: int, m: int, filled: float, growth: float, seed: int) -> Li
 def test_zero_order_hold_is_its_twin(n: int, filled: float, growth: float) -> None:
     """A, B and f_d of any size, full or sparse, short period or one that is halved many times."""
     linear = linearisation(n, 1 + n % 5, filled, growth, seed=n)
-    found, expected = zero_order_hold(linear, 0.5), _zero_order_hold(linear, 0.5)
+    found, expected = zero_order_hold(linear, 0.5), by_exponential(linear, 0.5)
     # Doubling back adds rounding at each step, and the twin doubles in another order.
     within = ROUNDING * max(1.0, growth)
     for one, other in ((found.A, expected.A), (found.B, expected.B), (found.f_d, expected.f_d)):
@@ -103,18 +104,20 @@ def test_a_rollout_in_one_call_is_one_in_steps() -> None:
     x0, at_x0 = hover(ring(2)).x, hover_u + rng.normal(0.0, 0.5, (6, 8))
     K, forces = rng.normal(0.0, 0.1, (8, 36)), rng.normal(0.0, 1.0, 9)
     bounds = hover_u - 0.6, hover_u + 0.6
-    found = model.rollout(x0, at_x0, K, bounds, 0.05, forces)
-    assert found is not None
+    feedback = Feedback(at_x=at_x0, K=K, lower=bounds[0], upper=bounds[1])
+    rollout = model.rollout(x0, feedback, 0.05, forces)
+    assert rollout is not None
+    Z, U = rollout
     step, x = model.stepper(0.05, forces), x0
     for k, wanted in enumerate(at_x0):
         u = np.clip(wanted + K @ (x - x0), *bounds)
         x = step(x, u)
-        np.testing.assert_allclose(found[1][k], u, rtol=1e-12)
-        np.testing.assert_allclose(found[0][k + 1], x, rtol=1e-12, atol=1e-12)
-    assert (found[1] == bounds[1]).any()
+        np.testing.assert_allclose(U[k], u, rtol=1e-12)
+        np.testing.assert_allclose(Z[k + 1], x, rtol=1e-12, atol=1e-12)
+    assert (bounds[1] == U).any()
     A, W = rng.normal(0.0, 0.1, (36, 36)), rng.normal(size=(6, 36))
     response = np.empty((7, 36))
-    native.KERNELS.free_response(6, 36, *map(native.at, (A, W, response)))
+    native.KERNELS.free_response(6, 36, *map(native.address, (A, W, response)))
     np.testing.assert_allclose(response, free_response(A, W), rtol=1e-12, atol=1e-12)
 
 

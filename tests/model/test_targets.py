@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from transport.model.curves import ORDERS, Curve
-from transport.model.maneuver import Maneuver, Phase, Target
+from transport.model.maneuver import Maneuver
+from transport.model.phase import Phase
+from transport.model.target import Target
 
 RAMPS = Maneuver(
     start_I=[0.0, 0.0, -10.0],
@@ -18,7 +20,7 @@ EIGHT = Maneuver(
     phases=[
         Phase(
             name="eight", duration_s=20.0, displacement_I=[0.0, 0.0, 0.0], kind="eight",
-            curve=Curve(kind="eight", duration_s=20.0, ramp_s=4.0, size_I=(3.0, 1.5, 0.0), laps=2.0),
+            way=Curve(kind="eight", duration_s=20.0, ramp_s=4.0, size_I=(3.0, 1.5, 0.0), laps=2.0),
         )
     ],
     profile="smooth",

@@ -14,7 +14,7 @@ from transport.model.hover import failed_hover, hover
 from transport.model.linearisation import Model
 from transport.model.parameters import System, table_1
 from transport.model.state import input_indices
-from transport.mpc.controller import Controller
+from transport.mpc.controller import Controller, Horizon
 from transport.mpc.cost import Cost
 from transport.mpc.feedback import FeedbackError
 from transport.mpc.manifold import tangent
@@ -144,7 +144,8 @@ def test_at_hover_nothing_is_to_be_corrected() -> None:
     x_ref, U = np.tile(setup.hover.x, (steps, 1)), np.tile(at.u, (steps, 1))
     law = controller.law(at.x, x_ref, np.zeros_like(U))
     y_ref = np.tile(setup.model.outputs(setup.hover.x), (steps + 1, 1))
-    found = controller.step(at.x, at.u, U, y_ref, law, end=controller.end(at.x, x_ref[0]))
+    end = controller.end(at.x, x_ref[0])
+    found = controller.step(at.x, at.u, Horizon(U=U, y_ref=y_ref, law=law, end=end))
     assert found.solution.status == "solved"
     np.testing.assert_allclose(found.U, U[:, controller.own], atol=1e-5)
     np.testing.assert_allclose(found.c, 0.0, atol=1e-5)

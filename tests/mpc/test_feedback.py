@@ -11,7 +11,7 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.discretisation import zero_order_hold
 from transport.model.state import input_indices
-from transport.mpc.controller import Controller
+from transport.mpc.controller import Controller, Horizon
 from transport.mpc.cost import Cost
 from transport.mpc.feedback import FeedbackError, FeedbackLaw
 from transport.mpc.prediction import predict
@@ -100,8 +100,8 @@ def test_owning_all_the_law_changes_nothing() -> None:
     at = situation(setup, CLOSED, seed=5)
     plain = Controller(setup.model, setup.hover, ControllerSettings(), all_uavs)
     shared = Controller(setup.model, setup.hover, CLOSED, all_uavs)
-    found = shared.step(at.x, at.u, at.U, at.y_ref, law_at(shared, at))
-    expected = plain.step(at.x, at.u, at.U, at.y_ref)
+    found = shared.step(at.x, at.u, Horizon(U=at.U, y_ref=at.y_ref, law=law_at(shared, at)))
+    expected = plain.step(at.x, at.u, Horizon(U=at.U, y_ref=at.y_ref))
     assert found.solution.status == expected.solution.status == "solved"
     assert np.abs(found.U - expected.U).max() < OPTIMUM_TOLERANCE
 

@@ -12,7 +12,7 @@ from transport.model.arrays import Array
 from transport.model.linearisation import Linearisation
 from transport.model.native import Places
 from transport.model.state import input_indices
-from transport.mpc.controller import Controller, StepResult
+from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.cost import Cost
 from transport.mpc.prediction import Prediction, convolve
 from transport.mpc.regulator import HoveringTeam, regulator
@@ -128,7 +128,8 @@ def solved(settings: ControllerSettings, z: Array, at: Situation) -> StepResult:
     setup = paper_setup()
     one = Controller(setup.model, setup.hover, settings, (1,))
     law = one.law(z, np.tile(setup.x, (settings.horizon, 1)), np.zeros_like(at.U))
-    found = one.step(z, at.u, at.U, at.y_ref, law, end=one.end(z, setup.x))
+    end = one.end(z, setup.x)
+    found = one.step(z, at.u, Horizon(U=at.U, y_ref=at.y_ref, law=law, end=end))
     assert found.solution.status == "solved"
     return found
 

@@ -22,8 +22,8 @@ from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import Hover, hover
 from transport.model.linearisation import Model
-from transport.model.maneuver import Profile
 from transport.model.parameters import System, table_1
+from transport.model.phase import Profile
 from transport.model.state import input_indices
 from transport.mpc.cost import Cost
 from transport.mpc.fail_safe import FailSafe

@@ -28,7 +28,7 @@ from transport.model.hover import Hover, hover
 from transport.model.linearisation import Model
 from transport.model.parameters import System, table_1
 from transport.model.state import input_indices, input_slice
-from transport.mpc.controller import Controller, StepResult
+from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.cost import Cost
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.reference import Sampled
@@ -116,7 +116,8 @@ def optimum(
     U = np.tile(u0, (steps, 1))
     law = one.law(x, window[:-1], np.zeros_like(U), forces, k)
     end = one.end(x, window[-1], forces, k + steps)
-    return one.step(x, u0, U, reference_outputs(one.model, window), law, forces, end=end)
+    y_ref = reference_outputs(one.model, window)
+    return one.step(x, u0, Horizon(U=U, y_ref=y_ref, law=law, end=end), forces)
 
 
 def corrections(

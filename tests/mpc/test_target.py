@@ -9,6 +9,7 @@ from scipy.linalg import null_space
 from tests.support.systems import Setup, controller, paper_setup, ring_setup
 from transport.model import state
 from transport.model.arrays import Array
+from transport.mpc.controller import Horizon
 from transport.mpc.cost import Cost
 from transport.mpc.fail_safe import FailSafe
 from transport.mpc.manifold import tangent
@@ -108,12 +109,11 @@ def test_the_controller_rests_at_the_target(
     U = np.tile(u, (settings.horizon, 1))
     y_ref = np.tile(setup.model.outputs(setup.x), (settings.horizon + 1, 1))
     law = one.law(x, np.tile(setup.x, (settings.horizon, 1)), np.zeros_like(U), F)
-    optimum = one.step(x, u, U, y_ref, law, F)
+    optimum = one.step(x, u, Horizon(U=U, y_ref=y_ref, law=law), F)
     assert np.abs(optimum.U - u[one.own]).max() < PLAN_AGREEMENT
     assert np.abs(optimum.c).max(initial=0.0) < PLAN_AGREEMENT
-    ignorant = one.step(
-        x, u, U, y_ref, one.law(x, np.tile(setup.x, (settings.horizon, 1)), np.zeros_like(U))
-    )
+    without = one.law(x, np.tile(setup.x, (settings.horizon, 1)), np.zeros_like(U))
+    ignorant = one.step(x, u, Horizon(U=U, y_ref=y_ref, law=without))
     assert np.abs(ignorant.U - u[one.own]).max() > 0.1
 
 

@@ -1,7 +1,6 @@
 """The control law along a flat reference, and the program about it."""
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -14,16 +13,17 @@ from transport.model.curves import Curve
 from transport.model.flat import FlatReference, Track
 from transport.model.hover import hover
 from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver, Phase
+from transport.model.maneuver import Maneuver
 from transport.model.obstacles import Obstacle, Solid, clearances
+from transport.model.phase import Phase
 from transport.model.state import R0, StateView, input_slice
 from transport.mpc.controller import Controller, StepResult
 from transport.mpc.course import Course
-from transport.mpc.feedback import Gains
 from transport.mpc.reference import Sampled
 from transport.mpc.rollout import rollout
 from transport.mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
-from transport.mpc.tracking import INSTANTS, Recursion
+from transport.mpc.team_law import recursion_of
+from transport.mpc.tracking import INSTANTS
 
 PERIOD_S = 0.05
 SETTINGS = ControllerSettings(
@@ -40,7 +40,7 @@ def flown(instants: int = 80) -> tuple[Model, Track]:
     """A quick arc."""
     system = unequal()
     curve = Curve(kind="eight", duration_s=8.0, ramp_s=3.5, size_I=(1.5, 0.7, 0.0))
-    phase = Phase(name="eight", duration_s=8.0, displacement_I=[0, 0, 0], curve=curve)
+    phase = Phase(name="eight", duration_s=8.0, displacement_I=[0, 0, 0], way=curve)
     rest = Phase(name="rest", duration_s=1.0, displacement_I=[0, 0, 0])
     maneuver = Maneuver(start_I=[0, 0, -9.0], phases=[phase, rest], profile="smooth")
     return Model(system), FlatReference(system, hover(system), maneuver).track(
@@ -126,34 +126,34 @@ def test_no_corrections_on_and_near_the_reference() -> None:
     assert not result.c.any()
 
 
-def test_law_of_another_team_is_the_same_by_parts_and_at_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_law_of_another_team_is_the_same_by_parts_and_at_once() -> None:
     """An agent dies; until all gains are known, its UAV has the fail-safe's gain and the others keep theirs.
 
     No instant computes more gains than its share, also that of the death and the last one, whatever
     the host's speed.
     """
     by_parts, at_once, gone, since = controller().regulation, controller().regulation, {3}, 60
-    before, computed, one_gain = by_parts.gain(since + 1), Counter[int](), Recursion._step
-    at = since
-
-    def counted(making: Recursion, k: int) -> Gains:
-        computed[at] += 1
-        return one_gain(making, k)
-
-    monkeypatch.setattr(Recursion, "_step", counted)
+    before, tracker = by_parts.gain(since + 1), by_parts.current.tracker
     by_parts.form(gone, (), (), since=since)
+    recursion = recursion_of(by_parts.current, tracker, since)  # that of the agent: shared by value
+    assert recursion.computed == 0
     own = input_slice(3)
     meanwhile = by_parts.gain(since + 1)
     np.testing.assert_array_equal(by_parts.gain(since - 1), at_once.gain(since - 1))
     np.testing.assert_array_equal(meanwhile[: own.start], before[: own.start])
-    while not by_parts.advance(at):
-        at += 1
-    ready = at
+
+    ready = since
+    done = False
+    shares = []
+    while not done:
+        already = recursion.computed
+        done = by_parts.advance(ready)
+        shares.append(recursion.computed - already)
+        ready += not done
     assert ready > since + 2
-    assert max(computed.values()) == INSTANTS
-    assert min(computed) > since
+    assert shares[0] == 0
+    assert max(shares) == INSTANTS
+
     model, track = flown()
     other = Controller(
         model, hover(model.system), SETTINGS.model_copy(), (0,), Sampled(X=track.X, track=track)

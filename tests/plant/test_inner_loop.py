@@ -112,7 +112,8 @@ def test_a_known_lag_is_inside_the_inner_loop(lag_s: float) -> None:
     system, period_s, N = with_rates(random_system(rng, 2)), 0.05, 2
     x, u = random_state(rng, N, rate=0.02), random_input(rng, N)
     a = u + 0.3 * rng.standard_normal(4 * N)
-    found, _ = motors.integrate(Model(system), np.concatenate([x, a]), u, period_s, 5, lag_s)
+    period = motors.Period(duration_s=period_s, steps=5, lag_s=lag_s)
+    found, _ = motors.integrate(Model(system), np.concatenate([x, a]), u, period)
     omega, alpha = StateView(x).omega_B, GAINS * (a.reshape(N, 4)[:, 1:] - StateView(x).omega_B)
     for i, axis in np.ndindex(N, 3):
         K, command = GAINS[axis], u[4 * i + 1 + axis]

@@ -7,9 +7,11 @@ import numpy as np
 from transport.model.arrays import Array
 from transport.model.discretisation import zero_order_hold
 from transport.model.hover import Hover
+from transport.model.hover_reference import Reference
 from transport.model.linearisation import Linearisation, Model
-from transport.model.maneuver import Maneuver, Phase, Profile, Reference
+from transport.model.maneuver import Maneuver
 from transport.model.parameters import Payload, System, Uav
+from transport.model.phase import Phase, Profile
 from transport.mpc.manifold import tangent
 
 PERIOD_S = 0.05

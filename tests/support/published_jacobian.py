@@ -74,7 +74,8 @@ def published(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
     """Return M_0q and f_0q of paper (11), with the term of (7) inside its sum (`tests.support.paper_form`)."""
     x, N = symbols.x, symbols.N
     v0, w = x[state.V0], ca.skew(x[state.OMEGA0])
-    R0, (g, m_T, J_bar) = rotation(x[state.THETA0]), symbols.payload()
+    R0, g = rotation(x[state.THETA0]), symbols.gravity
+    m_T, J_bar = symbols.payload()
     M = ca.SX.zeros(6 + 3 * N, 6 + 3 * N)
     translation, turning = ca.SX.zeros(3), ca.SX.zeros(3)
     links = []

@@ -10,10 +10,12 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import Hover, hover
+from transport.model.hover_reference import Reference
 from transport.model.linearisation import Model
-from transport.model.maneuver import Maneuver, Phase, Reference
+from transport.model.maneuver import Maneuver
 from transport.model.parameters import Payload, System, Uav, table_1
-from transport.mpc.controller import Controller, StepResult
+from transport.model.phase import Phase
+from transport.mpc.controller import Controller, Horizon, StepResult
 from transport.mpc.settings import ControllerSettings, Section
 
 S = TypeVar("S", bound=Section)
@@ -141,7 +143,7 @@ def team(
 
 def step(owner: Controller, at: Situation) -> StepResult:
     """Run one controller step and return its result."""
-    return owner.step(at.x, at.u, at.U, at.y_ref)
+    return owner.step(at.x, at.u, Horizon(U=at.U, y_ref=at.y_ref))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

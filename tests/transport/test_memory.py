@@ -12,7 +12,7 @@ from tests.support.runs import SHORT, integrated, plant_states, recorded, reprod
 from tests.support.shuffled import fly_shuffled
 from transport.flight import memory
 from transport.model.arrays import Array
-from transport.mpc.controller import Controller
+from transport.mpc.controller import Controller, Horizon
 from transport.plant.node import PlantNode
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.codec import decode, encode
@@ -163,9 +163,8 @@ def plain_loop(run: Setup) -> Iterator[tuple[Array, Array]]:
         y_ref, x_ref = run.reference.outputs(times), run.reference.states(times[:-1])
         plans, corrections = np.empty_like(U), np.zeros_like(U)
         for controller in team:
-            optimum = controller.step(
-                x, u, U, y_ref, controller.law(x, x_ref, c), ticks_since_start=k
-            )
+            horizon = Horizon(U=U, y_ref=y_ref, law=controller.law(x, x_ref, c))
+            optimum = controller.step(x, u, horizon, ticks_since_start=k)
             plans[:, controller.own] = optimum.U
             corrections[: len(optimum.c), controller.own] = optimum.c
         u = plans[0]

@@ -152,7 +152,8 @@ def test_motors_that_lag(delay: int) -> None:
     wrong = 0.3 * NOISE * rng.uniform(-1.0, 1.0, run.system.m)
     Z = [np.concatenate([run.initial_state(), run.hover.u + wrong])]
     for u in U:
-        Z.append(motors.integrate(run.model, Z[-1], u, PERIOD_S, 10, lag_s)[0])
+        period = motors.Period(duration_s=PERIOD_S, steps=10, lag_s=lag_s)
+        Z.append(motors.integrate(run.model, Z[-1], u, period)[0])
     truth = Flight(run, np.array(Z)[:, : run.system.n], U)
 
     guess = np.concatenate([run.initial_state(), run.hover.u])

@@ -1,0 +1,78 @@
+"""The compiled step of the model, called by the kernels without Python between the steps."""
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from transport.model import native
+from transport.model.arrays import Array
+from transport.model.compiled import library
+
+# Arguments of `step`: x, u, p, F, h. The kernel sets the first two.
+_PARAMETERS = 2
+_FORCES = 3
+_LENGTH = 4
+
+_SLACK = 8  # entries more than CasADi asks for in each room
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Feedback:
+    """u = at_x + K (x(k) - x(0)) within bounds."""
+
+    at_x: Array  # inputs of each step at the first state, (steps, m)
+    K: Array  # (m, n)
+    lower: Array  # (m,)
+    upper: Array  # (m,)
+
+
+class CompiledStep:
+    """The function `step` of a library by its address, with room for its arguments and results."""
+
+    def __init__(self, functions: ctypes.CDLL) -> None:
+        # Keeps the library loaded as long as the address is used.
+        self._functions = functions
+        self._length_s = np.zeros(1)
+
+        # CasADi's sizes of the rooms: arguments, results, integers and numbers.
+        sizes = (ctypes.c_longlong * 4)()
+        functions.step_work(*(ctypes.byref(sizes, 8 * i) for i in range(4)))
+        rooms = [np.zeros(size + _SLACK, dtype=np.intp) for size in sizes]
+        self._arguments = rooms[0]
+        self._arguments[_LENGTH] = native.address(self._length_s)
+        self._rooms = rooms
+
+        step = ctypes.cast(functions.step, ctypes.c_void_p).value
+        self._addresses = [step, *(native.address(room) for room in rooms)]
+
+    @staticmethod
+    def load(N: int, rates: bool) -> "CompiledStep | None":
+        """Return the step of N UAVs; None where it is not compiled."""
+        path = library(N, rates) if native.AVAILABLE else None
+        functions: Any = None if path is None else ctypes.CDLL(str(path))
+        if functions is None or not hasattr(functions, "step"):
+            return None
+        return CompiledStep(functions)
+
+    def rollout(
+        self, x: Array, feedback: Feedback, duration_s: float, acting: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Return states, (steps + 1, n), and inputs, (steps, m), of steps under a feedback.
+
+        acting: the parameters and the external forces. Source: docs/equations.md (13b).
+        """
+        p, F = acting
+        self._length_s[0] = duration_s
+        self._arguments[_PARAMETERS] = native.address(p)
+        self._arguments[_FORCES] = native.address(F)
+
+        Z = np.empty((len(feedback.at_x) + 1, len(x)))
+        U = np.empty(feedback.at_x.shape)
+        Z[0] = x
+        arrays = feedback.K, feedback.at_x, feedback.lower, feedback.upper, Z, U
+        native.KERNELS.rollout(
+            len(U), len(x), len(feedback.K), *self._addresses, *map(native.address, arrays)
+        )
+        return Z, U

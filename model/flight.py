@@ -1,0 +1,199 @@
+"""The motion of a team whose level payload follows a path, by differential flatness.
+
+Sources: Sreenath, Kumar 2013; Mellinger, Kumar 2011; docs/equations.md (66)-(68).
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from transport.model import jets, state
+from transport.model.arrays import Array, frozen
+from transport.model.hover import Hover
+from transport.model.parameters import System
+
+# Of a rod on a reference, as a share of that at hover: gusts would slacken a cable with less.
+LEAST_TENSION = 0.1
+MOST_TILT = 1.2  # of a UAV on a reference, rad: Euler angles become singular at a right angle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flight:
+    """Motion of the team along a path at k instants."""
+
+    x: Array  # states, (k, n)
+    u: Array  # inputs, (k, m)
+    tensions: Array  # of the rods, (k, N), N
+
+
+def flight(
+    system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()
+) -> Flight:
+    """Return the motion of a team whose level payload follows a path: equations.md (66)-(68).
+
+    Given are jets of position, m, and of length and width of the team, relative to hover, (7, k,
+    5), or (7, k, 3), forces and further mass of the payload, (4 + 3 N,) or of each instant, also
+    complex, and released UAVs, now bobs.
+    """
+    F = np.zeros(4 + 3 * system.N) if forces is None else forces
+    gone = sorted(released)
+
+    # e = -t / |t|
+    t = _rod_forces(system, hover, path, F, released)
+    per_tension = jets.power(jets.dot(t, t), -0.5)
+    e = -jets.product(t, per_tension)
+
+    # b = pushed / f with the thrust f = |pushed|.
+    pushed = _pushes(system, path[..., :3], e, t, F)
+    pushed[:, :, gone] = 0.0
+    pushed[0, :, gone, 2] = 1.0  # upright, for the directions below
+    per_thrust = jets.power(jets.dot(pushed, pushed), -0.5)
+    b = jets.product(pushed, per_thrust)
+    omega = _body_rates(b)
+
+    X = _states(system, path, e, b[0], omega[0])
+    commands = _commands(system, omega[0], jets.derivative(omega)[0])
+    inputs = np.concatenate([1.0 / per_thrust[0], commands], axis=-1)
+    inputs[:, gone] = 0.0
+    U = inputs.reshape(len(X), -1)
+    tensions = 1.0 / per_tension[0, ..., 0]
+    frozen(X, U, tensions)
+    return Flight(x=X, u=U, tensions=tensions)
+
+
+def _states(system: System, path: Array, e: Array, b: Array, omega: Array) -> Array:
+    """Return the states, (k, n), by the jets of path and rods, body axes and body rates, (k, N, 3).
+
+    Omega = e x e', and roll and pitch with zero yaw: (66), (68).
+    """
+    X = np.zeros((path.shape[1], system.n), dtype=b.dtype)
+    X[:, state.R0] = path[0, :, :3]
+    X[:, state.V0] = path[1, :, :3]
+
+    blocks = state.StateView(X).uavs
+    blocks[..., state.E] = e[0]
+    blocks[..., state.ROD_RATE] = np.cross(e[0], e[1])
+    blocks[..., state.THETA.start] = -np.arcsin(b[..., 1])
+    blocks[..., state.THETA.start + 1] = np.arctan(b[..., 0] / b[..., 2])
+    blocks[..., state.OMEGA] = omega
+    X[:, state.PAYLOAD :] = blocks.reshape(len(X), -1)
+    return X
+
+
+def _rod_forces(
+    system: System, hover: Hover, path: Array, F: Any, released: Collection[int]
+) -> Array:
+    """Return the jets of the rods' forces on the payload, (5, k, N, 3), N.
+
+    t = t_hover + W^+ [m0 r0'' - F_0, 0], and those that hold a formation.
+    Source: docs/equations.md (66), (66a).
+    """
+    rho = np.array([uav.rho for uav in system.uavs])
+    gravity = np.array([0.0, 0.0, system.gravity])
+    place = path[..., :3]
+    formation = path[..., 3:]
+
+    # Force and moment on the payload per force of each rod, (6, 3 N), none of released UAVs.
+    columns = []
+    for i, r in enumerate(rho):
+        moment = np.cross(r, np.eye(3), axisb=0, axisc=0)
+        columns.append(np.vstack([np.eye(3), moment]) * (i not in released))
+    W = np.hstack(columns)
+    share = np.linalg.pinv(W)[:, :3].reshape(system.N, 3, 3)
+
+    # m r0'' - F_0 - (m - m_0) g k: a further mass also weighs.
+    mass = system.payload.mass + F[..., -1:]
+    needed = mass * jets.derivative(jets.derivative(place))
+    needed[0] -= F[..., :3] + F[..., -1:] * gravity
+
+    t = np.einsum("nij,okj->okni", share, needed)
+    t[0] -= hover.tensions[:, None] * state.StateView(hover.x).e_P
+    if formation.size:
+        t += _apart(hover, rho, _column(system, "rod_length"), formation, W)[: len(t)]
+    return np.asarray(t)
+
+
+def _pushes(system: System, place: Array, e: Array, t: Array, F: Any) -> Array:
+    """Return the jets of thrust times direction of the UAVs, (3, k, N, 3), N.
+
+    f b = m (g k - r_i'') - t + F_i at r_i = r0 + rho - l e. Source: docs/equations.md (67).
+    """
+    rho = np.array([uav.rho for uav in system.uavs])
+    masses = _column(system, "mass")
+    gravity = np.array([0.0, 0.0, system.gravity])
+
+    r = place[: len(e), :, None] - _column(system, "rod_length") * e
+    r[0] += rho
+
+    pushed = -masses * jets.derivative(jets.derivative(r)) - t[:3]
+    pushed[0] += masses * gravity + F[..., 3:-1].reshape(-1, system.N, 3)
+    return np.asarray(pushed)
+
+
+def _body_rates(b: Array) -> Array:
+    """Return the jets of the body rates of UAVs with zero yaw, (2, k, N, 3), 1/s, by their axes b.
+
+    omega = [phi', theta' cos phi, -theta' sin phi], sin phi = -b_y, tan theta = b_x / b_z.
+    Source: docs/equations.md (68).
+    """
+    # phi' = -b_y' / cos phi,  cos phi = sqrt(b_x^2 + b_z^2)
+    x = b[..., 0]
+    y = b[..., 1]
+    z = b[..., 2]
+    cos_roll = jets.power(jets.product(x, x) + jets.product(z, z), 0.5)
+    roll_rate = -jets.product(jets.derivative(y), jets.power(cos_roll, -1.0))
+
+    # theta' = (b_x' b_z - b_x b_z') / cos^2 phi
+    turned = jets.product(jets.derivative(x), z) - jets.product(x, jets.derivative(z))
+    pitch_rate = jets.product(turned, jets.power(cos_roll, -2.0))
+    across = jets.product(pitch_rate, cos_roll)
+    down = jets.product(pitch_rate, y)
+    return np.stack([roll_rate, across, down], axis=-1)
+
+
+def _commands(system: System, omega: Array, omega_dot: Array) -> Array:
+    """Return moments or commanded body rates, (k, N, 3), by body rates and their derivatives.
+
+    tau = J omega' + omega x J omega, or omega + omega' / K. Source: docs/equations.md (57), (68).
+    """
+    if system.rate_gains is not None:
+        return np.asarray(omega + omega_dot / system.rate_gains)
+
+    J = np.array([uav.inertia for uav in system.uavs])
+    momentum = np.einsum("nij,knj->kni", J, omega)
+    turning = np.einsum("nij,knj->kni", J, omega_dot)
+    return np.asarray(turning + np.cross(omega, momentum))
+
+
+def _column(system: System, key: str) -> Array:
+    """Return a number of each UAV, (N, 1)."""
+    return np.array([[getattr(uav, key)] for uav in system.uavs])
+
+
+def _apart(hover: Hover, rho: Array, lengths: Array, formation: Array, W: Array) -> Array:
+    """Return the jets of rod forces that hold a formation, (7, k, N, 3), N.
+
+    They have no effect on the payload: t_i += [(I - W^+ W) h]_i. Source: docs/equations.md (66a).
+    """
+    # d_i = [(lambda_x - 1) rho_ix, (lambda_y - 1) rho_iy, 0]
+    d = np.zeros((*formation.shape[:2], *rho.shape))
+    d[0, ..., :2] = -rho[:, :2]
+    d[..., :2] += formation[:, :, None] * rho[:, :2]
+
+    # h_i = |t_i^hov| d_i / sqrt(l_i^2 - |d_i|^2), none of released UAVs.
+    height_squared = -jets.dot(d, d)
+    height_squared[0] += lengths**2
+    h = hover.tensions[:, None] * jets.product(d, jets.power(height_squared, -0.5))
+    flat = h.reshape(*h.shape[:2], -1) * W.any(axis=0)
+
+    without_effect = flat - flat @ (np.linalg.pinv(W) @ W).T
+    return np.asarray(without_effect.reshape(h.shape))
+
+
+def slowed(path: Array, factor: float) -> Array:
+    """Return the jets of a path at a number of its places when it takes `factor` times as long."""
+    # The derivative of order j falls with factor^j.
+    orders = np.arange(len(path), dtype=np.float64)
+    return np.asarray(path / factor ** orders[:, None, None])

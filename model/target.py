@@ -1,0 +1,64 @@
+"""A target given during the flight, and the way to it from the path before."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from transport.model import jets
+from transport.model.arrays import Array
+from transport.model.curves import Curve
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """A target given during the flight.
+
+    The payload leaves its path for it, and may run through a curve from there.
+    """
+
+    since_s: float  # time from which on the path changes, s
+    point_I: Array  # position of the target, (3,), inertial frame, m
+    approach: Curve  # straight, of length 1, whose share is that of the target in the path
+    way: Curve | None = None  # from the target on; None: the target is the end
+
+    @property
+    def reached_s(self) -> float:
+        """Time at which the payload's reference is at the target, s."""
+        return self.since_s + self.approach.duration_s
+
+    @property
+    def ends_s(self) -> float:
+        """Time from which on the reference is at rest, s."""
+        way_s = 0.0 if self.way is None else self.way.duration_s
+        return self.reached_s + way_s
+
+    @property
+    def end_I(self) -> Array:
+        """Position of the reference from then on, (3,), m."""
+        end = self.goal(np.array([self.ends_s]), orders=1)
+        return np.asarray(end[0, 0])
+
+    def goal(self, t_s: Array, orders: int) -> Array:
+        """Return the jets of p(t), the target and the curve after it, (orders, k, 3), SI.
+
+        At times of the maneuver, (k,), s.
+        """
+        p = np.zeros((orders, len(t_s), 3))
+        if self.way is not None:
+            p = self.way.path(t_s - self.reached_s, orders)
+        p[0] += self.point_I
+        return p
+
+    def joined(self, t_s: Array, r: Array) -> Array:
+        """Return the jets of a path since then led to the target, as smooth, (orders, k, 3): (75).
+
+        r: the jets of the path before, (orders, k, 3), at times of the maneuver, (k,), s.
+        """
+        orders = len(r)
+        p = self.goal(t_s, orders)
+        s = self.approach.covered(t_s - self.since_s, orders)[..., None]
+
+        # r' = r + s (p - r), and p itself once it is reached.
+        mean = r + jets.product(s, p - r)
+        is_reached = (t_s >= self.reached_s)[:, None]
+        return np.asarray(np.where(is_reached, p, mean))
