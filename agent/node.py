@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from agent.alone import ALONE, AlonePlanner, AloneStep
 from agent.kalman import Belief
 from agent.own import PROJECT, OwnPlanner, OwnStep
 from agent.step import Planner, Step
@@ -29,8 +30,8 @@ class AgentNode(Participant):
         self, setup: Setup, agent: int, incarnation: int = 0, stopwatch: Callable[[], int] = lambda: 0
     ) -> None:
         self._agent, self._stopwatch = agent, stopwatch
-        make = Planner if setup.scenario.agents.controller == PROJECT else OwnPlanner
-        self._planner: Any = make(setup, agent, stopwatch)
+        planners: dict[str, Any] = {PROJECT: Planner, ALONE: AlonePlanner}
+        self._planner: Any = planners.get(setup.scenario.agents.controller, OwnPlanner)(setup, agent, stopwatch)
         self._targets: deque[tuple[int, Setup]] = deque()  # those still to come: the tick, the run with it
         super().__init__(setup, agent_name(agent), incarnation, after=1, own=agent)
 
@@ -38,7 +39,7 @@ class AgentNode(Participant):
         super()._begin(incarnation)
         self._measurements: Arrivals[Measurement] = Arrivals(self._links, after=0, speed=self._speed)
         self._measurement: Measurement | None = None  # of the open tick, until its step begins
-        self._step: Step | OwnStep | None = None  # being negotiated
+        self._step: Step | OwnStep | AloneStep | None = None  # being negotiated
         self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and exchanges to come, and agent
 
     @property
@@ -116,7 +117,7 @@ class AgentNode(Participant):
             out += self._plan(self._step)
         return out
 
-    def _plan(self, step: Step | OwnStep) -> list[Message]:
+    def _plan(self, step: Step | OwnStep | AloneStep) -> list[Message]:
         """Return the next proposal of a step, or its plan and report, which conclude it."""
         messages: list[Message] = self._planner.plan(step, self._out, self.publish_ns)
         if step.negotiation == 0:
@@ -145,7 +146,7 @@ class AgentNode(Participant):
             started_ns=started_ns,
         )
 
-    def _take_proposals(self, step: Step | OwnStep) -> list[Plan]:
+    def _take_proposals(self, step: Step | OwnStep | AloneStep) -> list[Plan]:
         """Return the others' proposals of the present iteration that their links pass without delay, by agent."""
         k = step.known.measurement.tick
         proposals = sorted(self._proposals.pop((k, step.negotiation), {}).items())
@@ -163,7 +164,7 @@ class AgentNode(Participant):
         senders = set(measurement.shared) & self._membership.took_part(measurement.tick - 1) - {self._agent}
         return senders <= self._arrived.get(measurement.tick - 1, set())
 
-    def _has_proposals_for(self, step: Step | OwnStep) -> bool:
+    def _has_proposals_for(self, step: Step | OwnStep | AloneStep) -> bool:
         """Return whether the proposals of the present iteration are here from all others."""
         here = self._proposals.get((step.known.measurement.tick, step.negotiation), {})
         return self._membership.incarnations.keys() - {self._agent} <= here.keys()

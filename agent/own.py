@@ -25,6 +25,7 @@ from protocol.wire.messages import MAX_NAME, MAX_NAMES, STAGES, Measurement, Mes
 from protocol.wire.node import Outbox
 
 PROJECT = "mpc"  # the controller of the project
+OF_PROJECT = PROJECT, "alone"
 
 
 @dataclass(slots=True, kw_only=True)
@@ -60,15 +61,15 @@ class Run:
 def checked_controller(setup: Setup) -> str:
     """Return name and version of the controller after starting it once. Raises: ScenarioError: it cannot be used."""
     name = setup.scenario.agents.controller
-    if name == PROJECT:
+    if name in OF_PROJECT:
         return name
     OwnPlanner(setup, 1, lambda: 0).stop()
     return f"{name} {controller_version(name)}".rstrip()
 
 
 def controller_version(name: str) -> str:
-    """Return the version of a controller, empty for that of the project. Raises: OwnClassError: it is not found."""
-    return "" if name == PROJECT else version_of(own_class(name))
+    """Return the version of a controller, empty for those of the project. Raises: OwnClassError: it is not found."""
+    return "" if name in OF_PROJECT else version_of(own_class(name))
 
 
 @dataclass(slots=True)

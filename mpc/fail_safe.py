@@ -1,4 +1,4 @@
-"""The fail-safe of a UAV whose plan has run out: hover thrust, and level attitude or the way along the reference."""
+"""The fail-safe of a UAV whose plan has run out: hover thrust and level attitude, or the control law of a UAV alone."""
 
 from collections.abc import Collection
 from copy import copy
@@ -6,37 +6,28 @@ from copy import copy
 import numpy as np
 
 from model import flat, state
-from model.arrays import Array, rows
+from model.arrays import Array
 from model.flat import Track
 from model.hover import failed_hover, with_released
 from model.parameters import ParameterError, System
-from model.rotations import rotation
-
-# Attitude loop: slow enough for the moment limits of small quadrotors, faster than the pendulum of a rod.
-_FREQUENCY_RAD_S, _DAMPING = 6.0, 0.8
-_CRITICAL, _LARGEST_GAIN = 0.25, 6.0  # around an inner loop on body rates, 1/s: critical damping, as usual autopilots
-_FOLLOWING_RAD_S, _FOLLOWING_DAMPING = 1.5, 1.0  # of the horizontal position: as fast as the pendulum of a rod
-_STEEPEST = 0.2  # largest roll or pitch that it asks for, rad
+from mpc.alone import AloneLaw, Course, course_at, motion_of
 
 
 class FailSafe:
     """The fail-safes of all UAVs: hover thrusts of u_hover, (4 N,), or the inputs of a flat track.
 
-    They follow X_ref, (K, n), the last one held, by measured position and velocity; without it they keep level.
+    They follow X_ref, (K, n), the last one held, alone, each by its own motion; without it they keep level.
     """
 
     def __init__(self, system: System, u_hover: Array, X_ref: Array | None = None, track: Track | None = None) -> None:
         self.u_hover, self._X_ref, self.track = u_hover, X_ref, track
-        self._system, self._uavs = system, system.uavs
-        self._gains, level = [], np.diag([1.0, 1.0, 0.0])  # the heading is free
-        for uav in system.uavs:
-            gain = np.zeros((state.INPUTS, state.PER_UAV))
-            if system.rate_gains is not None:
-                gain[1:, state.THETA] = -np.diag(np.minimum(_CRITICAL * system.rate_gains, _LARGEST_GAIN)) @ level
-            else:
-                gain[1:, state.THETA] = -(_FREQUENCY_RAD_S**2) * uav.inertia @ level
-                gain[1:, state.OMEGA] = -2.0 * _DAMPING * _FREQUENCY_RAD_S * uav.inertia
-            self._gains.append(gain)
+        self._system = system
+        self._laws = self._alone()
+
+    @property
+    def follows(self) -> bool:
+        """Whether the UAVs follow the reference."""
+        return self._X_ref is not None
 
     def following(self, X_ref: Array, track: Track | None) -> "FailSafe":
         """Return the fail-safe with another reference, unless it keeps level."""
@@ -54,8 +45,9 @@ class FailSafe:
         except ParameterError:
             return found
         # Inputs of UAVs without motors have no effect; a thrust of zero would have no attitude to tilt it.
-        running = np.repeat([uav not in off for uav in range(len(self._uavs))], state.INPUTS)
+        running = np.repeat([uav not in off for uav in range(self._system.N)], state.INPUTS)
         found.u_hover = np.where(running, hover.u, self.u_hover)
+        found._laws = found._alone()
         if self.track is not None and released:
             system = with_released(self._system, released)
             found.track = flat.track(system, hover, self.track.paths, self.track.first, released)
@@ -63,48 +55,40 @@ class FailSafe:
                 found._X_ref = np.concatenate([self._X_ref[: self.track.first], found.track.X])
         return found
 
+    def law(self, uav: int) -> AloneLaw:
+        """Return the control law of a UAV, 0-based, alone."""
+        return self._laws[uav]
+
+    def course(self, uav: int, tick: int) -> Course:
+        """Return the part of the reference of a UAV, 0-based, at a tick. Raises: ValueError: it keeps level."""
+        if self._X_ref is None:
+            raise ValueError("expected a fail-safe that follows the reference, got one that keeps level")
+        return course_at(self._system, uav, self._X_ref, self.u_hover, self.track, tick)
+
     def gain(self, uav: int) -> Array:
-        """Return the linearised feedback from the state to a UAV's inputs, (4, n): (31), (31a), (45), (58)."""
-        gain = np.zeros((state.INPUTS, state.PAYLOAD + state.PER_UAV * len(self._uavs)))
-        own = state.uav_slice(uav)
-        gain[:, own] = self._gains[uav]
-        if self._X_ref is not None:
-            rho, rod = self._uavs[uav].rho, np.array([0.0, 0.0, self._uavs[uav].rod_length])
-            position, velocity = np.zeros((3, gain.shape[1])), np.zeros((3, gain.shape[1]))
-            position[:, state.R0] = velocity[:, state.V0] = np.eye(3)
-            position[:, state.THETA0] = np.cross(np.eye(3), rho - rod).T
-            velocity[:, state.OMEGA0] = np.cross(np.eye(3), rho).T
-            position[:, own][:, state.E] = -rod[2] * np.eye(3)
-            velocity[:, own][:, state.ROD_RATE] = -np.cross(np.eye(3), rod).T
-            gain += self._gains[uav][:, state.THETA] @ -self._wanted(uav, position, velocity)
+        """Return the linearised feedback from the state to a UAV's inputs, (4, n): (31), (31c), (45), (58)."""
+        if self.follows:
+            return self._laws[uav].gain()
+        gain = np.zeros((state.INPUTS, self._system.n))
+        gain[:, state.uav_slice(uav)] = self._laws[uav].attitude_gain
         return gain
 
-    def inputs(self, uav: int, x: Array, tick: int) -> Array:
-        """Return the inputs of one UAV, 0-based, at a state at t_k, (n,), before limits, (4,): (31), (31a), (58)."""
-        own = x[state.uav_slice(uav)].copy()
-        if self._X_ref is not None:
-            position, velocity = self._motion(uav, x)
-            expected = self._motion(uav, self._X_ref[min(tick, len(self._X_ref) - 1)])
-            turned = rotation(np.array([0.0, 0.0, own[state.THETA][2]])).T  # into the UAV's heading
-            wanted = self._wanted(uav, turned @ (position - expected[0]), turned @ (velocity - expected[1]))
-            own[state.THETA] -= np.clip(wanted, -_STEEPEST, _STEEPEST)
+    def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
+        """Return the inputs of one UAV, 0-based, at a state at t_k, (n,), before limits, (4,): (31), (31a), (58).
+
+        `held_I` is the force of its integral, (3,), N; None where it is not known, or without reference.
+        """
+        if self.follows:
+            return self._laws[uav].inputs(motion_of(self._system, uav, x), self.course(uav, tick), held_I)
         at_rest: Array = self.u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])
-        if self._X_ref is not None and self.track is not None:
-            at = rows(tick - self.track.first, 1, len(self.track.U))
-            at_rest = self.track.U[at][0, state.input_slice(uav)]
-            own = own - self.track.X[at][0, state.uav_slice(uav)]
-        return at_rest + self._gains[uav] @ own
+        return at_rest + self._laws[uav].attitude_gain @ x[state.uav_slice(uav)]
 
-    def _motion(self, uav: int, x: Array) -> tuple[Array, Array]:
-        """Return position and velocity of a UAV, inertial frame, m and m/s. Source: docs/equations.md (1), (39)."""
-        R0, block, rho = rotation(x[state.THETA0]), x[state.uav_slice(uav)], self._uavs[uav].rho
-        rod = self._uavs[uav].rod_length * block[state.E]
-        turning = np.cross(x[state.OMEGA0], rho) - np.cross(block[state.ROD_RATE], rod)
-        return x[state.R0] + R0 @ (rho - rod), R0 @ (x[state.V0] + turning)
+    def held(self, uav: int, x: Array, tick: int, held_I: Array, period_s: float) -> Array:
+        """Return the force of the integral of a UAV, 0-based, one period later, (3,), N; zero if it keeps level."""
+        if not self.follows:
+            return held_I
+        return self._laws[uav].held(held_I, motion_of(self._system, uav, x), self.course(uav, tick), period_s)
 
-    def _wanted(self, uav: int, position: Array, velocity: Array) -> Array:
-        """Return roll, pitch and a zero from deviations of position and velocity, axes of the heading, (3, ...)."""
-        stiffness, damping = _FOLLOWING_RAD_S**2, 2.0 * _FOLLOWING_DAMPING * _FOLLOWING_RAD_S
-        lift = self.u_hover[state.input_slice(uav)][0]
-        pull = self._uavs[uav].mass / lift * (stiffness * position + damping * velocity)
-        return np.stack([-pull[1], pull[0], np.zeros_like(pull[0])])
+    def _alone(self) -> list[AloneLaw]:
+        thrusts_N = self.u_hover[:: state.INPUTS]
+        return [AloneLaw(self._system, uav, float(thrusts_N[uav])) for uav in range(self._system.N)]

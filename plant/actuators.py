@@ -38,6 +38,8 @@ class ActuatorSchedule:
         self.fail_safe = fail_safe
         self._lower, self._upper, self._step = settings.lower(1), settings.upper(1), settings.step(1)
         self._plans: list[list[Plan]] = [[] for _ in range(len(u_hover) // state.INPUTS)]
+        self._period_s = settings.sampling_period_s
+        self._held_I: dict[int, Array] = {}  # force of the integral of each UAV on a fail-safe that follows, N
 
     def add(self, plan: Plan) -> None:
         """Add a plan to the schedule of its UAVs, in any order of arrival."""
@@ -64,11 +66,18 @@ class ActuatorSchedule:
             step = tick - newest.start_tick
             if step < len(newest.inputs):
                 u[own], sources[i] = newest.inputs[step, state.input_slice(newest.uavs.index(i + 1))], newest.tick
+                self._held_I.pop(i, None)
             else:
-                before, safe = u_before[own], self.fail_safe.inputs(i, x, tick)
-                safe = np.clip(safe, before - self._step, before + self._step)
-                u[own], sources[i] = np.clip(safe, self._lower, self._upper), FAIL_SAFE
+                u[own], sources[i] = self._safe(i, tick, x, u_before[own]), FAIL_SAFE
         return u, tuple(sources)
+
+    def _safe(self, uav: int, tick: int, x: Array, before: Array) -> Array:
+        """Return the inputs of a UAV, 0-based, on the fail-safe, (4,), within rates from those before, and limits."""
+        held_I = self._held_I.get(uav, np.zeros(3))
+        safe = self.fail_safe.inputs(uav, x, tick, held_I)
+        self._held_I[uav] = self.fail_safe.held(uav, x, tick, held_I, self._period_s)
+        safe = np.clip(safe, before - self._step, before + self._step)
+        return np.clip(safe, self._lower, self._upper)
 
 
 class InnerLoop(Protocol):

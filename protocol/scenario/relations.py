@@ -13,6 +13,7 @@ from protocol.wire.names import COORDINATOR, PLANT, agent_name
 _SHORTEST_LAG = 0.01  # of motors, sampling periods: the discretisation takes exponentials of its reciprocal
 
 _OTHER = object()  # any value but the default
+_CLASS = object()  # a class of the user
 # Key and value, then a key and the value that they need.
 _NEEDS = (
     ("controller.terminal", "riccati", "controller.weights.penalised_input", "deviation"),
@@ -27,7 +28,7 @@ _NEEDS = (
     ("controller.estimator", "kalman", "controller.share", "always"),
     ("agents.controller", _OTHER, "controller.share", "always"),
     ("agents.controller", _OTHER, "controller.negotiation_iterations", 1),
-    ("agents.controller", _OTHER, "plant.sensors", "state"),
+    ("agents.controller", _CLASS, "plant.sensors", "state"),
     ("controller.tension", _OTHER, "controller.motor_lag_s", 0.0),
     ("clock.mode", "realtime", "controller.negotiation_iterations", 1),
     ("clock.mode", "realtime", "plant.inner_loop", "model"),
@@ -55,7 +56,9 @@ def check_relations(scenario: Scenario, source: str) -> None:
 def _needs(scenario: Scenario) -> Problems:
     for cause, value, key, needed in _NEEDS:
         given, got = attrgetter(cause)(scenario), attrgetter(key)(scenario)
-        if (given == value or (value is _OTHER and given not in ("mpc", None))) and got != needed:
+        is_other = value is _OTHER and given not in ("mpc", None)
+        is_class = value is _CLASS and ":" in str(given)
+        if (given == value or is_other or is_class) and got != needed:
             expected = repr(needed) if isinstance(needed, str | int | float) else "no value"
             yield key, f"{expected} with {cause} = {given!r:.60}", f"{got!r:.60}"
 

@@ -271,9 +271,11 @@ class AgentsSection(Section):
     ] = None
     """UAVs of each agent: agent 1 owns the first list, and so on; each UAV once. If omitted: one agent for each UAV"""
     controller: Annotated[
-        str, or_class("mpc"), Key(type="mpc, package.module:Class", label="controller", short="controller")
+        str, or_class("mpc", "alone"), Key(type="mpc, alone, package.module:Class", label="controller", short="controller")
     ] = "mpc"
-    """controller of every agent: that of this project, or [your own class](bring-your-own.md#your-own-controller)"""
+    """controller of every agent: that of this project; alone, by which each UAV keeps to its part of the reference by its
+    own sensors, without messages ([equations.md](equations.md#a-uav-alone)); or [your own
+    class](bring-your-own.md#your-own-controller)"""
 
 
 class ClockSection(Section):

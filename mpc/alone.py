@@ -1,0 +1,246 @@
+"""The control law of a UAV alone: it keeps to its own part of the reference by its own sensors, without any message.
+
+The rod pulls at the UAV as its share of the payload does. Position and velocity control a mass of UAV and share in three
+axes, an integral finds wind and mass errors, and the UAV gives way to the swing of the rod, which damps it.
+Source: docs/equations.md (31a)-(31c).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from model import state
+from model.arrays import Array
+from model.flat import Track
+from model.parameters import System
+from model.rotations import rotation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AloneGains:
+    """Gains of the position loop, horizontal (2) and vertical, and limits."""
+
+    # 1/s^2, 1/s, 1/s^3. Horizontal: slower than the attitude loop by a factor of three. Vertical, where thrust acts at
+    # once: stiffer, as differences of height tilt the payload.
+    position: Array
+    velocity: Array
+    integral: Array
+    swing: float  # acceleration per velocity of the rod's lower end relative to the UAV, 1/s
+    steepest_rad: float  # largest change of the attitude that a deviation asks for
+    most_held: float  # largest force of the integral, as a share of what the UAV carries
+
+
+GAINS = AloneGains(
+    position=np.array([4.0, 4.0, 6.0]),
+    velocity=np.array([4.0, 4.0, 5.0]),
+    integral=np.array([1.5, 1.5, 2.5]),
+    swing=0.5,
+    steepest_rad=0.5,
+    most_held=0.4,
+)
+
+# Attitude loop: slow enough for the moment limits of small quadrotors, faster than the pendulum of a rod.
+_FREQUENCY_RAD_S, _DAMPING = 6.0, 0.8
+_CRITICAL, _LARGEST_GAIN = 0.25, 6.0  # around an inner loop on body rates, 1/s: critical damping, as usual autopilots
+_LEVEL = np.diag([1.0, 1.0, 0.0])  # the heading is free
+# Observer of the rod from the specific force: fast enough for the pendulum of a rod, slow enough for the noise.
+_OBSERVER_RAD_S, _OBSERVER_DAMPING = 3.0, 0.7
+_VERTICAL = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """Motion of one UAV as its own sensors show it, SI."""
+
+    position_I: Array  # (3,)
+    velocity_I: Array  # (3,)
+    Theta: Array  # roll, pitch, yaw, (3,)
+    omega_B: Array  # body rates, (3,)
+    swing_I: Array  # velocity of the rod's lower end relative to the UAV, (3,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """Part of the reference that is one UAV's, at an instant: its motion, and the inputs that belong to it."""
+
+    motion: Motion
+    force_I: Array  # force of the thrust, (3,), N
+    turning: Array  # moments, or commanded body rates, (3,)
+
+
+def motion_of(system: System, uav: int, x: Array) -> Motion:
+    """Return the motion of a UAV, 0-based, in a state of the team, (n,). Source: docs/equations.md (1), (39)."""
+    own = x[state.uav_slice(uav)]
+    rho = system.uavs[uav].rho
+    rod_P = system.uavs[uav].rod_length * own[state.E]
+    R0 = rotation(x[state.THETA0])
+
+    swing_P = _cross(own[state.ROD_RATE], rod_P)
+    turning_P = _cross(x[state.OMEGA0], rho) - swing_P
+    return Motion(
+        position_I=x[state.R0] + R0 @ (rho - rod_P),
+        velocity_I=R0 @ (x[state.V0] + turning_P),
+        Theta=own[state.THETA],
+        omega_B=own[state.OMEGA],
+        swing_I=R0 @ swing_P,
+    )
+
+
+def course_of(system: System, uav: int, x_ref: Array, u_ref: Array) -> Course:
+    """Return the course of a UAV, 0-based, from a reference state, (n,), and its inputs, (m,)."""
+    motion, inputs = motion_of(system, uav, x_ref), u_ref[state.input_slice(uav)]
+    return Course(motion=motion, force_I=-inputs[0] * rotation(motion.Theta)[:, 2], turning=inputs[1:])
+
+
+class AloneLaw:
+    """Control law of one UAV, 0-based, that carries its share of the payload with a hover thrust, N."""
+
+    def __init__(self, system: System, uav: int, hover_N: float, gains: AloneGains = GAINS) -> None:
+        self._system, self._uav, self._gains, self._hover_N = system, uav, gains, hover_N
+        self.carried_kg = hover_N / system.gravity  # the UAV and its share of the payload
+        inertia = system.uavs[uav].inertia
+        if system.rate_gains is not None:
+            self._stiffness = np.diag(np.minimum(_CRITICAL * system.rate_gains, _LARGEST_GAIN)) @ _LEVEL
+            self._damping = np.zeros((3, 3))
+        else:
+            self._stiffness = _FREQUENCY_RAD_S**2 * inertia @ _LEVEL
+            self._damping = 2.0 * _DAMPING * _FREQUENCY_RAD_S * inertia
+
+    @property
+    def attitude_gain(self) -> Array:
+        """Derivative of moments or body rates by the UAV's block of the state, (4, 12)."""
+        gain = np.zeros((state.INPUTS, state.PER_UAV))
+        gain[1:, state.THETA], gain[1:, state.OMEGA] = -self._stiffness, -self._damping
+        return gain
+
+    def inputs(self, motion: Motion, course: Course, held_I: Array | None = None) -> Array:
+        """Return thrust and moments, or body rates, before limits, (4,), N and N m or rad/s: (31a), (31b).
+
+        `held_I` is the force of the integral, (3,), N; None for none.
+        """
+        force_I = self.force(motion, course, held_I)
+        roll, pitch = _attitude(force_I, motion.Theta[2])
+        roll_ref, pitch_ref = _attitude(course.force_I, motion.Theta[2])
+        steepest = self._gains.steepest_rad
+        roll = roll_ref + min(max(roll - roll_ref, -steepest), steepest)
+        pitch = pitch_ref + min(max(pitch - pitch_ref, -steepest), steepest)
+
+        wanted = np.array([roll, pitch, motion.Theta[2]])
+        turning = course.turning - self._stiffness @ (motion.Theta - wanted)
+        turning = turning - self._damping @ (motion.omega_B - course.motion.omega_B)
+        thrust = -(rotation(motion.Theta)[:, 2] @ force_I)
+        return np.concatenate([[thrust], turning])
+
+    def force(self, motion: Motion, course: Course, held_I: Array | None = None) -> Array:
+        """Return the force that the thrust is to have, (3,), inertial frame, N. Source: docs/equations.md (31a)."""
+        gains, ahead = self._gains, course.motion
+        swing_I = motion.swing_I - ahead.swing_I
+        acceleration = (
+            gains.position * (ahead.position_I - motion.position_I)
+            + gains.velocity * (ahead.velocity_I - motion.velocity_I)
+            - gains.swing * (swing_I - swing_I[2] * _VERTICAL)
+        )
+        force_I = course.force_I + self.carried_kg * acceleration
+        return force_I if held_I is None else force_I + held_I
+
+    def held(self, held_I: Array, motion: Motion, course: Course, period_s: float) -> Array:
+        """Return the force of the integral one period later, (3,), N. Source: docs/equations.md (31a)."""
+        error_I = course.motion.position_I - motion.position_I
+        return self.within(held_I + period_s * self.carried_kg * self._gains.integral * error_I)
+
+    def within(self, held_I: Array) -> Array:
+        """Return a force of the integral within its limits, (3,), N."""
+        most_N = self._gains.most_held * self._hover_N
+        return np.minimum(np.maximum(held_I, -most_N), most_N)
+
+    def gain(self) -> Array:
+        """Return the derivative of `inputs` about hover by the state of the team, (4, n): (31c)."""
+        return self._derivative(self._gains.position, self._gains.velocity, self._gains.swing)
+
+    def held_gains(self) -> tuple[Array, Array]:
+        """Return derivatives about hover: of `held` over a second by the state, (3, n), and of `inputs` by it, (4, 3)."""
+        integral = self.carried_kg * self._gains.integral
+        return -integral[:, None] * self._motions()[0], self._by_force()
+
+    def _derivative(self, position: Array, velocity: Array, swing: float) -> Array:
+        r, v, swing_rate = self._motions()
+        acceleration = -position[:, None] * r - velocity[:, None] * v
+        acceleration[:2] -= swing * swing_rate[:2]
+        gain = self._by_force() @ (self.carried_kg * acceleration)
+        gain[:, state.uav_slice(self._uav)] += self.attitude_gain
+        return gain
+
+    def _by_force(self) -> Array:
+        """Return the derivative of the inputs by the wanted force about hover, (4, 3): thrust is upwards, z down."""
+        tilt = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / self._hover_N
+        return np.vstack([-_VERTICAL, self._stiffness @ tilt])
+
+    def _motions(self) -> tuple[Array, Array, Array]:
+        """Return the derivatives of position, velocity and swing about hover by the state, (3, n) each."""
+        uav, own = self._system.uavs[self._uav], state.uav_slice(self._uav)
+        rod = uav.rod_length * _VERTICAL
+        position, velocity, swing = (np.zeros((3, self._system.n)) for _ in range(3))
+        swing[:, own][:, state.ROD_RATE] = np.cross(np.eye(3), rod).T
+        position[:, state.R0] = velocity[:, state.V0] = np.eye(3)
+        position[:, state.THETA0] = np.cross(np.eye(3), uav.rho - rod).T
+        position[:, own][:, state.E] = -uav.rod_length * np.eye(3)
+        velocity[:, state.OMEGA0] = np.cross(np.eye(3), uav.rho).T
+        return position, velocity - swing, swing
+
+
+def course_at(  # noqa: PLR0913
+    system: System, uav: int, X_ref: Array, u_hover: Array, track: Track | None, tick: int
+) -> Course:
+    """Return the course of a UAV, 0-based, at a tick of a reference, (K, n), or of a flat track; the last is held."""
+    x_ref = X_ref[min(tick, len(X_ref) - 1)]
+    if track is None:
+        return course_of(system, uav, x_ref, u_hover)
+    row = min(max(tick - track.first, 0), len(track.U) - 1)
+    return course_of(system, uav, track.X[row], track.U[row])
+
+
+class SwingObserver:
+    """Velocity of a rod's lower end relative to its UAV, 0-based, from the specific force of the UAV: (31d).
+
+    Mass times specific force is the force of the thrust and of the rod, whose direction is that of the rod.
+    """
+
+    def __init__(self, system: System, uav: int) -> None:
+        self._system, self._uav = system, uav
+        self.reset()
+
+    def reset(self) -> None:
+        """Start from the reference."""
+        self._offset = np.zeros(3)  # of the lower end from the reference, m
+        self._rate = np.zeros(3)  # its derivative, m/s
+
+    def observe(self, sensed: Array, thrust_N: float, x_ref: Array, period_s: float) -> Array:
+        """Take in measurements, (15,), with the thrust until them, and a reference state, (n,); return it, (3,)."""
+        uav, own = self._system.uavs[self._uav], x_ref[state.uav_slice(self._uav)]
+        R = rotation(sensed[state.THETA])
+        pull_I = R @ (uav.mass * sensed[state.SPECIFIC_FORCE] + thrust_N * _VERTICAL)
+        R0 = rotation(x_ref[state.THETA0])
+        strength_N = float(np.linalg.norm(pull_I))
+
+        if strength_N > 0.0:
+            error = uav.rod_length * (pull_I / strength_N - R0 @ own[state.E]) - self._offset
+            self._offset = self._offset + period_s * (self._rate + 2.0 * _OBSERVER_DAMPING * _OBSERVER_RAD_S * error)
+            self._rate = self._rate + period_s * _OBSERVER_RAD_S**2 * error
+        return np.asarray(self._rate + R0 @ _cross(own[state.ROD_RATE], uav.rod_length * own[state.E]))
+
+
+def _attitude(force_I: Array, yaw: float) -> tuple[float, float]:
+    """Return roll and pitch whose thrust has the direction of a force, (3,), at a yaw. Source: docs/equations.md (31b)."""
+    x, y, z = (float(component) for component in force_I)
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    strength = math.sqrt(x * x + y * y + z * z)
+    if not strength > 0.0:
+        return 0.0, 0.0
+    forward, right = cosine * x + sine * y, cosine * y - sine * x
+    return math.asin(right / strength), math.atan2(-forward, -z)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return a x b, at a fifth of the time that numpy.cross takes for single vectors."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
