@@ -130,9 +130,12 @@ class AlonePlanner:
     def _controlled(self, measured: Measurement) -> Array:
         """Return the inputs of the owned UAVs by their measurements, within rates and limits, (4 owned,)."""
         settings, wanted = self._setup.settings, []
+        start = measured.tick + int(self._setup.scenario.clock.next_tick)
         for uav, values, until in zip(self._owned, measured.uav_states, measured.inputs, strict=True):
-            law, course = self._law.law(uav), self._law.course(uav, measured.tick)
+            law, course = self._law.law(uav), self._law.course(uav, start)
             motion = self._motion(uav, values, float(until[0]), measured)
+            if start > measured.tick:
+                motion = motion.ahead(settings.sampling_period_s)
             held_I = self._held_I[uav]
 
             wanted.append(law.inputs(motion, course, held_I))

@@ -6,7 +6,7 @@ Source: docs/equations.md (31a)-(31c).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,31 +19,23 @@ from model.rotations import rotation
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AloneGains:
-    """Gains of the position loop, horizontal (2) and vertical, and limits."""
+    """Gains of the position loop and limits; docs/decisions.md has the reasons."""
 
-    # 1/s^2, 1/s, 1/s^3. Horizontal: slower than the attitude loop by a factor of three. Vertical, where thrust acts at
-    # once: stiffer, as differences of height tilt the payload.
-    position: Array
-    velocity: Array
-    integral: Array
-    swing: float  # acceleration per velocity of the rod's lower end relative to the UAV, 1/s
-    steepest_rad: float  # largest change of the attitude that a deviation asks for
-    most_held: float  # largest force of the integral, as a share of what the UAV carries
+    position: float = 6.0  # 1/s^2
+    velocity: float = 5.0  # 1/s; as stiff as the attitude loop allows at 20 Hz
+    integral: float = 2.5  # 1/s^3
+    swing: float = 0.5  # acceleration per velocity of the rod's lower end relative to the UAV, 1/s
+    steepest_rad: float = 0.5  # largest change of the attitude that a deviation asks for
+    most_held: float = 0.4  # largest force of the integral, as a share of what the UAV carries
 
 
-GAINS = AloneGains(
-    position=np.array([4.0, 4.0, 6.0]),
-    velocity=np.array([4.0, 4.0, 5.0]),
-    integral=np.array([1.5, 1.5, 2.5]),
-    swing=0.5,
-    steepest_rad=0.5,
-    most_held=0.4,
-)
+GAINS = AloneGains()
 
 # Attitude loop: slow enough for the moment limits of small quadrotors, faster than the pendulum of a rod.
 _FREQUENCY_RAD_S, _DAMPING = 6.0, 0.8
-_CRITICAL, _LARGEST_GAIN = 0.25, 6.0  # around an inner loop on body rates, 1/s: critical damping, as usual autopilots
-_LEVEL = np.diag([1.0, 1.0, 0.0])  # the heading is free
+# Around an inner loop on body rates, as a share of its gain and at most, 1/s: damping ratio 0.8.
+_INNER_SHARE, _LARGEST_GAIN = 0.4, 10.0
+_HEADING = 0.08  # stiffness of the heading over that of roll and pitch: it returns within some seconds
 # Observer of the rod from the specific force: fast enough for the pendulum of a rod, slow enough for the noise.
 _OBSERVER_RAD_S, _OBSERVER_DAMPING = 3.0, 0.7
 _VERTICAL = np.array([0.0, 0.0, 1.0])
@@ -58,6 +50,11 @@ class Motion:
     Theta: Array  # roll, pitch, yaw, (3,)
     omega_B: Array  # body rates, (3,)
     swing_I: Array  # velocity of the rod's lower end relative to the UAV, (3,)
+
+    def ahead(self, duration_s: float) -> "Motion":
+        """Return the motion after a short time at constant rates: inputs of `next_tick` act a period later."""
+        position_I = self.position_I + duration_s * self.velocity_I
+        return replace(self, position_I=position_I, Theta=self.Theta + duration_s * self.omega_B)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,21 +95,16 @@ class AloneLaw:
 
     def __init__(self, system: System, uav: int, hover_N: float, gains: AloneGains = GAINS) -> None:
         self._system, self._uav, self._gains, self._hover_N = system, uav, gains, hover_N
-        self.carried_kg = hover_N / system.gravity  # the UAV and its share of the payload
-        inertia = system.uavs[uav].inertia
+        mass, inertia = system.uavs[uav].mass, system.uavs[uav].inertia
+        # Sideways the rod gives way. Upwards the UAV lifts its share of the payload as well.
+        self._masses = np.array([mass, mass, hover_N / system.gravity])
+        weights = np.diag([1.0, 1.0, _HEADING])
         if system.rate_gains is not None:
-            self._stiffness = np.diag(np.minimum(_CRITICAL * system.rate_gains, _LARGEST_GAIN)) @ _LEVEL
+            self._stiffness = np.diag(np.minimum(_INNER_SHARE * system.rate_gains, _LARGEST_GAIN)) @ weights
             self._damping = np.zeros((3, 3))
         else:
-            self._stiffness = _FREQUENCY_RAD_S**2 * inertia @ _LEVEL
+            self._stiffness = _FREQUENCY_RAD_S**2 * inertia @ weights
             self._damping = 2.0 * _DAMPING * _FREQUENCY_RAD_S * inertia
-
-    @property
-    def attitude_gain(self) -> Array:
-        """Derivative of moments or body rates by the UAV's block of the state, (4, 12)."""
-        gain = np.zeros((state.INPUTS, state.PER_UAV))
-        gain[1:, state.THETA], gain[1:, state.OMEGA] = -self._stiffness, -self._damping
-        return gain
 
     def inputs(self, motion: Motion, course: Course, held_I: Array | None = None) -> Array:
         """Return thrust and moments, or body rates, before limits, (4,), N and N m or rad/s: (31a), (31b).
@@ -126,8 +118,9 @@ class AloneLaw:
         roll = roll_ref + min(max(roll - roll_ref, -steepest), steepest)
         pitch = pitch_ref + min(max(pitch - pitch_ref, -steepest), steepest)
 
-        wanted = np.array([roll, pitch, motion.Theta[2]])
-        turning = course.turning - self._stiffness @ (motion.Theta - wanted)
+        turned = math.remainder(motion.Theta[2] - course.motion.Theta[2], 2.0 * math.pi)
+        error = np.array([motion.Theta[0] - roll, motion.Theta[1] - pitch, turned])
+        turning = course.turning - self._stiffness @ error
         turning = turning - self._damping @ (motion.omega_B - course.motion.omega_B)
         thrust = -(rotation(motion.Theta)[:, 2] @ force_I)
         return np.concatenate([[thrust], turning])
@@ -141,13 +134,13 @@ class AloneLaw:
             + gains.velocity * (ahead.velocity_I - motion.velocity_I)
             - gains.swing * (swing_I - swing_I[2] * _VERTICAL)
         )
-        force_I = course.force_I + self.carried_kg * acceleration
+        force_I = course.force_I + self._masses * acceleration
         return force_I if held_I is None else force_I + held_I
 
     def held(self, held_I: Array, motion: Motion, course: Course, period_s: float) -> Array:
         """Return the force of the integral one period later, (3,), N. Source: docs/equations.md (31a)."""
         error_I = course.motion.position_I - motion.position_I
-        return self.within(held_I + period_s * self.carried_kg * self._gains.integral * error_I)
+        return self.within(held_I + period_s * self._masses * self._gains.integral * error_I)
 
     def within(self, held_I: Array) -> Array:
         """Return a force of the integral within its limits, (3,), N."""
@@ -156,20 +149,20 @@ class AloneLaw:
 
     def gain(self) -> Array:
         """Return the derivative of `inputs` about hover by the state of the team, (4, n): (31c)."""
-        return self._derivative(self._gains.position, self._gains.velocity, self._gains.swing)
+        gains, (position, velocity, swing) = self._gains, self._motions()
+        swing[2] = 0.0
+        acceleration = -gains.position * position - gains.velocity * velocity - gains.swing * swing
+
+        gain = self._by_force() @ (self._masses[:, None] * acceleration)
+        own = gain[1:, state.uav_slice(self._uav)]
+        own[:, state.THETA] -= self._stiffness
+        own[:, state.OMEGA] -= self._damping
+        return gain
 
     def held_gains(self) -> tuple[Array, Array]:
         """Return derivatives about hover: of `held` over a second by the state, (3, n), and of `inputs` by it, (4, 3)."""
-        integral = self.carried_kg * self._gains.integral
+        integral = self._masses * self._gains.integral
         return -integral[:, None] * self._motions()[0], self._by_force()
-
-    def _derivative(self, position: Array, velocity: Array, swing: float) -> Array:
-        r, v, swing_rate = self._motions()
-        acceleration = -position[:, None] * r - velocity[:, None] * v
-        acceleration[:2] -= swing * swing_rate[:2]
-        gain = self._by_force() @ (self.carried_kg * acceleration)
-        gain[:, state.uav_slice(self._uav)] += self.attitude_gain
-        return gain
 
     def _by_force(self) -> Array:
         """Return the derivative of the inputs by the wanted force about hover, (4, 3): thrust is upwards, z down."""

@@ -12,6 +12,11 @@ from model.hover import failed_hover, with_released
 from model.parameters import ParameterError, System
 from mpc.alone import AloneLaw, Course, course_at, motion_of
 
+# Attitude loop of a UAV that keeps level: slow enough for the moment limits of small quadrotors, faster than the pendulum
+# of a rod.
+_FREQUENCY_RAD_S, _DAMPING = 6.0, 0.8
+_CRITICAL, _LARGEST_GAIN = 0.25, 6.0  # around an inner loop on body rates, 1/s: critical damping, as usual autopilots
+
 
 class FailSafe:
     """The fail-safes of all UAVs: hover thrusts of u_hover, (4 N,), or the inputs of a flat track.
@@ -23,6 +28,7 @@ class FailSafe:
         self.u_hover, self._X_ref, self.track = u_hover, X_ref, track
         self._system = system
         self._laws = self._alone()
+        self._level = [_level(system, uav) for uav in range(system.N)]
 
     @property
     def follows(self) -> bool:
@@ -70,7 +76,7 @@ class FailSafe:
         if self.follows:
             return self._laws[uav].gain()
         gain = np.zeros((state.INPUTS, self._system.n))
-        gain[:, state.uav_slice(uav)] = self._laws[uav].attitude_gain
+        gain[:, state.uav_slice(uav)] = self._level[uav]
         return gain
 
     def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
@@ -81,7 +87,7 @@ class FailSafe:
         if self.follows:
             return self._laws[uav].inputs(motion_of(self._system, uav, x), self.course(uav, tick), held_I)
         at_rest: Array = self.u_hover[state.input_slice(uav)] * np.array([1.0, 0.0, 0.0, 0.0])
-        return at_rest + self._laws[uav].attitude_gain @ x[state.uav_slice(uav)]
+        return at_rest + self._level[uav] @ x[state.uav_slice(uav)]
 
     def held(self, uav: int, x: Array, tick: int, held_I: Array, period_s: float) -> Array:
         """Return the force of the integral of a UAV, 0-based, one period later, (3,), N; zero if it keeps level."""
@@ -92,3 +98,15 @@ class FailSafe:
     def _alone(self) -> list[AloneLaw]:
         thrusts_N = self.u_hover[:: state.INPUTS]
         return [AloneLaw(self._system, uav, float(thrusts_N[uav])) for uav in range(self._system.N)]
+
+
+def _level(system: System, uav: int) -> Array:
+    """Return the feedback that keeps a UAV level, from its block of the state to its inputs, (4, 12): (31)."""
+    gain, level = np.zeros((state.INPUTS, state.PER_UAV)), np.diag([1.0, 1.0, 0.0])  # the heading is free
+    inertia = system.uavs[uav].inertia
+    if system.rate_gains is not None:
+        gain[1:, state.THETA] = -np.diag(np.minimum(_CRITICAL * system.rate_gains, _LARGEST_GAIN)) @ level
+    else:
+        gain[1:, state.THETA] = -(_FREQUENCY_RAD_S**2) * inertia @ level
+        gain[1:, state.OMEGA] = -2.0 * _DAMPING * _FREQUENCY_RAD_S * inertia
+    return gain
