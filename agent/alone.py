@@ -1,6 +1,6 @@
 """The controller "alone": each UAV keeps to its own part of the reference by its own sensors; no message helps it.
 
-It is the baseline that tells what the network is worth. An agent applies (31a)-(31d) of docs/equations.md to each of its
+It is the baseline that tells what the network is worth. An agent applies docs/equations.md (31a)-(31d) to each of its
 UAVs. It sends plans, which the plant applies, and ignores those of the others.
 """
 
@@ -135,7 +135,8 @@ class AlonePlanner:
             law, course = self._law.law(uav), self._law.course(uav, start)
             motion = self._motion(uav, values, float(until[0]), measured)
             if start > measured.tick:
-                motion = motion.ahead(settings.sampling_period_s)
+                here = self._law.course(uav, measured.tick).motion
+                motion = motion.ahead(here, course.motion, settings.sampling_period_s)
             held_I = self._held_I[uav]
 
             wanted.append(law.inputs(motion, course, held_I))

@@ -1,12 +1,12 @@
 """The control law of a UAV alone: it keeps to its own part of the reference by its own sensors, without any message.
 
-The rod pulls at the UAV as its share of the payload does. Position and velocity control a mass of UAV and share in three
-axes, an integral finds wind and mass errors, and the UAV gives way to the swing of the rod, which damps it.
-Source: docs/equations.md (31a)-(31c).
+Position and velocity are controlled in three axes, upwards with the share of the payload on the rod. An integral finds
+wind and mass errors, and the UAV gives way to the swing of the rod, which damps it.
+Source: docs/equations.md (31a)-(31d).
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,10 +51,20 @@ class Motion:
     omega_B: Array  # body rates, (3,)
     swing_I: Array  # velocity of the rod's lower end relative to the UAV, (3,)
 
-    def ahead(self, duration_s: float) -> "Motion":
-        """Return the motion after a short time at constant rates: inputs of `next_tick` act a period later."""
-        position_I = self.position_I + duration_s * self.velocity_I
-        return replace(self, position_I=position_I, Theta=self.Theta + duration_s * self.omega_B)
+    def ahead(self, here: "Motion", there: "Motion", duration_s: float) -> "Motion":
+        """Return the motion after a short time, as the deviation from a reference goes on at its rate.
+
+        Given are the reference `here` and `there`, after the time: inputs of `next_tick` act a period later.
+        """
+        velocity_I = self.velocity_I - here.velocity_I
+        omega_B = self.omega_B - here.omega_B
+        return Motion(
+            position_I=there.position_I + self.position_I - here.position_I + duration_s * velocity_I,
+            velocity_I=there.velocity_I + velocity_I,
+            Theta=there.Theta + self.Theta - here.Theta + duration_s * omega_B,
+            omega_B=there.omega_B + omega_B,
+            swing_I=there.swing_I + self.swing_I - here.swing_I,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,7 +170,7 @@ class AloneLaw:
         return gain
 
     def held_gains(self) -> tuple[Array, Array]:
-        """Return derivatives about hover: of `held` over a second by the state, (3, n), and of `inputs` by it, (4, 3)."""
+        """Return derivatives about hover: of `held` per second by the state, (3, n), of `inputs` by it, (4, 3)."""
         integral = self._masses * self._gains.integral
         return -integral[:, None] * self._motions()[0], self._by_force()
 
@@ -182,7 +192,7 @@ class AloneLaw:
         return position, velocity - swing, swing
 
 
-def course_at(  # noqa: PLR0913
+def course_at(  # fmt: skip
     system: System, uav: int, X_ref: Array, u_hover: Array, track: Track | None, tick: int
 ) -> Course:
     """Return the course of a UAV, 0-based, at a tick of a reference, (K, n), or of a flat track; the last is held."""
@@ -224,7 +234,7 @@ class SwingObserver:
 
 
 def _attitude(force_I: Array, yaw: float) -> tuple[float, float]:
-    """Return roll and pitch whose thrust has the direction of a force, (3,), at a yaw. Source: docs/equations.md (31b)."""
+    """Return roll and pitch whose thrust has the direction of a force, (3,), at a yaw. Source: equations.md (31b)."""
     x, y, z = (float(component) for component in force_I)
     cosine, sine = math.cos(yaw), math.sin(yaw)
     strength = math.sqrt(x * x + y * y + z * z)

@@ -12,8 +12,8 @@ from model.hover import failed_hover, with_released
 from model.parameters import ParameterError, System
 from mpc.alone import AloneLaw, Course, course_at, motion_of
 
-# Attitude loop of a UAV that keeps level: slow enough for the moment limits of small quadrotors, faster than the pendulum
-# of a rod.
+# Attitude loop of a UAV that keeps level: slow enough for the moment limits of small quadrotors, faster than the
+# pendulum of a rod.
 _FREQUENCY_RAD_S, _DAMPING = 6.0, 0.8
 _CRITICAL, _LARGEST_GAIN = 0.25, 6.0  # around an inner loop on body rates, 1/s: critical damping, as usual autopilots
 
