@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from agent.handover import News, Silence
 from model.arrays import Array
 from model.state import input_indices
 from mpc.fail_safe import FailSafe
@@ -55,6 +56,10 @@ class AnnouncedInputs:
     ) -> None:
         self.off_roster: set[int] = set()  # agents that make no more plans
         self.fail_safe: FailSafe | None = None  # control law after the last plan of one of them
+        self.silence: Silence | None = None  # rule by which the others act alone; None: they never do
+        self.news = News((), 1.0)  # usual ages of the others' plans
+        self.began = 0  # tick from which on the agent could have had plans of the others
+        self.alone_inputs: Callable[[int, int, Array], Array] | None = None  # of a UAV alone, by UAV, tick and state
         self.law_since = 0  # tick from which on the shared control law is that of the present team
         # Tick of the newest failure of a UAV: from then on every agent follows the control law of the UAVs that are
         # left; earlier plans apply until then.
@@ -144,6 +149,33 @@ class AnnouncedInputs:
                 by_law[columns] = plan is None or plan.start_tick < tick
         return found
 
+    def overdue(self, agent: int, tick: int, before: int) -> float:
+        """Return by how many ticks another agent's news are older than usual at a tick; 0 off the roster."""
+        if agent == self._own or agent in self.off_roster:
+            return 0.0
+        plan = self.newest(agent, before, tick)
+        since = self.began - 1 if plan is None else plan.tick
+        return max(0.0, float(tick - since - self.news.usual(agent)))
+
+    def alone(self, agent: int, tick: int, before: int) -> float:
+        """Return how much another agent is assumed to act alone at a tick: as its plan says, and by the rule."""
+        if self.silence is None:
+            return 0.0
+        plan = self.newest(agent, before, tick)
+        said = 0.0 if plan is None else plan.alone
+        return max(said, self.silence.alone(self.overdue(agent, tick, before)))
+
+    def silent(self, tick: int, before: int) -> tuple[Array, Array] | None:
+        """Return share alone and correlation of errors by input, (4 N,) each; None where all news are as usual."""
+        if self.silence is None:
+            return None
+        share, shared = np.zeros(len(self._u_hover)), np.full(len(self._u_hover), self.silence.shared(0.0))
+        for agent, columns in self._columns.items():
+            share[columns] = self.alone(agent, tick, before) if agent != self._own else 0.0
+            shared[columns] = self.silence.shared(self.overdue(agent, tick, before))
+        is_usual = not share.any() and bool((shared == self.silence.shared(0.0)).all())
+        return None if is_usual else (share, shared)
+
     def at(self, tick: int, before: int, x: Array | None = None) -> Array:
         """Return the inputs assumed in force over [t_k, t_{k+1}): from each agent's newest plan that had started.
 
@@ -160,6 +192,8 @@ class AnnouncedInputs:
         for agent, columns in self._columns.items():
             plan, is_off = self.newest(agent, before, tick), agent in self.off_roster
             if plan is None:
+                if x is not None and self._is_silent(agent, tick, before):
+                    self._without_plan(u, agent, tick, before, x)
                 continue
             begun, inputs = plan.start_tick, plan.inputs
             if agent in self._assumed and tick >= self._assumed[agent][0]:
@@ -177,7 +211,27 @@ class AnnouncedInputs:
                 by_law = self._by_law(plan, tick, x)
                 if by_law is not None:
                     u[columns] = by_law[columns]
+                self._mix(u, agent, tick, before, x)
         return u if self._bounds is None else np.minimum(np.maximum(u, self._bounds[0]), self._bounds[1])
+
+    def _is_silent(self, agent: int, tick: int, before: int) -> bool:
+        """Return whether an agent on the roster, not the own one, should have been heard long ago."""
+        return self.silence is not None and self.overdue(agent, tick, before) > self.silence.begins
+
+    def _without_plan(self, u: Array, agent: int, tick: int, before: int, x: Array) -> None:
+        """Set the inputs of an agent whose first plan is overdue: by the shared law, and alone. Source: (32c)."""
+        by_law, columns = self._law(tick, x), self._columns[agent]
+        if by_law is not None:
+            u[columns] = by_law[columns]
+        self._mix(u, agent, tick, before, x)
+
+    def _mix(self, u: Array, agent: int, tick: int, before: int, x: Array) -> None:
+        """Mix the inputs of an agent with those of its UAVs alone, as far as it is assumed to act so."""
+        share, columns = self.alone(agent, tick, before), self._columns[agent]
+        if share > 0.0 and self.alone_inputs is not None:
+            inputs = self.alone_inputs
+            alone = np.concatenate([inputs(uav, tick, x) for uav in self._owned[agent - 1]])
+            u[columns] = (1.0 - share) * u[columns] + share * alone
 
     def _by_law(self, plan: Plan, tick: int, x: Array) -> Array | None:
         """Return an agent's inputs by the shared control law after the first step of its plan, at the state x, (n,).

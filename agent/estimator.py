@@ -191,7 +191,10 @@ class StateEstimator:
             if self._kalman is None:
                 self._estimates.append(self._followed(tick, u))
             else:
-                self._estimates.append(self._filtered(tick, u, announced.unannounced(tick, before=k), self._kalman))
+                silent = announced.silent(tick, before=k)
+                self._estimates.append(
+                    self._filtered(tick, u, (announced.unannounced(tick, before=k), silent), self._kalman)
+                )
         while len(self._estimates) > WINDOW:
             del self._estimates[0], self._priors[:1], self._beliefs[:1]
             self._told.pop(self._first, None)
@@ -219,14 +222,21 @@ class StateEstimator:
         self._report(u, k)
         return u
 
-    def _filtered(self, tick: int, u: Array, unannounced: npt.NDArray[np.bool_], kalman: KalmanFilter) -> Array:
-        """Add prior and belief of the next tick; return its estimate."""
+    def _filtered(
+        self,
+        tick: int,
+        u: Array,
+        unknown: tuple[npt.NDArray[np.bool_], tuple[Array, Array] | None],
+        kalman: KalmanFilter,
+    ) -> Array:
+        """Add prior and belief of the next tick; return its estimate. `unknown` is about inputs that no plan says."""
+        unannounced, silent = unknown
         for uav, values in self._told.get(tick + 1, {}).items():
             u[state.input_slice(uav)] = values[state.SENSED :]
             unannounced[:, state.input_slice(uav)] = False
         before = self._beliefs[-1]
         ahead = self._predicted(tick, u, kalman.forces(before))
-        prior = kalman.predict(before, self._model_at(tick), tick, ahead, u, *unannounced)
+        prior = kalman.predict(before, self._model_at(tick), tick, ahead, u, *unannounced, silent)
         for moved in self._moves_at(tick + 1):
             shifted = ahead + 1.0  # entries that a failure sets do not stay where they are moved to
             prior = kalman.certain(prior, np.flatnonzero(moved(shifted) != shifted))

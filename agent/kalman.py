@@ -18,11 +18,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from agent.handover import SHARED
 from model import motors, state
-from model.arrays import Array
+from model.arrays import Array, padded
 from model.discretisation import zero_order_hold
 from model.linearisation import Model
 from model.rotations import rotation
+from mpc.fail_safe import FailSafe
 from protocol.scenario.setup import Setup
 
 # Gain of the shared control law at a tick, (m, n), with motor lag (m, n + m); of UAVs without agents their fail-safe's.
@@ -47,8 +49,6 @@ UNKNOWN_LAG_S = 0.03
 _SAME_AIR = 0.8
 # Remainder of the difference equation for the covariance, far below what the model lacks.
 _REMAINDER = 1e-4
-# Correlation of the errors of two agents: they share all measurements but the newest.
-_SHARED = 0.6
 
 
 class _Level(NamedTuple):
@@ -156,6 +156,11 @@ class KalmanFilter:
 
     def __init__(self, setup: Setup, feedback: Feedback, owned: Sequence[int] = ()) -> None:
         system, sheet, self._feedback, self._model = setup.system, setup.sensors, feedback, setup.model
+        alone = FailSafe(system, setup.hover.u, setup.hover.x[None])
+        self.alone_gain = padded(
+            np.vstack([alone.gain(uav) for uav in range(system.N)]),
+            system.n + (system.m if setup.settings.motor_lag_s > 0.0 else 0),
+        )
         self._period_s, self._lag_s = setup.settings.sampling_period_s, setup.settings.motor_lag_s
         self._u_hover = setup.hover.u
         N = self._N = system.N
@@ -263,15 +268,18 @@ class KalmanFilter:
         u: Array,
         by_law: npt.NDArray[np.bool_],
         by_fail_safe: npt.NDArray[np.bool_],
+        silent: tuple[Array, Array] | None = None,
     ) -> Belief:
         """Return the belief one tick later than `tick`, under equations of motion from then on.
 
         Given are the state one tick later, (n,), with motor lag (n + m,), SI; the inputs in between, (4 N,); and which
         of them follow the control law from estimates of their agents, or the fail-safe, which knows its UAV, (4 N,).
-        Source: docs/equations.md (63).
+        Of those by the law `silent` has the share alone, which knows its UAV too, and the correlation of errors, (4 N,)
+        each; None: no share, and as usual. Source: docs/equations.md (63), (63c).
         """
         # The law is that of now, whenever the covariance is computed.
         K = self._feedback(tick) if by_fail_safe.any() or by_law.any() else None
+        is_alone = silent is not None and bool(silent[0][by_law].any())
 
         def found() -> Covariance:
             n = model.system.n
@@ -285,15 +293,23 @@ class KalmanFilter:
             moved, s = discrete.A @ T, T.shape[1]
             pushed = np.zeros((len(T), 0)) if forces is None else self._pushed(model, x, actual, forces, discrete.A)
             # It is not known exactly when the fail-safe of another UAV took over, and at what thrust.
-            Q = self.lacking(1.0 if by_fail_safe.any() else belief.level)
+            Q = self.lacking(1.0 if by_fail_safe.any() or is_alone else belief.level)
             lagging = L.T @ discrete.B * (UNKNOWN_LAG_S / self._period_s * (u - belief.u))
             Q[:s, :s] += lagging @ lagging.T
             if K is not None:
                 B, closed = discrete.B, by_law | by_fail_safe
-                apart = np.where(by_law, 1.0 - _SHARED, 1.0)
-                moved = moved + (B * apart)[:, closed] @ (K[closed] @ T)
+                apart = np.where(by_law, 1.0 - SHARED, 1.0)
+                unshared = 1.0 - SHARED**2
+                if silent is not None:
+                    alone, shared = silent
+                    apart = np.where(by_law, (1.0 - alone) * (1.0 - shared), 1.0)
+                    moved = moved + (B * (alone * by_law)) @ (self.alone_gain @ T)
+                    B, unshared = B * ((1.0 - alone) * np.sqrt(1.0 - shared**2)), 1.0
+                    moved = moved + (discrete.B * apart)[:, closed] @ (K[closed] @ T)
+                else:
+                    moved = moved + (B * apart)[:, closed] @ (K[closed] @ T)
                 effect, K_T = L.T @ B[:, by_law], K[by_law] @ T
-                Q[:s, :s] += (1.0 - _SHARED**2) * effect @ (K_T @ P[:s, :s] @ K_T.T) @ effect.T
+                Q[:s, :s] += unshared * effect @ (K_T @ P[:s, :s] @ K_T.T) @ effect.T
             A = np.eye(len(P))
             A[:s, :s], A[:s, s:] = L.T @ moved, L.T @ pushed
             P = A @ P @ A.T + Q

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from agent.estimator import STEPS
+from agent.handover_inputs import HandOver
 from agent.kalman import TOLD, Belief, told
 from agent.team_estimate import Known, TeamEstimate
 from model import motors
@@ -106,6 +107,7 @@ class Planner:
     def _reset_sharing(self) -> None:
         settings, uavs = self._setup.settings, len(self._owned)
         self._sharing = Sharing(self._setup.scenario.controller, settings.lower(uavs), settings.upper(uavs))
+        self._handover = HandOver(self._setup, self._team, self._owned)
         self._lapped_ns = self._stopwatch()  # end of the last stage
 
     @property
@@ -174,6 +176,8 @@ class Planner:
         """
         result = step.result = self._solved(step)
         step.negotiation -= 1
+        if step.negotiation == 0:
+            result = self._handed_over(step, result)
         k, roster = step.known.measurement.tick, step.known.measurement.roster
         plan = out.stamp(
             Plan,
@@ -187,6 +191,7 @@ class Planner:
             status=result.solution.status,
             negotiation=step.negotiation,
             shared=step.negotiation > 0 or self._sharing.decide(k, step.start, result.c, roster),
+            alone=self._handover.share,
         )
         if step.negotiation > 0:
             return [plan]
@@ -242,6 +247,10 @@ class Planner:
             if step.law is not None:
                 self._team.expected = step.start, prediction, result.U
         return result
+
+    def _handed_over(self, step: Step, result: StepResult) -> StepResult:
+        """Return the result with inputs between those of the team and those of the UAVs alone, as news are overdue."""
+        return replace(result, U=self._handover.inputs(step.known.measurement.tick, step.start, step.linear, result.U))
 
     def _report(self, step: Step, result: StepResult, out: Outbox) -> StepReport:
         k, solution, team = step.known.measurement.tick, result.solution, self._team

@@ -7,13 +7,16 @@ import numpy as np
 
 from agent.announced import AnnouncedInputs
 from agent.estimator import WINDOW, DisturbanceEstimator, StateEstimator
+from agent.handover import News, Silence
 from agent.kalman import KalmanFilter
 from model import state
 from model.arrays import Array
 from model.hover import motor_off_state, released_state
+from mpc.alone import AloneLaw, Course
 from mpc.controller import Controller
+from mpc.fail_safe import FailSafe
 from mpc.prediction import Prediction
-from mpc.tracking import Course
+from mpc.tracking import Course as Along
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import Measurement, Plan
 
@@ -74,17 +77,48 @@ class TeamEstimate:
             settings=setup.settings,
         )
         self.announced.fail_safe = setup.fail_safe
+        self._begin_silence(is_kalman=is_kalman)
         self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()  # UAVs off, and released
-        self.expected: tuple[int, Prediction | Course, Array] | None = None
+        self.expected: tuple[int, Prediction | Along, Array] | None = None
         # Arguments and result of `_law_inputs` by tick.
         self._law_cache: dict[int, tuple[tuple[object, ...], Array | None]] = {}
 
     def head(self, setup: Setup) -> None:
         """Take the reference from a run with a further target."""
         self._setup = setup
+        self._alone = FailSafe(setup.system, setup.hover.u, setup.X_ref, setup.track)
         if setup.ahead is not None and self._controller.regulation.head(setup.X_ref, setup.ahead):
             self.announced.law_since = setup.ahead.first
         self.announced.fail_safe = self._controller.regulation.fail_safe
+
+    def _begin_silence(self, *, is_kalman: bool) -> None:
+        """Set how the others are assumed to act when their news are overdue."""
+        setup, section, announced = self._setup, self._setup.scenario.controller, self.announced
+        period_s = setup.settings.sampling_period_s
+        announced.news = News(self.peers, period_s)
+        self._alone = FailSafe(setup.system, setup.hover.u, setup.X_ref, setup.track)
+        self._began = False
+        if section.silence == "alone" and section.prediction == "closed_loop":
+            heartbeat_s = section.share_heartbeat_s if section.share == "on_change" else 0.0
+            announced.silence = Silence.of(period_s, is_filtered=is_kalman, heartbeat_s=heartbeat_s)
+            announced.alone_inputs = self._alone_inputs
+
+    def overdue(self, k: int) -> float:
+        """Return by how many ticks the oldest news of the others on the roster is older than usual."""
+        return max((self.announced.overdue(agent, k, k) for agent in self.peers), default=0.0)
+
+    def alone(self, uav: int, tick: int) -> tuple[AloneLaw, Course]:
+        """Return control law and course of a UAV, 0-based, alone."""
+        return self._alone.law(uav), self._alone.course(uav, tick)
+
+    def _alone_inputs(self, uav: int, tick: int, x: Array) -> Array:
+        """Return the inputs of a UAV alone, (4,), whose integral holds its part of the estimated forces."""
+        forces, held_I = self.forces, None
+        if forces is not None:
+            forces = self._controller.model.at_rest(forces)
+            own = slice(3 + 3 * uav, 6 + 3 * uav)
+            held_I = -(forces[own] + forces[:3] / self._setup.system.N)
+        return self._alone.inputs(uav, x[: self._setup.system.n], tick, held_I)
 
     @property
     def forces(self) -> Array | None:
@@ -98,6 +132,7 @@ class TeamEstimate:
         for plan in known.plans:
             self.announced.add(plan)
             self.estimator.take(plan)
+        self._observe_news(k)
         for measurement in known.measurements:
             self.estimator.measure(measurement)
         x = self.estimator.estimate(k, self.announced)
@@ -109,6 +144,14 @@ class TeamEstimate:
                 for uav, block in zip(plan.uavs, plan.uav_states, strict=True):
                     x[state.uav_slice(uav - 1)] = block
         return x
+
+    def _observe_news(self, k: int) -> None:
+        """Take in how old the newest plans of the others are."""
+        announced = self.announced
+        if not self._began:
+            self._began, announced.began = True, k
+        newest = {agent: announced.newest(agent, before=k) for agent in self.peers}
+        announced.news.observe({agent: k - plan.tick for agent, plan in newest.items() if plan is not None})
 
     def reported(self, k: int, x: Array) -> Array:
         """Return what a plan of tick k says of the own UAVs: their states, (owned, 12), in an estimate, (n,).

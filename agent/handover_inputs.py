@@ -1,0 +1,84 @@
+"""Inputs of an agent between those of the team and those of its UAVs alone, smooth both ways: equations.md (32d), (32e)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from agent.handover import Mixture, mixed
+from agent.team_estimate import TeamEstimate
+from model import state
+from model.arrays import Array
+from model.rotations import rotation
+from mpc.alone import Course, motion_of
+from mpc.prediction import Linear
+from protocol.scenario.setup import Setup
+
+# Time over which the thrust of the team, that the integral begins with, is averaged, s.
+_PRELOAD_S = 1.0
+# Time constant with which a deviation alone fades in the later steps of a plan, s.
+_FADES_S = 0.2
+
+
+class HandOver:
+    """Hand-over of the UAVs of one agent, 0-based, between the team's control law and the law alone."""
+
+    def __init__(self, setup: Setup, team: TeamEstimate, owned: Sequence[int]) -> None:
+        self._setup, self._team, self._owned = setup, team, owned
+        self._period_s = setup.settings.sampling_period_s
+        self._mixture = Mixture(self._period_s)
+        self._held_I: dict[int, Array] = {}  # force of the integral of each UAV, N, while it acts alone
+
+    @property
+    def share(self) -> float:
+        """Share of the law alone in the newest inputs."""
+        return self._mixture.share
+
+    def inputs(self, k: int, start: int, linear: Linear, team: Array) -> Array:
+        """Return the inputs to announce and to apply from tick `start` on, (N_p, 4 owned), for those of the team."""
+        silence = self._team.announced.silence
+        if silence is None:
+            return team
+        share = self._mixture.advance(silence.alone(self._team.overdue(k)))
+        if share == 0.0:
+            self._held_I.clear()
+            return team
+
+        alone = np.hstack([self._alone(uav, k, start, linear.x0, len(team)) for uav in self._owned])
+        settings, count = self._setup.settings, len(self._owned)
+        before = linear.u0[state.input_indices(self._owned)]
+        inputs = mixed(team, alone, share, before, settings.step(count))
+        return np.clip(inputs, settings.lower(count), settings.upper(count))
+
+    def _alone(self, uav: int, k: int, start: int, x: Array, steps: int) -> Array:
+        """Return the inputs of a UAV alone over the horizon, (N_p, 4): the course, and a deviation that fades."""
+        law, course = self._team.alone(uav, start)
+        if uav not in self._held_I:
+            self._held_I[uav] = self._preload(uav, k)
+        held_I = self._held_I[uav]
+        motion = motion_of(self._setup.system, uav, x)
+        deviation = law.inputs(motion, course, held_I) - _own_inputs(course)
+        self._held_I[uav] = law.held(held_I, motion, course, self._period_s)
+
+        fading = np.exp(-self._period_s / _FADES_S * np.arange(steps))
+        ahead = np.array([_own_inputs(self._team.alone(uav, start + step)[1]) for step in range(steps)])
+        return np.asarray(ahead + fading[:, None] * deviation)
+
+    def _preload(self, uav: int, k: int) -> Array:
+        """Return the force with which the integral begins: the mean by which the team's thrust differs from the law."""
+        differences = []
+        for tick in range(max(0, k - round(_PRELOAD_S / self._period_s)), k):
+            x = self._team.estimator.known(tick)
+            if x is None:
+                continue
+            law, course = self._team.alone(uav, tick)
+            motion = motion_of(self._setup.system, uav, x)
+            thrust_N = self._team.announced.at(tick, before=k)[state.input_slice(uav)][0]
+            applied_I = -thrust_N * rotation(motion.Theta)[:, 2]
+            differences.append(applied_I - law.force(motion, course))
+        law, _ = self._team.alone(uav, k)
+        return law.within(np.mean(differences, axis=0)) if differences else np.zeros(3)
+
+
+def _own_inputs(course: Course) -> Array:
+    """Return the inputs of a course, (4,): thrust, and moments or body rates."""
+    return np.concatenate([[np.linalg.norm(course.force_I)], course.turning])
