@@ -13,7 +13,7 @@ from agent.step import step_report
 from agent.team_estimate import Known
 from model import state
 from model.arrays import Array
-from mpc.alone import Motion, SwingObserver, motion_of
+from mpc.alone import Motion, OwnSensors, ahead, motion_of
 from mpc.fail_safe import FailSafe
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, Measurement, Message, Plan
@@ -46,7 +46,8 @@ class AlonePlanner:
         system = self._setup.system
         self._measurement: Measurement | None = None  # the newest that is usable
         self._held_I = {uav: np.zeros(3) for uav in self._owned}
-        self._rods = {uav: SwingObserver(system, uav) for uav in self._owned}
+        period_s, ages = self._setup.settings.sampling_period_s, self._setup.sensors.ages
+        self._sensors = {uav: OwnSensors(system, uav, ages, period_s) for uav in self._owned}
         self._inputs: Array = self._setup.hover.u[state.input_indices(self._owned)]
         self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()
         self._law = self._whole
@@ -133,10 +134,7 @@ class AlonePlanner:
         start = measured.tick + int(self._setup.scenario.clock.next_tick)
         for uav, values, until in zip(self._owned, measured.uav_states, measured.inputs, strict=True):
             law, course = self._law.law(uav), self._law.course(uav, start)
-            motion = self._motion(uav, values, float(until[0]), measured)
-            if start > measured.tick:
-                here = self._law.course(uav, measured.tick).motion
-                motion = motion.ahead(here, course.motion, settings.sampling_period_s)
+            motion = self._motion(uav, values, float(until[0]), measured, start)
             held_I = self._held_I[uav]
 
             wanted.append(law.inputs(motion, course, held_I))
@@ -146,22 +144,19 @@ class AlonePlanner:
         inputs = np.clip(np.concatenate(wanted), self._inputs - step, self._inputs + step)
         return np.clip(inputs, settings.lower(len(self._owned)), settings.upper(len(self._owned)))
 
-    def _motion(self, uav: int, values: Array, thrust_N: float, measured: Measurement) -> Motion:
-        """Return the motion of a UAV, 0-based, from its own measurements, with the thrust until them."""
-        system = self._setup.system
-        if not self._setup.sensors.vehicle:
-            x = np.zeros(system.n)
-            x[: state.PAYLOAD], x[state.uav_slice(uav)] = measured.payload, values
-            return motion_of(system, uav, x)
-        x_ref = self._setup.X_ref[min(measured.tick, len(self._setup.X_ref) - 1)]
-        period_s = self._setup.settings.sampling_period_s
-        return Motion(
-            position_I=values[state.POSITION],
-            velocity_I=values[state.VELOCITY],
-            Theta=values[state.THETA],
-            omega_B=values[state.OMEGA],
-            swing_I=self._rods[uav].observe(values, thrust_N, x_ref, period_s),
+    def _motion(self, uav: int, values: Array, thrust_N: float, measured: Measurement, start: int) -> Motion:
+        """Return the motion of a UAV, 0-based, at tick `start` by its own measurements, with the thrust until them."""
+        system, tick = self._setup.system, measured.tick
+        if self._setup.sensors.vehicle:
+            return self._sensors[uav].motion(values, thrust_N, tick, start, self._reference(uav))
+        x = np.zeros(system.n)
+        x[: state.PAYLOAD], x[state.uav_slice(uav)] = measured.payload, values
+        return ahead(
+            motion_of(system, uav, x), tick, start, self._reference(uav), self._setup.settings.sampling_period_s
         )
+
+    def _reference(self, uav: int) -> Callable[[int], Motion]:
+        return lambda tick: self._law.course(uav, tick).motion
 
     def _said(self, k: int) -> Array:
         """Return what the plan of tick k says of the own UAVs: what was measured; with vehicle sensors nothing."""

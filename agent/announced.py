@@ -57,7 +57,7 @@ class AnnouncedInputs:
         self.off_roster: set[int] = set()  # agents that make no more plans
         self.fail_safe: FailSafe | None = None  # control law after the last plan of one of them
         self.silence: Silence | None = None  # rule by which the others act alone; None: they never do
-        self.news = News((), 1.0)  # usual ages of the others' plans
+        self.news = News(())  # usual ages of the others' plans
         self.began = 0  # tick from which on the agent could have had plans of the others
         self.alone_inputs: Callable[[int, int, Array], Array] | None = None  # of a UAV alone, by UAV, tick and state
         self.law_since = 0  # tick from which on the shared control law is that of the present team

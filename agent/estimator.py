@@ -18,8 +18,9 @@ import numpy.typing as npt
 
 from agent.announced import AnnouncedInputs
 from agent.kalman import Belief, KalmanFilter
+from agent.kalman import told as told_numbers
 from model import motors, state
-from model.arrays import Array
+from model.arrays import Array, ShapeError
 from model.discretisation import zero_order_hold
 from model.hover import Hover
 from model.linearisation import Linearisation, Model
@@ -119,6 +120,7 @@ class StateEstimator:
         self._stale_from = _NEVER  # earliest tick whose estimate or inputs have changed
         self._sensed_from = -1  # earliest tick whose measurements have changed, with a filter
         self._newest: dict[int, int] = {}
+        self.resets: set[int] = set()  # ticks at which the filter began anew about the reference
         self.measured = -1  # tick of the newest measurement taken in
         self._breaks: list[tuple[int, Model, Callable[[Array], Array]]] = []  # see `change`, ascending in the tick
 
@@ -212,6 +214,10 @@ class StateEstimator:
         at = tick - self._first
         return self._estimates[at] if 0 <= at < len(self._estimates) else None
 
+    def told(self, tick: int, uav: int) -> Array | None:
+        """Return what a message says of a UAV, 0-based, at a tick: measurements and inputs, (19,), with a filter."""
+        return self._told.get(tick, {}).get(uav)
+
     def age(self, agent: int, tick: int) -> int:
         """Return the ticks since the newest state received from another agent, -1 for none."""
         return tick - self._newest[agent] if agent in self._newest else -1
@@ -258,8 +264,7 @@ class StateEstimator:
     def _joined(self, x: Array, tick: int) -> Array:
         """Return the estimate at a tick, read-only, from its prediction and the messages of the tick."""
         if self._kalman is not None:
-            prior = self._priors[tick - self._first]
-            self._beliefs.append(self._kalman.correct(prior, self._model_at(tick), list(self._sensed(tick))))
+            self._beliefs.append(self._corrected(self._kalman, tick))
             return self._beliefs[-1].x
         if tick in self._measured:
             x[: state.PAYLOAD] = self._measured[tick].payload
@@ -267,6 +272,33 @@ class StateEstimator:
             x[state.uav_slice(uav)] = block
         x.setflags(write=False)
         return x
+
+    def _corrected(self, kalman: KalmanFilter, tick: int) -> Belief:
+        """Return the belief at a tick; one about the reference where numbers are out of range, which is counted."""
+        model, sensed = self._model_at(tick), list(self._sensed(tick))
+        prior = self._priors[tick - self._first]
+        try:
+            belief = kalman.correct(prior, model, sensed)
+            if kalman.is_plausible(belief):
+                return belief
+        except (ShapeError, np.linalg.LinAlgError):
+            pass
+        self.resets.add(tick)
+        self._priors[tick - self._first] = kalman.first(self._reference_at(tick))
+        return kalman.correct(self._priors[tick - self._first], model, sensed)
+
+    def told_of_payload(self) -> Array | None:
+        """Return what the newest belief says of the payload (`agent.kalman.TOLD`); None without it, or after a reset."""
+        belief = self.belief
+        try:
+            return None if belief is None else told_numbers(belief)
+        except (ShapeError, np.linalg.LinAlgError):
+            # The covariance is computed when it is asked for.
+            tick = self._first + len(self._beliefs) - 1
+            self._priors[-1] = self._kalman.first(self._reference_at(tick)) if self._kalman else self._priors[-1]
+            self.resets.add(tick)
+            self._stale_from = min(self._stale_from, tick)
+            return None
 
     def _sensed(self, tick: int) -> Iterator[tuple[int, tuple[int, ...], Array]]:
         """Yield UAV, sensors and measurements of all that is known of a tick."""

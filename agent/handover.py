@@ -14,9 +14,9 @@ from model.arrays import Array
 
 # Age of news beyond the usual one at which an agent begins to act alone, and at which it does so wholly, s. A filter
 # without news errs by centimetres within a second; a measured payload leaves only the others' UAVs to be predicted.
-FILTERED_S, MEASURED_S = (0.5, 1.0), (2.0, 3.0)
-# Window of the usual age of news, s.
-_USUAL_S = 2.0
+FILTERED_S, MEASURED_S = (0.5, 1.0), (1.0, 2.0)
+# Window of the usual age of news, as a multiple of the age at which an agent acts alone wholly.
+_WINDOW = 3.0
 # Time from the team's law to the law alone, and back, s: the return waits for the estimate to take in the news.
 _TO_ALONE_S, _TO_TEAM_S = 0.5, 2.0
 # Correlation of the errors of two agents: they share all measurements but the newest, until news are older than usual.
@@ -56,8 +56,8 @@ class Silence:
 class News:
     """Ages of the newest plans of the others, and how old they usually are."""
 
-    def __init__(self, peers: Iterable[int], period_s: float) -> None:
-        ticks = max(1, round(_USUAL_S / period_s))
+    def __init__(self, peers: Iterable[int], silence: Silence | None = None) -> None:
+        ticks = 1 if silence is None else round(_WINDOW * silence.complete)
         self._ages: dict[int, deque[int]] = {agent: deque(maxlen=ticks) for agent in peers}
 
     def observe(self, ages: Mapping[int, int]) -> None:
@@ -84,7 +84,7 @@ class Mixture:
 
 
 def mixed(team: Array, alone: Array, share: float, before: Array, step: Array) -> Array:
-    """Return inputs between those of the team and those alone, (N_p, 4 owned), changing by a step per period at most."""
+    """Return inputs between those of the team and alone, (N_p, 4 owned), that change by a step per period at most."""
     inputs = (1.0 - share) * team + share * alone
     for k in range(len(inputs)):
         previous = before if k == 0 else inputs[k - 1]

@@ -1,4 +1,4 @@
-"""Inputs of an agent between those of the team and those of its UAVs alone, smooth both ways: equations.md (32d), (32e)."""
+"""Inputs of an agent between those of the team and those of its UAVs alone, smooth both ways: (32d), (32e)."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from agent.team_estimate import TeamEstimate
 from model import state
 from model.arrays import Array
 from model.rotations import rotation
-from mpc.alone import Course, motion_of
+from mpc.alone import Course, Motion, OwnSensors, motion_of
 from mpc.prediction import Linear
 from protocol.scenario.setup import Setup
 
@@ -26,7 +26,10 @@ class HandOver:
         self._setup, self._team, self._owned = setup, team, owned
         self._period_s = setup.settings.sampling_period_s
         self._mixture = Mixture(self._period_s)
-        self._held_I: dict[int, Array] = {}  # force of the integral of each UAV, N, while it acts alone
+        self._is_sensed = setup.sensors.vehicle
+        # While UAVs act alone: force of the integral of each, N, and its sensors.
+        self._held_I: dict[int, Array] = {}
+        self._sensors: dict[int, OwnSensors] = {}
 
     @property
     def share(self) -> float:
@@ -41,6 +44,7 @@ class HandOver:
         share = self._mixture.advance(silence.alone(self._team.overdue(k)))
         if share == 0.0:
             self._held_I.clear()
+            self._sensors.clear()
             return team
 
         alone = np.hstack([self._alone(uav, k, start, linear.x0, len(team)) for uav in self._owned])
@@ -55,13 +59,34 @@ class HandOver:
         if uav not in self._held_I:
             self._held_I[uav] = self._preload(uav, k)
         held_I = self._held_I[uav]
-        motion = motion_of(self._setup.system, uav, x)
+        motion = self._motion(uav, k, start, x)
         deviation = law.inputs(motion, course, held_I) - _own_inputs(course)
         self._held_I[uav] = law.held(held_I, motion, course, self._period_s)
 
         fading = np.exp(-self._period_s / _FADES_S * np.arange(steps))
         ahead = np.array([_own_inputs(self._team.alone(uav, start + step)[1]) for step in range(steps)])
         return np.asarray(ahead + fading[:, None] * deviation)
+
+    def _motion(self, uav: int, k: int, start: int, x: Array) -> Motion:
+        """Return the motion of a UAV at tick `start` by its own sensors; by the estimate, (n,), where they are silent."""
+        system, estimator = self._setup.system, self._team.estimator
+
+        def course(tick: int) -> Motion:
+            return self._team.alone(uav, tick)[1].motion
+
+        if not self._is_sensed:
+            return motion_of(system, uav, x)
+        since = k
+        if uav not in self._sensors:
+            self._sensors[uav] = OwnSensors(system, uav, self._setup.sensors.ages, self._period_s)
+            since = max(0, k - round(_PRELOAD_S / self._period_s))
+        motion = motion_of(system, uav, x)
+        for tick in range(since, k + 1):
+            told = estimator.told(tick, uav)
+            if told is not None:
+                thrust_N = float(told[state.SENSED])
+                motion = self._sensors[uav].motion(told[: state.SENSED], thrust_N, tick, start - k + tick, course)
+        return motion
 
     def _preload(self, uav: int, k: int) -> Array:
         """Return the force with which the integral begins: the mean by which the team's thrust differs from the law."""

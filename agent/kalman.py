@@ -47,6 +47,9 @@ _DRAG = [5, 6]
 UNKNOWN_LAG_S = 0.03
 # Correlation of the changes on payload and UAVs: the same air moves all of them.
 _SAME_AIR = 0.8
+# Roll and pitch beyond which an estimate is that of no team in flight, rad: Euler angles become singular. A variance that
+# no measurement of a UAV's own sensors leaves, SI.
+_STEEPEST, _LARGEST_VARIANCE = 1.4, 1e4
 # Remainder of the difference equation for the covariance, far below what the model lacks.
 _REMAINDER = 1e-4
 
@@ -157,10 +160,11 @@ class KalmanFilter:
     def __init__(self, setup: Setup, feedback: Feedback, owned: Sequence[int] = ()) -> None:
         system, sheet, self._feedback, self._model = setup.system, setup.sensors, feedback, setup.model
         alone = FailSafe(system, setup.hover.u, setup.hover.x[None])
-        self.alone_gain = padded(
-            np.vstack([alone.gain(uav) for uav in range(system.N)]),
-            system.n + (system.m if setup.settings.motor_lag_s > 0.0 else 0),
-        )
+        columns = system.n + (system.m if setup.settings.motor_lag_s > 0.0 else 0)
+        # Of UAVs alone: their feedback about hover, and the variance of their inputs by the noise of their sensors.
+        self._alone_gain = padded(np.vstack([alone.gain(uav) for uav in range(system.N)]), columns)
+        slopes = np.vstack([alone.law(uav).by_sensors() for uav in range(system.N)])
+        self._alone_variance = slopes**2 @ np.repeat(sheet.noise**2, 3)
         self._period_s, self._lag_s = setup.settings.sampling_period_s, setup.settings.motor_lag_s
         self._u_hover = setup.hover.u
         N = self._N = system.N
@@ -214,6 +218,17 @@ class KalmanFilter:
         found = Covariance(P=self._P0, T=T, L=L)
         forces, slow = np.zeros(self._spread.shape[1]), np.zeros(state.SENSED * self._N)
         return Belief(x=x, forces=forces, u=self._u_hover, found=found, slow=slow, level=self._level.first)
+
+    def is_plausible(self, belief: Belief) -> bool:
+        """Return whether a belief can be that of a team in flight: no body far over, numbers in range."""
+        x = belief.x[: self._model.system.n]
+        view = state.StateView(x)
+        if not np.abs(belief.x).max() < state.LARGEST or not np.isfinite(belief.forces).all():
+            return False
+        if max(np.abs(view.Theta0[:2]).max(), np.abs(view.Theta[:, :2]).max()) > _STEEPEST:
+            return False
+        found = belief.found
+        return not isinstance(found, Covariance) or bool(found.P.diagonal().max() < _LARGEST_VARIANCE)
 
     def forces(self, belief: Belief) -> Array | None:
         """Return the estimated forces and mass error as `Model` takes them, (4 + 3 N,); None if not estimated."""
@@ -303,7 +318,9 @@ class KalmanFilter:
                 if silent is not None:
                     alone, shared = silent
                     apart = np.where(by_law, (1.0 - alone) * (1.0 - shared), 1.0)
-                    moved = moved + (B * (alone * by_law)) @ (self.alone_gain @ T)
+                    moved = moved + (B * (alone * by_law)) @ (self._alone_gain @ T)
+                    sensing = L.T @ (discrete.B * (alone * by_law))
+                    Q[:s, :s] += (sensing * self._alone_variance) @ sensing.T
                     B, unshared = B * ((1.0 - alone) * np.sqrt(1.0 - shared**2)), 1.0
                     moved = moved + (discrete.B * apart)[:, closed] @ (K[closed] @ T)
                 else:

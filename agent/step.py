@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.estimator import STEPS
 from agent.handover_inputs import HandOver
-from agent.kalman import TOLD, Belief, told
+from agent.kalman import TOLD, Belief
 from agent.team_estimate import Known, TeamEstimate
 from model import motors
 from model.arrays import Array, ShapeError
@@ -108,6 +108,7 @@ class Planner:
         settings, uavs = self._setup.settings, len(self._owned)
         self._sharing = Sharing(self._setup.scenario.controller, settings.lower(uavs), settings.upper(uavs))
         self._handover = HandOver(self._setup, self._team, self._owned)
+        self._reset_at = set[int]()  # ticks at which the filter began anew, as far as noted
         self._lapped_ns = self._stopwatch()  # end of the last stage
 
     @property
@@ -199,10 +200,7 @@ class Planner:
         step.times_ns["publish"] = publish_ns
         step.times_ns["total"] = sum(step.times_ns[stage] for stage in _COMPUTATION)
         report = self._report(step, result, out)
-        # What a Kalman filter knows of the payload, once in a while: the covariance of each tick is work.
-        notes, every = [], max(1, round(_NOTED_S / self._setup.settings.sampling_period_s))
-        if self.belief is not None and k > 0 and k % every == 0:
-            notes = [out.stamp(Note, tick=k, agent=self._agent, problem="", names=TOLD, values=told(self.belief))]
+        notes = self._notes(k, out)
         self._lapped_ns = self._stopwatch()
         return [*notes, plan, report]
 
@@ -247,6 +245,20 @@ class Planner:
             if step.law is not None:
                 self._team.expected = step.start, prediction, result.U
         return result
+
+    def _notes(self, k: int, out: Outbox) -> list[Message]:
+        """Return what a Kalman filter knows of the payload, once in a while, and whether it began anew."""
+        estimator, notes = self._team.estimator, list[Message]()
+        every = max(1, round(_NOTED_S / self._setup.settings.sampling_period_s))
+        # The covariance of each tick is work.
+        numbers = estimator.told_of_payload() if self.belief is not None and k > 0 and k % every == 0 else None
+        if numbers is not None:
+            notes.append(out.stamp(Note, tick=k, agent=self._agent, problem="", names=TOLD, values=numbers))
+        if new := sorted(estimator.resets - self._reset_at):
+            self._reset_at |= set(new)
+            problem = f"filter: estimate out of range, begun anew about the reference at tick {new[-1]}"
+            notes.append(out.stamp(Note, tick=k, agent=self._agent, problem=problem, names=(), values=np.zeros(0)))
+        return notes
 
     def _handed_over(self, step: Step, result: StepResult) -> StepResult:
         """Return the result with inputs between those of the team and those of the UAVs alone, as news are overdue."""

@@ -95,13 +95,13 @@ class TeamEstimate:
         """Set how the others are assumed to act when their news are overdue."""
         setup, section, announced = self._setup, self._setup.scenario.controller, self.announced
         period_s = setup.settings.sampling_period_s
-        announced.news = News(self.peers, period_s)
         self._alone = FailSafe(setup.system, setup.hover.u, setup.X_ref, setup.track)
         self._began = False
         if section.silence == "alone" and section.prediction == "closed_loop":
             heartbeat_s = section.share_heartbeat_s if section.share == "on_change" else 0.0
             announced.silence = Silence.of(period_s, is_filtered=is_kalman, heartbeat_s=heartbeat_s)
             announced.alone_inputs = self._alone_inputs
+        announced.news = News(self.peers, announced.silence)
 
     def overdue(self, k: int) -> float:
         """Return by how many ticks the oldest news of the others on the roster is older than usual."""

@@ -6,6 +6,7 @@ Source: docs/equations.md (31a)-(31d).
 """
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,22 +50,25 @@ class Motion:
     velocity_I: Array  # (3,)
     Theta: Array  # roll, pitch, yaw, (3,)
     omega_B: Array  # body rates, (3,)
-    swing_I: Array  # velocity of the rod's lower end relative to the UAV, (3,)
+    rod_I: Array  # lower end of the rod relative to the UAV, (3,)
+    swing_I: Array  # its velocity, (3,)
 
-    def ahead(self, here: "Motion", there: "Motion", duration_s: float) -> "Motion":
-        """Return the motion after a short time, as the deviation from a reference goes on at its rate.
 
-        Given are the reference `here` and `there`, after the time: inputs of `next_tick` act a period later.
-        """
-        velocity_I = self.velocity_I - here.velocity_I
-        omega_B = self.omega_B - here.omega_B
-        return Motion(
-            position_I=there.position_I + self.position_I - here.position_I + duration_s * velocity_I,
-            velocity_I=there.velocity_I + velocity_I,
-            Theta=there.Theta + self.Theta - here.Theta + duration_s * omega_B,
-            omega_B=there.omega_B + omega_B,
-            swing_I=there.swing_I + self.swing_I - here.swing_I,
-        )
+def ahead(motion: Motion, tick: int, start: int, course: Callable[[int], Motion], period_s: float) -> Motion:
+    """Return a motion at a later tick, if its deviation from the course goes on at its rates. Source: (31e)."""
+    if start == tick:
+        return motion
+    here, there, duration_s = course(tick), course(start), period_s * (start - tick)
+    velocity_I = motion.velocity_I - here.velocity_I
+    omega_B = motion.omega_B - here.omega_B
+    return Motion(
+        position_I=there.position_I + motion.position_I - here.position_I + duration_s * velocity_I,
+        velocity_I=there.velocity_I + velocity_I,
+        Theta=there.Theta + motion.Theta - here.Theta + duration_s * omega_B,
+        omega_B=there.omega_B + omega_B,
+        rod_I=there.rod_I + motion.rod_I - here.rod_I,
+        swing_I=there.swing_I + motion.swing_I - here.swing_I,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,6 +94,7 @@ def motion_of(system: System, uav: int, x: Array) -> Motion:
         velocity_I=R0 @ (x[state.V0] + turning_P),
         Theta=own[state.THETA],
         omega_B=own[state.OMEGA],
+        rod_I=R0 @ rod_P,
         swing_I=R0 @ swing_P,
     )
 
@@ -174,6 +179,17 @@ class AloneLaw:
         integral = self._masses * self._gains.integral
         return -integral[:, None] * self._motions()[0], self._by_force()
 
+    def by_sensors(self) -> Array:
+        """Return the derivative of `inputs` about hover by the own sensors, (4, 15), but for the swing."""
+        by_motion = np.zeros((3, state.SENSED))
+        by_motion[:, state.POSITION], by_motion[:, state.VELOCITY] = np.eye(3), np.eye(3)
+        by_motion[:, state.POSITION] *= -self._gains.position
+        by_motion[:, state.VELOCITY] *= -self._gains.velocity
+        slopes = self._by_force() @ (self._masses[:, None] * by_motion)
+        slopes[1:, state.THETA] -= self._stiffness
+        slopes[1:, state.OMEGA] -= self._damping
+        return slopes
+
     def _by_force(self) -> Array:
         """Return the derivative of the inputs by the wanted force about hover, (4, 3): thrust is upwards, z down."""
         tilt = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / self._hover_N
@@ -203,34 +219,57 @@ def course_at(  # fmt: skip
     return course_of(system, uav, track.X[row], track.U[row])
 
 
-class SwingObserver:
-    """Velocity of a rod's lower end relative to its UAV, 0-based, from the specific force of the UAV: (31d).
+class OwnSensors:
+    """Motion of one UAV, 0-based, from its own sensors alone, tick by tick.
 
-    Mass times specific force is the force of the thrust and of the rod, whose direction is that of the rod.
+    The specific force times the mass is the force of thrust and rod, and has the rod's direction: an observer follows its
+    deviation from the reference, (31d). Late sensors and later inputs: deviations go on at their rates, (31e).
+
+    Args:
+        ages: Sampling periods from position, velocity, attitude, body rates and specific force to their measurements.
     """
 
-    def __init__(self, system: System, uav: int) -> None:
-        self._system, self._uav = system, uav
-        self.reset()
+    def __init__(self, system: System, uav: int, ages: Sequence[int], period_s: float) -> None:
+        self._uav, self._period_s = system.uavs[uav], period_s
+        self._ages = tuple(ages)
+        self._offset_I = np.zeros(3)  # of the rod's lower end from the reference, m
+        self._rate_I = np.zeros(3)  # its derivative, m/s
 
-    def reset(self) -> None:
-        """Start from the reference."""
-        self._offset = np.zeros(3)  # of the lower end from the reference, m
-        self._rate = np.zeros(3)  # its derivative, m/s
+    def motion(self, sensed: Array, thrust_N: float, tick: int, start: int, course: Callable[[int], Motion]) -> Motion:
+        """Return the motion at tick `start` from measurements, (15,), of a tick, with the thrust until it.
 
-    def observe(self, sensed: Array, thrust_N: float, x_ref: Array, period_s: float) -> Array:
-        """Take in measurements, (15,), with the thrust until them, and a reference state, (n,); return it, (3,)."""
-        uav, own = self._system.uavs[self._uav], x_ref[state.uav_slice(self._uav)]
+        `course` is the reference at a tick.
+        """
+        of_position, of_velocity, of_attitude, of_rates, of_force = (course(max(tick - age, 0)) for age in self._ages)
+        there = course(start)
+        self._observe(sensed, thrust_N, of_force)
+
+        velocity_I = sensed[state.VELOCITY] - of_velocity.velocity_I
+        omega_B = sensed[state.OMEGA] - of_rates.omega_B
+        moving_s = self._period_s * (start - tick + self._ages[0])
+        turning_s = self._period_s * (start - tick + self._ages[2])
+        position_I = sensed[state.POSITION] - of_position.position_I + moving_s * velocity_I
+        Theta = sensed[state.THETA] - of_attitude.Theta + turning_s * omega_B
+        return Motion(
+            position_I=there.position_I + position_I,
+            velocity_I=there.velocity_I + velocity_I,
+            Theta=there.Theta + Theta,
+            omega_B=there.omega_B + omega_B,
+            rod_I=there.rod_I + self._offset_I,
+            swing_I=there.swing_I + self._rate_I,
+        )
+
+    def _observe(self, sensed: Array, thrust_N: float, reference: Motion) -> None:
+        """Take in the direction of the rod's force. Source: docs/equations.md (31d)."""
         R = rotation(sensed[state.THETA])
-        pull_I = R @ (uav.mass * sensed[state.SPECIFIC_FORCE] + thrust_N * _VERTICAL)
-        R0 = rotation(x_ref[state.THETA0])
+        pull_I = R @ (self._uav.mass * sensed[state.SPECIFIC_FORCE] + thrust_N * _VERTICAL)
         strength_N = float(np.linalg.norm(pull_I))
-
-        if strength_N > 0.0:
-            error = uav.rod_length * (pull_I / strength_N - R0 @ own[state.E]) - self._offset
-            self._offset = self._offset + period_s * (self._rate + 2.0 * _OBSERVER_DAMPING * _OBSERVER_RAD_S * error)
-            self._rate = self._rate + period_s * _OBSERVER_RAD_S**2 * error
-        return np.asarray(self._rate + R0 @ _cross(own[state.ROD_RATE], uav.rod_length * own[state.E]))
+        if not strength_N > 0.0:
+            return
+        error_I = self._uav.rod_length / strength_N * pull_I - reference.rod_I - self._offset_I
+        damping = 2.0 * _OBSERVER_DAMPING * _OBSERVER_RAD_S
+        self._offset_I = self._offset_I + self._period_s * (self._rate_I + damping * error_I)
+        self._rate_I = self._rate_I + self._period_s * _OBSERVER_RAD_S**2 * error_I
 
 
 def _attitude(force_I: Array, yaw: float) -> tuple[float, float]:
