@@ -15,6 +15,7 @@ from mpc.alone import AloneLaw, Course, course_at, motion_of
 # Attitude loop of a UAV that keeps level: slow enough for the moment limits of small quadrotors, faster than the
 # pendulum of a rod.
 _FREQUENCY_RAD_S, _DAMPING = 6.0, 0.8
+_MOST_COURSES = 1024  # kept: the horizon and the past of a step, for all UAVs
 _CRITICAL, _LARGEST_GAIN = 0.25, 6.0  # around an inner loop on body rates, 1/s: critical damping, as usual autopilots
 
 
@@ -28,6 +29,7 @@ class FailSafe:
         self.u_hover, self._X_ref, self.track = u_hover, X_ref, track
         self._system = system
         self._laws = self._alone()
+        self._courses: dict[tuple[int, int], Course] = {}  # the newest ones, by UAV and tick
         self._level = [_level(system, uav) for uav in range(system.N)]
 
     @property
@@ -38,12 +40,14 @@ class FailSafe:
     def following(self, X_ref: Array, track: Track | None) -> "FailSafe":
         """Return the fail-safe with another reference, unless it keeps level."""
         found = copy(self)
+        found._courses = {}
         found._X_ref, found.track = None if self._X_ref is None else X_ref, track
         return found
 
     def of_team(self, off: Collection[int], released: Collection[int]) -> "FailSafe":
         """Return the fail-safe whose thrusts hold the payload without UAVs off or released, if it has a hover: (51)."""
         found = copy(self)
+        found._courses = {}
         if not off:
             return found
         try:
@@ -69,7 +73,12 @@ class FailSafe:
         """Return the part of the reference of a UAV, 0-based, at a tick. Raises: ValueError: it keeps level."""
         if self._X_ref is None:
             raise ValueError("expected a fail-safe that follows the reference, got one that keeps level")
-        return course_at(self._system, uav, self._X_ref, self.u_hover, self.track, tick)
+        key = uav, tick
+        if key not in self._courses:
+            while len(self._courses) > _MOST_COURSES:
+                del self._courses[next(iter(self._courses))]
+            self._courses[key] = course_at(self._system, uav, self._X_ref, self.u_hover, self.track, tick)
+        return self._courses[key]
 
     def gain(self, uav: int) -> Array:
         """Return the linearised feedback from the state to a UAV's inputs, (4, n): (31), (31c), (45), (58)."""
