@@ -295,6 +295,7 @@ class KalmanFilter:
         # The law is that of now, whenever the covariance is computed.
         K = self._feedback(tick) if by_fail_safe.any() or by_law.any() else None
         is_alone = silent is not None and bool(silent[0][by_law].any())
+        kept = self._kept(silent, by_law) if is_alone else np.ones(len(belief.forces))
 
         def found() -> Covariance:
             n = model.system.n
@@ -329,11 +330,26 @@ class KalmanFilter:
                 Q[:s, :s] += unshared * effect @ (K_T @ P[:s, :s] @ K_T.T) @ effect.T
             A = np.eye(len(P))
             A[:s, :s], A[:s, s:] = L.T @ moved, L.T @ pushed
+            if is_alone:
+                A[s:, s:] = np.diag(kept)
             P = A @ P @ A.T + Q
             return Covariance(P=(P + P.T) / 2.0, T=T_ahead, L=L)
 
         own = None if belief.own is None else (belief.own[0], belief.own[1] + 1)
-        return replace(belief, x=ahead, u=u, found=found, own=own)
+        forces_ahead = kept * belief.forces if is_alone else belief.forces
+        return replace(belief, x=ahead, forces=forces_ahead, u=u, found=found, own=own)
+
+    def _kept(self, silent: tuple[Array, Array] | None, by_law: npt.NDArray[np.bool_]) -> Array:
+        """Return the share of forces that is left after a period without news, (forces,). Source: equations.md (63d).
+
+        As random walks, forces that own sensors do not tell apart have no bound. With news of all others they are such
+        walks, without any they return to zero, and their variance to that at first.
+        """
+        forces = self._spread.shape[1]
+        if silent is None or not forces:
+            return np.ones(forces)
+        change, first = self.Q.diagonal()[-forces:], self._P0.diagonal()[-forces:]
+        return np.asarray((1.0 - change / first) ** (0.5 * float(silent[0][by_law].mean())))
 
     def _pushed(self, model: Model, x: Array, u: Array, forces: Array, A: Array) -> Array:
         """Return the effect of the unknown forces over a period, (n, forces), to second order in it."""
