@@ -25,6 +25,9 @@ class AloneGains:
     position: float = 6.0  # 1/s^2
     velocity: float = 5.0  # 1/s; as stiff as the attitude loop allows at 20 Hz
     integral: float = 2.5  # 1/s^3
+    # Time in which the integral forgets, s: UAVs on a rigid body could otherwise hold any force against each other, which
+    # biases of their sensors would let grow.
+    forgets_s: float = 20.0
     swing: float = 0.5  # acceleration per velocity of the rod's lower end relative to the UAV, 1/s
     steepest_rad: float = 0.5  # largest change of the attitude that a deviation asks for
     most_held: float = 0.4  # largest force of the integral, as a share of what the UAV carries
@@ -34,8 +37,8 @@ GAINS = AloneGains()
 
 # Attitude loop: slow enough for the moment limits of small quadrotors, faster than the pendulum of a rod.
 _FREQUENCY_RAD_S, _DAMPING = 6.0, 0.8
-# Around an inner loop on body rates, as a share of its gain and at most, 1/s: damping ratio 0.8.
-_INNER_SHARE, _LARGEST_GAIN = 0.4, 10.0
+# Around an inner loop on body rates, as a share of its gain and at most, 1/s: damping ratio 0.7.
+_INNER_SHARE, _LARGEST_GAIN = 0.5, 10.0
 _HEADING = 0.08  # stiffness of the heading over that of roll and pitch: it returns within some seconds
 # Observer of the rod from the specific force: fast enough for the pendulum of a rod, slow enough for the noise.
 _OBSERVER_RAD_S, _OBSERVER_DAMPING = 3.0, 0.7
@@ -155,29 +158,38 @@ class AloneLaw:
     def held(self, held_I: Array, motion: Motion, course: Course, period_s: float) -> Array:
         """Return the force of the integral one period later, (3,), N. Source: docs/equations.md (31a)."""
         error_I = course.motion.position_I - motion.position_I
-        return self.within(held_I + period_s * self._masses * self._gains.integral * error_I)
+        change_I = self._masses * self._gains.integral * error_I - held_I / self._gains.forgets_s
+        return self.within(held_I + period_s * change_I)
 
     def within(self, held_I: Array) -> Array:
         """Return a force of the integral within its limits, (3,), N."""
         most_N = self._gains.most_held * self._hover_N
         return np.minimum(np.maximum(held_I, -most_N), most_N)
 
-    def gain(self) -> Array:
-        """Return the derivative of `inputs` about hover by the state of the team, (4, n): (31c)."""
-        gains, (position, velocity, swing) = self._gains, self._motions()
+    def gain(self, ahead_s: float = 0.0) -> Array:
+        """Return the derivative of `inputs` about hover by the state of the team, (4, n): (31c).
+
+        With inputs that act later, s, deviations go on at their rates until then, (31e).
+        """
+        gains, (position, velocity, swing) = self._gains, self._motions(ahead_s)
         swing[2] = 0.0
         acceleration = -gains.position * position - gains.velocity * velocity - gains.swing * swing
 
         gain = self._by_force() @ (self._masses[:, None] * acceleration)
         own = gain[1:, state.uav_slice(self._uav)]
         own[:, state.THETA] -= self._stiffness
-        own[:, state.OMEGA] -= self._damping
+        own[:, state.OMEGA] -= self._damping + ahead_s * self._stiffness
         return gain
 
-    def held_gains(self) -> tuple[Array, Array]:
+    @property
+    def forgets_s(self) -> float:
+        """Time in which the integral forgets, s."""
+        return self._gains.forgets_s
+
+    def held_gains(self, ahead_s: float = 0.0) -> tuple[Array, Array]:
         """Return derivatives about hover: of `held` per second by the state, (3, n), of `inputs` by it, (4, 3)."""
         integral = self._masses * self._gains.integral
-        return -integral[:, None] * self._motions()[0], self._by_force()
+        return -integral[:, None] * self._motions(ahead_s)[0], self._by_force()
 
     def by_sensors(self) -> Array:
         """Return the derivative of `inputs` about hover by the own sensors, (4, 15), but for the swing."""
@@ -195,7 +207,7 @@ class AloneLaw:
         tilt = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / self._hover_N
         return np.vstack([-_VERTICAL, self._stiffness @ tilt])
 
-    def _motions(self) -> tuple[Array, Array, Array]:
+    def _motions(self, ahead_s: float) -> tuple[Array, Array, Array]:
         """Return the derivatives of position, velocity and swing about hover by the state, (3, n) each."""
         uav, own = self._system.uavs[self._uav], state.uav_slice(self._uav)
         rod = uav.rod_length * _VERTICAL
@@ -205,7 +217,8 @@ class AloneLaw:
         position[:, state.THETA0] = np.cross(np.eye(3), uav.rho - rod).T
         position[:, own][:, state.E] = -uav.rod_length * np.eye(3)
         velocity[:, state.OMEGA0] = np.cross(np.eye(3), uav.rho).T
-        return position, velocity - swing, swing
+        velocity -= swing
+        return position + ahead_s * velocity, velocity, swing
 
 
 def course_at(  # fmt: skip

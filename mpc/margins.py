@@ -1,6 +1,7 @@
 """Linear analysis of the sampled loop about hover: exact plant, actuators, estimators and control laws of a team."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -46,7 +47,34 @@ class Mismatch:
         return System(payload=payload, uavs=uavs, gravity=known.gravity)
 
 
-class Loop:
+class SampledLoop(ABC):
+    """A sampled loop about hover, as a function of the plant."""
+
+    period_s: float
+    known_lag_s = 0.0  # time constant of the motors that controllers know
+    _headings = 0  # modes that neither grow nor decay, as no state depends on them
+
+    @abstractmethod
+    def matrix(self, plant: Mismatch) -> Array:
+        """Return the step from one sampling instant to the next. Raises: ParameterError: the bodies have no hover."""
+
+    def growth(self, plant: Mismatch) -> float:
+        """Return the growth rate of the fastest growing mode, 1/s; infinite where the bodies have no hover."""
+        try:
+            step = self.matrix(plant)
+        except ParameterError:
+            return math.inf
+        return math.log(float(np.abs(np.linalg.eigvals(step)).max())) / self.period_s
+
+    def settling_s(self, plant: Mismatch) -> float | None:
+        """Return the time in which the slowest deviation decays by e, headings of UAVs apart; None if one does not."""
+        eigenvalues = np.linalg.eigvals(self.matrix(plant))
+        others = eigenvalues[np.argsort(np.abs(eigenvalues - 1.0))[self._headings :]]
+        decay = -math.log(float(np.abs(others).max())) / self.period_s
+        return 1.0 / decay if decay > _DECAY else None
+
+
+class Loop(SampledLoop):
     """The sampled loop of a team about hover, as a function of the plant, with a controller per agent.
 
     With `next_tick` inputs act one sampling period after the measurement; `age` are the periods until an agent knows
@@ -60,6 +88,7 @@ class Loop:
         self._controllers, self._next_tick, self._age = tuple(controllers), next_tick, age
         first = controllers[0]
         self._system, at_rest = first.model.system, first.regulation.hover
+        self._headings = self._system.N
         self.period_s, self.known_lag_s = first.settings.sampling_period_s, first.settings.motor_lag_s
         model = first.model.linearise(at_rest.x, at_rest.u)
         self._T = T = tangent(at_rest.x, motors=self.known_lag_s > 0.0)
@@ -83,28 +112,8 @@ class Loop:
 
     def matrix(self, plant: Mismatch) -> Array:
         """Return the step from one sampling instant to the next. Raises: ParameterError: the bodies have no hover."""
-        actual = hover(plant.system(self._system))
-        linear = Model(plant.system(self._system)).linearise(actual.x, actual.u)
-        T, period_s, m, r = self._T[: self._system.n, : self._r], self.period_s, self._system.m, self._r
-        F, G = T.T @ linear.A_c @ T, plant.gain * (T.T @ linear.B_c)
-        # Thrust and moments by state and by command, (57).
-        by_state, by_command = np.zeros((m, self._system.n)), np.eye(m)
-        if self._system.rate_gains is not None:
-            for i, uav in enumerate(self._system.uavs):
-                moments, gains = state.input_slice(i), uav.inertia * self._system.rate_gains
-                by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
-                by_command[moments, moments][1:, 1:] = gains
-        by_state = by_state @ T
-        if plant.lag_s == 0.0:
-            F, G = F + G @ by_state, G @ by_command
-        else:
-            # Actual inputs in units of their effect: moments of small vehicles are tiny in N m.
-            unit = 1.0 / np.abs(G).max(axis=0)
-            F = np.block([[F, G * unit], [by_state / (unit * plant.lag_s)[:, None], -np.eye(m) / plant.lag_s]])
-            G = np.vstack([np.zeros((r, m)), by_command / (unit * plant.lag_s)[:, None]])
-        periods, part_s = divmod(plant.delay_s, period_s)
-        # The plant's steps before and after the arrival of a delayed command.
-        earlier, later, late = _held(F, G, part_s), _held(F, G, period_s - part_s), round(periods)
+        period_s, m, r = self.period_s, self._system.m, self._r
+        earlier, later, late = held_plant(self._system, self._T[: self._system.n, :r], plant, period_s)
         ahead, age = int(self._next_tick), self._age
         kept = ahead + max(age, late + 1)
         guessed = [len(self._lost)] * len(self._controllers)
@@ -147,20 +156,36 @@ class Loop:
                 guess = x[self._lost]
         return x, guess
 
-    def growth(self, plant: Mismatch) -> float:
-        """Return the growth rate of the fastest growing mode, 1/s; infinite where the bodies have no hover."""
-        try:
-            step = self.matrix(plant)
-        except ParameterError:
-            return math.inf
-        return math.log(float(np.abs(np.linalg.eigvals(step)).max())) / self.period_s
 
-    def settling_s(self, plant: Mismatch) -> float | None:
-        """Return the time in which the slowest deviation decays by e, headings of UAVs apart; None if one does not."""
-        eigenvalues = np.linalg.eigvals(self.matrix(plant))
-        others = eigenvalues[np.argsort(np.abs(eigenvalues - 1.0))[self._system.N :]]
-        decay = -math.log(float(np.abs(others).max())) / self.period_s
-        return 1.0 / decay if decay > _DECAY else None
+def held_plant(
+    known: System, T: Array, plant: Mismatch, period_s: float
+) -> tuple[tuple[Array, Array], tuple[Array, Array], int]:
+    """Return the plant's steps before and after the arrival of a delayed command, and whole periods of that delay.
+
+    They map the motion in coordinates of T, (n, r), with motor lag and the actual inputs, and held commands.
+    Raises: ParameterError: the bodies have no hover.
+    """
+    actual = hover(plant.system(known))
+    linear = Model(plant.system(known)).linearise(actual.x, actual.u)
+    m, r = known.m, T.shape[1]
+    F, G = T.T @ linear.A_c @ T, plant.gain * (T.T @ linear.B_c)
+    # Thrust and moments by state and by command, (57).
+    by_state, by_command = np.zeros((m, known.n)), np.eye(m)
+    if known.rate_gains is not None:
+        for i, uav in enumerate(known.uavs):
+            moments, gains = state.input_slice(i), uav.inertia * known.rate_gains
+            by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
+            by_command[moments, moments][1:, 1:] = gains
+    by_state = by_state @ T
+    if plant.lag_s == 0.0:
+        F, G = F + G @ by_state, G @ by_command
+    else:
+        # Actual inputs in units of their effect: moments of small vehicles are tiny in N m.
+        unit = 1.0 / np.abs(G).max(axis=0)
+        F = np.block([[F, G * unit], [by_state / (unit * plant.lag_s)[:, None], -np.eye(m) / plant.lag_s]])
+        G = np.vstack([np.zeros((r, m)), by_command / (unit * plant.lag_s)[:, None]])
+    periods, part_s = divmod(plant.delay_s, period_s)
+    return _held(F, G, part_s), _held(F, G, period_s - part_s), round(periods)
 
 
 def _held(F: Array, G: Array, duration_s: float) -> tuple[Array, Array]:
@@ -180,7 +205,7 @@ class Margin:
     upper: float | None
 
 
-def margins(loop: Loop) -> dict[str, Margin]:
+def margins(loop: SampledLoop) -> dict[str, Margin]:
     """Return the margin to each property of `Mismatch`, the others as known; none if the loop is unstable as known."""
     nominal = Mismatch(lag_s=loop.known_lag_s)
     if loop.growth(nominal) > GROWTH:

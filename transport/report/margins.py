@@ -1,15 +1,16 @@
 """Margins of a scenario's hover: how far the plant may differ from the controllers' model; table and figure."""
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import threadpoolctl
 from matplotlib.figure import Figure
 
+from mpc.alone_margins import AloneLoop
 from mpc.controller import Controller
-from mpc.margins import FARTHEST, FARTHEST_S, Loop, Margin, Mismatch, margins
+from mpc.margins import FARTHEST, FARTHEST_S, Loop, Margin, Mismatch, SampledLoop, margins
 from protocol.scenario.errors import ScenarioError
 from protocol.scenario.setup import Setup
 from transport.report.style import COLUMN_IN, CURVES
@@ -49,6 +50,8 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
     Raises: ScenarioError: plans are not the shared control law, or the agents that are gone not some of several.
     """
     absent, name, settings = tuple(sorted(set(without))), setup.scenario.name, setup.settings
+    if setup.scenario.agents.controller == "alone" and not absent:
+        return _alone(setup)
     if setup.scenario.agents.controller != "mpc":
         raise ScenarioError(name, "agents.controller", "expected 'mpc', whose feedback is known, got a class")
     if absent and not set(absent) < set(setup.agents):
@@ -70,14 +73,26 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
             actuation: Loop(team, next_tick=actuation == "next_tick", age=age, uncontrolled=fail_safe)
             for actuation in ACTUATIONS
         }
-        known = Mismatch(lag_s=settings.motor_lag_s)
-        return HoverMargins(
-            scenario=name,
-            without=absent,
-            settling_s={actuation: loop.settling_s(known) for actuation, loop in loops.items()},
-            growth_per_s={actuation: loop.growth(known) for actuation, loop in loops.items()},
-            margins={actuation: margins(loop) for actuation, loop in loops.items()},
-        )
+        return _of(name, absent, loops)
+
+
+def _alone(setup: Setup) -> HoverMargins:
+    """Return the margins of UAVs that all follow the reference alone."""
+    with threadpoolctl.threadpool_limits(1):
+        period_s = setup.settings.sampling_period_s
+        loops = {of: AloneLoop(setup.system, period_s, next_tick=of == "next_tick") for of in ACTUATIONS}
+        return _of(setup.scenario.name, (), loops)
+
+
+def _of(name: str, absent: tuple[int, ...], loops: Mapping[str, SampledLoop]) -> HoverMargins:
+    known = {actuation: Mismatch(lag_s=loop.known_lag_s) for actuation, loop in loops.items()}
+    return HoverMargins(
+        scenario=name,
+        without=absent,
+        settling_s={actuation: loop.settling_s(known[actuation]) for actuation, loop in loops.items()},
+        growth_per_s={actuation: loop.growth(known[actuation]) for actuation, loop in loops.items()},
+        margins={actuation: margins(loop) for actuation, loop in loops.items()},
+    )
 
 
 def rows(found: HoverMargins) -> Iterator[tuple[str, ...]]:
