@@ -14,7 +14,8 @@ from agent.team_estimate import Known
 from model import state
 from model.arrays import Array
 from mpc.alone import Motion, OwnSensors, ahead, motion_of
-from mpc.fail_safe import FailSafe
+from mpc.alone_team import AloneTeam
+from mpc.regulation import Regulation
 from protocol.scenario.setup import Setup
 from protocol.wire.messages import STAGES, Measurement, Message, Plan
 from protocol.wire.node import Outbox
@@ -38,7 +39,12 @@ class AlonePlanner:
         self._agent, self._stopwatch = agent, stopwatch
         self._owned = setup.owned[agent - 1]
         self._peers = tuple(other for other in setup.agents if other != agent)
-        self._head(setup)
+        self._setup = setup
+        # What the team would do, undisturbed: all UAVs follow their part of it.
+        regulation = Regulation(setup.model, setup.hover, setup.settings, setup.X_ref, setup.track)
+        self._law = AloneTeam(setup.model, setup.hover, setup.settings, regulation)
+        self._regulation = regulation
+        self._law.follow(setup.X_ref, setup.track)
         self.restart()
 
     def restart(self) -> None:
@@ -50,17 +56,15 @@ class AlonePlanner:
         self._sensors = {uav: OwnSensors(system, uav, ages, period_s) for uav in self._owned}
         self._inputs: Array = self._setup.hover.u[state.input_indices(self._owned)]
         self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()
-        self._law = self._whole
+        self._law.fail((), ())
         self._idle_since_ns = self._stopwatch()
 
     def head(self, setup: Setup) -> None:
         """Follow the reference of the run with a further target, from that target's tick on."""
-        self._head(setup)
-        self._law = self._whole.of_team(*self._failed)
-
-    def _head(self, setup: Setup) -> None:
         self._setup = setup
-        self._whole = FailSafe(setup.system, setup.hover.u, setup.X_ref, setup.track)
+        if setup.ahead is not None:
+            self._regulation.head(setup.X_ref, setup.ahead)
+        self._law.follow(setup.X_ref, setup.track)
 
     def warm_up(self) -> None:
         """Do nothing: a step has nothing to compile."""
@@ -71,7 +75,7 @@ class AlonePlanner:
             self._measurement = max(known.measurements, key=lambda measurement: measurement.tick)
         if self._failed != (known.off, known.released):
             self._failed = known.off, known.released
-            self._law = self._whole.of_team(*self._failed)
+            self._law.fail(*self._failed)
         return AloneStep(known)
 
     def plan(self, step: AloneStep, out: Outbox, publish_ns: int) -> list[Message]:

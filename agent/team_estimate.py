@@ -13,8 +13,8 @@ from model import state
 from model.arrays import Array
 from model.hover import motor_off_state, released_state
 from mpc.alone import AloneLaw, Course
+from mpc.alone_team import AloneTeam
 from mpc.controller import Controller
-from mpc.fail_safe import FailSafe
 from mpc.prediction import Prediction
 from mpc.tracking import Course as Along
 from protocol.scenario.setup import Setup
@@ -86,7 +86,7 @@ class TeamEstimate:
     def head(self, setup: Setup) -> None:
         """Take the reference from a run with a further target."""
         self._setup = setup
-        self._alone = FailSafe(setup.system, setup.hover.u, setup.X_ref, setup.track)
+        self._alone.follow(setup.X_ref, setup.track)
         if setup.ahead is not None and self._controller.regulation.head(setup.X_ref, setup.ahead):
             self.announced.law_since = setup.ahead.first
         self.announced.fail_safe = self._controller.regulation.fail_safe
@@ -95,7 +95,8 @@ class TeamEstimate:
         """Set how the others are assumed to act when their news are overdue."""
         setup, section, announced = self._setup, self._setup.scenario.controller, self.announced
         period_s = setup.settings.sampling_period_s
-        self._alone = FailSafe(setup.system, setup.hover.u, setup.X_ref, setup.track)
+        self._alone = AloneTeam(setup.model, setup.hover, setup.settings, self._controller.regulation)
+        self._alone.follow(setup.X_ref, setup.track)
         self._began = False
         if section.silence == "alone" and section.prediction == "closed_loop":
             heartbeat_s = section.share_heartbeat_s if section.share == "on_change" else 0.0
@@ -199,6 +200,7 @@ class TeamEstimate:
 
         controller, failed = self._controller, min(known.measurement.tick, known.failed_since)
         controller.fail(known.off, known.released, since)
+        self._alone.fail(known.off, known.released)
         self.announced.fail_safe, self.announced.failed_since = controller.regulation.fail_safe, failed
         self.estimator.change(failed, controller.model, moved)
         left = [uav for uav in self._owned if uav not in known.off]

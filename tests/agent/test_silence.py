@@ -1,0 +1,137 @@
+"""Teams whose network is silent: a filter with a bound, agents that never raise, flights that go on."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from agent.announced import AnnouncedInputs
+from agent.estimator import StateEstimator
+from agent.handover import Silence
+from agent.kalman import Belief, KalmanFilter
+from model import state
+from model.arrays import Array
+from mpc.controller import Controller
+from protocol.scenario.setup import Setup
+from protocol.wire.messages import Message, Note, Plan, PlantState
+from tests.support import runs
+from tests.support.runs import VEHICLE, completed, measurement
+
+OTHERS_SENSORS = tuple(range(5))
+FORCES = "controller.disturbance.estimate=true"
+# Ticks after which a covariance that has a fixed point is there: some hundred time constants of the slowest mode.
+SETTLED, MORE = 2000, 200
+# Change of the largest deviation over `MORE` ticks that counts as none; a walk grows by several percent.
+SAME = 1e-3
+# Most that the largest deviation of a lap of `eight` exceeds that of the lap before: rounding and instants.
+LAP = 1.05
+ATTITUDE_DEG, APART_M = 10.0, 0.38
+
+
+def _silent(agents: int, start_s: float, end_s: float = 1e5) -> str:
+    cuts = [f"{{between=['agent{agent}'], start_s={start_s}, end_s={end_s}}}" for agent in range(1, agents)]
+    return f"links.partition=[{', '.join(cuts)}]"
+
+
+def _alone(run: Setup, kalman: KalmanFilter, along: Sequence[tuple[Array, Array]], ticks: int) -> list[float]:
+    """Return the largest standard deviation, tick by tick, of a filter that has the measurements of UAV 1 alone."""
+    m = run.system.m
+    by_law, none = np.repeat(np.arange(run.system.N) != 0, state.INPUTS), np.zeros(m, dtype=bool)
+    silent = by_law.astype(np.float64), np.zeros(m)
+    belief: Belief = kalman.first(along[0][0])
+    deviations = []
+    for k in range(ticks):
+        u, ahead = along[k % len(along)][1], along[(k + 1) % len(along)][0]
+        belief = kalman.predict(belief, run.model, k % len(along), ahead, u, by_law, none, silent)
+        z = run.model.sensed(ahead, u, forces=kalman.forces(belief))[: state.SENSED]
+        belief = kalman.correct(belief, run.model, [(0, OTHERS_SENSORS, z)])
+        belief.x = ahead
+        deviations.append(math.sqrt(belief.covariance.P.diagonal().max()))
+    return deviations
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("eight", ()), ("eight", (FORCES,)), ("gap", ()), ("precise", VEHICLE), ("precise", (*VEHICLE, FORCES)),
+     ("windy", VEHICLE)],
+)  # fmt: skip
+def test_without_news_the_covariance_has_a_fixed_point(name: str, settings: Sequence[str]) -> None:
+    """At hover, with own measurements alone, every standard deviation settles: docs/equations.md (63), (63c), (63d)."""
+    run = runs.ready(name, *settings)
+    controller = Controller(run.model, run.hover, run.settings, run.owned[0], run.X_ref, run.track)
+    kalman = KalmanFilter(run, controller.regulation.gain, run.owned[0])
+    deviations = _alone(run, kalman, [(run.initial_state(), run.hover.u)], SETTLED + MORE)
+    assert abs(deviations[-1] / deviations[SETTLED] - 1.0) < SAME
+    assert deviations[-1] <= deviations[0]
+
+
+def test_without_news_the_covariance_along_a_path_is_bounded() -> None:
+    """Along `eight` the largest deviation of a second pass is that of the first, (63c)."""
+    run = runs.ready("eight")
+    assert run.track is not None
+    controller = Controller(run.model, run.hover, run.settings, run.owned[0], run.X_ref, run.track)
+    kalman = KalmanFilter(run, controller.regulation.gain, run.owned[0])
+    along = list(zip(run.track.X[: run.ticks], run.track.U[: run.ticks], strict=True))
+    deviations = _alone(run, kalman, along, 2 * run.ticks)
+    first, second = deviations[20 : run.ticks], deviations[run.ticks :]
+    assert max(second) <= LAP * max(first)
+
+
+def test_an_estimate_out_of_range_begins_anew() -> None:
+    """A belief far over, or numbers that have no covariance, are replaced by one about the reference, and counted."""
+    run = runs.setup(*VEHICLE)
+    kalman = KalmanFilter(run, lambda _: np.zeros((run.system.m, run.system.n)))
+    estimator = StateEstimator(run.model, lambda tick: run.X_ref[tick], 0.05, kalman=kalman)
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+    wrong = np.zeros(state.SENSED)
+    for k in range(4):
+        seen = measurement(run, 1, k)
+        z = run.model.sensed(run.X_ref[k], run.hover.u)[: state.SENSED]
+        if k == 2:
+            wrong[state.THETA] = [1.5, 0.0, 0.0]
+            z = z + 1e3 * wrong
+        seen = type(seen)(**{name: getattr(seen, name) for name in seen.__struct_fields__} | {"uav_states": z[None]})
+        estimator.measure(seen)
+        x = estimator.estimate(k, announced)
+        assert np.isfinite(x).all()
+        assert np.abs(state.StateView(x).Theta[:, :2]).max() < 1.5
+    assert estimator.resets
+
+
+def test_before_a_first_plan_the_others_follow_the_law() -> None:
+    """Once the first plan of an agent is overdue, its inputs are those of the shared law, not hover inputs."""
+    owned, hover = ((0,), (1,)), np.zeros(8)
+    announced = AnnouncedInputs(owned, hover, own=1, law=lambda _tick, _x: np.arange(8.0))
+    announced.silence = Silence(begins=5.0, complete=1e6, forgets=1.0)
+    x = np.zeros(36)
+    np.testing.assert_array_equal(announced.at(3, before=4, x=x), hover)
+    late = announced.at(30, before=31, x=x)
+    np.testing.assert_allclose(late[4:], np.arange(4.0, 8.0))
+    np.testing.assert_array_equal(late[:4], hover[:4])
+
+
+def _plans(messages: Sequence[Message], agent: int) -> list[Plan]:
+    return [message for message in messages if isinstance(message, Plan) and message.agent == agent]
+
+
+def test_agents_hand_over_and_take_back() -> None:
+    """In a silence of 2 s each agent acts alone, says so, and comes back to the team's law; the run completes."""
+    run = runs.ready("precise", *VEHICLE, FORCES, "links.delay_s=0.1", runs.ticks(200), _silent(4, 2.0, 4.0))
+    messages = completed(run)
+    for agent in run.agents:
+        shares = [plan.alone for plan in _plans(messages, agent)]
+        assert max(shares[:40]) == 0.0
+        assert max(shares) == 1.0
+        assert shares[-1] == 0.0
+        assert np.abs(np.diff(shares)).max() <= 0.1 + 1e-9
+    states = [message for message in messages if isinstance(message, PlantState)]
+    attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))
+    assert attitudes.max() < ATTITUDE_DEG
+    assert not [message for message in messages if isinstance(message, Note) and message.problem]
+
+
+def test_law_keeps_the_law() -> None:
+    """With `controller.silence = "law"` no agent ever acts alone."""
+    run = runs.ready("resilient", "controller.silence=law", "links.loss=1.0", runs.ticks(60))
+    assert {plan.alone for agent in run.agents for plan in _plans(completed(run), agent)} == {0.0}
