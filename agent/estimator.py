@@ -276,19 +276,17 @@ class StateEstimator:
     def _corrected(self, kalman: KalmanFilter, tick: int) -> Belief:
         """Return the belief at a tick; one about the reference where numbers are out of range, which is counted."""
         model, sensed = self._model_at(tick), list(self._sensed(tick))
-        prior = self._priors[tick - self._first]
-        try:
-            belief = kalman.correct(prior, model, sensed)
-            if kalman.is_plausible(belief):
-                return belief
-        except (ShapeError, np.linalg.LinAlgError):
-            pass
+        at = tick - self._first
+        belief = _plausible(kalman, self._priors[at], model, sensed)
+        if belief is not None:
+            return belief
         self.resets.add(tick)
-        self._priors[tick - self._first] = kalman.first(self._reference_at(tick))
-        return kalman.correct(self._priors[tick - self._first], model, sensed)
+        self._priors[at] = anew = kalman.first(self._reference_at(tick))
+        # What made the numbers leave their range may be a measurement of this tick.
+        return _plausible(kalman, anew, model, sensed) or anew
 
     def told_of_payload(self) -> Array | None:
-        """Return what the newest belief says of the payload (`agent.kalman.TOLD`); None without it, or after a reset."""
+        """Return what the newest belief says of the payload (`agent.kalman.TOLD`); None without, or after a reset."""
         belief = self.belief
         try:
             return None if belief is None else told_numbers(belief)
@@ -337,3 +335,14 @@ class StateEstimator:
             if since <= tick:
                 x = moved(x)
         return x
+
+
+def _plausible(
+    kalman: KalmanFilter, prior: Belief, model: Model, sensed: Sequence[tuple[int, tuple[int, ...], Array]]
+) -> Belief | None:
+    """Return the belief after a correction; None where numbers are out of range."""
+    try:
+        belief = kalman.correct(prior, model, sensed)
+    except (ShapeError, np.linalg.LinAlgError):
+        return None
+    return belief if kalman.is_plausible(belief) else None

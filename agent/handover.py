@@ -67,7 +67,7 @@ class News:
 
     def usual(self, agent: int) -> int:
         """Return the smallest recent age of an agent's news, ticks; 1 where there have been none."""
-        return min(self._ages[agent], default=1)
+        return min(self._ages.get(agent, ()), default=1)
 
 
 class Mixture:
