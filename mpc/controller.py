@@ -49,7 +49,6 @@ class Controller:
     ) -> None:  # fmt: skip
         self.model = self._whole = model  # with motor failures reported to `fail`, and without
         self._gone = self._off = self._released = frozenset[int]()
-        self._relaxation = settings.relaxation
         self.settings = settings
         self._decision = Decision(model.system, settings, owned)
         self.owned, self.own = self._decision.uavs, self._decision.own  # UAVs, and positions of their inputs in u
@@ -58,6 +57,7 @@ class Controller:
         self.cost = self.regulation.cost
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
         self._along = Along(self._decision, obstacles)
+        self._relaxation = self._relaxed(others_obstruct=self._program.shares_rows)
         self._at_hover: Linearisation | None = None
         # Derivatives and difference equation of the newest step.
         self._held: tuple[Array | None, Discrete | None] = None, None
@@ -200,9 +200,13 @@ class Controller:
         """Set the UAVs without an agent, 0-based: they follow the fail-safe; `since` as in `Regulation.form`."""
         self._gone = frozenset(uavs)
         # UAVs without agents obstruct the others: several agents correct the same distances, each its share of them.
-        share = len(self.owned) / self._whole.system.N if uavs and self.settings.prediction == "closed_loop" else 1.0
-        self._relaxation = min(self.settings.relaxation, share)
+        self._relaxation = self._relaxed(others_obstruct=bool(uavs) or self._program.shares_rows)
         self._form(since)
+
+    def _relaxed(self, *, others_obstruct: bool) -> float:
+        """Return the relaxation of corrections; at most the share of the owned UAVs where all correct the same."""
+        is_shared = others_obstruct and self.settings.prediction == "closed_loop"
+        return min(self.settings.relaxation, len(self.owned) / self._whole.system.N if is_shared else 1.0)
 
     def fail(self, off: Collection[int], released: Collection[int], since: int | None = None) -> None:
         """Set the UAVs without motors, 0-based, and those of them that are released from their rods: (50), (51)."""

@@ -110,7 +110,7 @@ class UserCosts(Expressions):
 class UserConstraints(Expressions):
     """The user's constraints on states or on inputs, in the order given: at most zero, or zero."""
 
-    def __init__(self, constraints: Sequence[Constraint], system: System, on: str) -> None:
+    def __init__(self, constraints: Sequence[Constraint], system: System, on: str, penalty: float = 1.0) -> None:
         symbols = Symbols.of(system.N, system.commands_rates)
         read_all = [(constraint, read(constraint.expression, symbols)) for constraint in constraints]
         chosen = [(constraint, relation) for constraint, relation in read_all if relation.on == on]
@@ -118,13 +118,19 @@ class UserConstraints(Expressions):
         super().__init__([relation.value for _, relation in chosen], variable, symbols.p, system.vector())
         self.equality = np.array([relation.is_equality for _, relation in chosen], dtype=bool)  # (c,)
         # Weight of the slack of a soft constraint, nan for a hard one, (c,).
-        penalty = np.array([constraint.penalty if constraint.soft else np.nan for constraint, _ in chosen])
-        self.penalty = np.where(self.equality | (on == "input"), np.nan, penalty)
+        given = [penalty if constraint.penalty is None else constraint.penalty for constraint, _ in chosen]
+        is_soft = np.array([constraint.soft for constraint, _ in chosen], dtype=bool)
+        self.penalty = np.where(~is_soft | self.equality | (on == "input"), np.nan, given)
 
 
-def compile_constraints(constraints: Sequence[Constraint], system: System) -> tuple[UserConstraints, UserConstraints]:
-    """Read the user's constraints on states and on inputs. Raises: SettingsError: one cannot be read."""
-    return UserConstraints(constraints, system, "state"), UserConstraints(constraints, system, "input")
+def compile_constraints(
+    constraints: Sequence[Constraint], system: System, penalty: float = 1.0
+) -> tuple[UserConstraints, UserConstraints]:
+    """Read the user's constraints on states and on inputs, with the penalty of those without one.
+
+    Raises: SettingsError: one cannot be read.
+    """
+    return UserConstraints(constraints, system, "state", penalty), UserConstraints(constraints, system, "input")
 
 
 def _parsed(text: str, what: str) -> ast.expr:

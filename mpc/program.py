@@ -26,6 +26,7 @@ class Program:
 
     def __init__(self, decision: Decision, cost: Cost, user_costs: UserCosts) -> None:
         self.decision, self._user_costs, self._rows = decision, user_costs, Rows(decision)
+        self.shares_rows = self._rows.are_shared  # whether several agents keep the same rows of inputs
         settings, system = decision.settings, decision.system
         self._n = system.n + (system.m if settings.motor_lag_s > 0.0 else 0)
         # Outputs without a weight stay out of the program.

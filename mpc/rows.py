@@ -17,6 +17,7 @@ from model.rotations import euler_rates, rotation
 from mpc.expressions import Expressions, compile_constraints
 from mpc.prediction import Linear, Prediction, stacked
 from mpc.settings import ControllerSettings
+from mpc.shared_rows import default_penalty, share
 
 
 class Decision:
@@ -65,8 +66,11 @@ class Rows:
         starts = [state.uav_slice(uav).start + state.THETA.start for uav in decision.uavs if tilt]
         # Positions in x of the limited roll and pitch angles.
         self.angles = np.array([start + axis for start in starts for axis in (0, 1)], dtype=np.intp)
-        self._on_state, self._on_input = compile_constraints(settings.constraint, system)
+        penalty = default_penalty(settings.weights, system.N)
+        self._on_state, self._on_input = compile_constraints(settings.constraint, system, penalty)
         self._kept = self._on_input.depends[:, decision.own].any(axis=1)
+        self._share = share(self._on_input.depends, decision.own)
+        self.are_shared = bool((self._share[self._kept] > 1.0).any())  # whether other agents keep rows of inputs too
         symbols, margins = Symbols.of(system.N, system.commands_rates), list[ca.SX]()
         if tension:  # minimum_N less the rod tensions of the owned UAVs: (30b)
             pulls = ca.substitute(motion(symbols).tensions, symbols.F, ca.SX.zeros(symbols.F.numel()))
@@ -122,7 +126,8 @@ class Rows:
             upper[self._states] = -values.reshape(-1)
         if self._kept.any():
             value, slope = (part[self._kept] for part in self._on_input.at(u0))
-            A[self._inputs, :size] = np.kron(np.eye(self._decision.settings.horizon), slope[:, own] * scale)
+            effect = slope[:, own] * scale * self._share[self._kept, None]
+            A[self._inputs, :size] = np.kron(np.eye(self._decision.settings.horizon), effect)
             values = value + (prediction.U_all - u0) @ slope.T
             lower[self._inputs] = np.where(self._on_input.equality[self._kept], -values, -np.inf).reshape(-1)
             upper[self._inputs] = -values.reshape(-1)
