@@ -8,7 +8,7 @@ WORKERS := --numprocesses 3 --dist loadfile --no-loadscope-reorder
 # Empty means unset: each process of a run would otherwise compile all sources again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: run test test-slow test-pages test-firmware test-all campaigns lines bench figures docs reference lint format lock audit licences clean help
+.PHONY: run test test-slow test-pages test-firmware test-all campaigns bench figures docs reference lint format lock audit licences clean help
 
 help: ## show this
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1 \t/'
@@ -37,6 +37,7 @@ campaigns: $(VENV)/.installed-test ## search for defects by random runs, by nigh
 	@$(BIN)/python -m tests.campaigns signals --runs 300
 	@$(BIN)/python -m tests.campaigns.wire --messages 1000000
 	@$(BIN)/python -m tests.campaigns.soak --minutes 30
+	@$(BIN)/python -m benchmarks.worst --runs 1000
 
 bench: $(VENV)/.installed-bench ## measure steps, solvers, messages and runs, and renew docs/performance.md (3 minutes)
 	@$(BIN)/python -m benchmarks
@@ -56,9 +57,6 @@ lint: $(VENV)/.installed-dev ## style and types, as continuous integration sees 
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
-
-lines: $(VENV)/.installed ## lines of Python by folder, beside their budget
-	@$(BIN)/python -m tests.support.lines
 
 format: $(VENV)/.installed-dev ## format the source
 	@$(BIN)/ruff check --fix .

@@ -1,1 +1,1 @@
-"""Agent: estimates the state, plans the inputs of the UAVs it owns, sends the plan to the others."""
+"""Agent: estimates the state, plans the inputs of its UAVs, sends the plan to the others."""

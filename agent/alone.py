@@ -4,21 +4,22 @@ It is the baseline that tells what the network is worth. An agent applies docs/e
 UAVs. It sends plans, which the plant applies, and ignores those of the others.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from agent.step import step_report
-from agent.team_estimate import Known
-from model import state
-from model.arrays import Array
-from mpc.alone import Motion, OwnSensors, ahead, motion_of
-from mpc.alone_team import AloneTeam
-from mpc.regulation import Regulation
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import STAGES, Measurement, Message, Plan
-from protocol.wire.node import Outbox
+from transport.agent.estimation.belief import Belief
+from transport.agent.received import Received
+from transport.agent.step import step_report
+from transport.model import state
+from transport.model.arrays import Array
+from transport.mpc.alone import Motion, OwnSensors, ahead, motion_of
+from transport.mpc.alone_team import AloneTeam
+from transport.mpc.regulation import Regulation
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan
+from transport.protocol.wire.node import Outbox
 
 ALONE = "alone"  # the name of this controller in a scenario
 _HELD_S = 0.2  # time after which a UAV without newer plans continues on its fail-safe, which is the same law
@@ -28,7 +29,7 @@ _HELD_S = 0.2  # time after which a UAV without newer plans continues on its fai
 class AloneStep:
     """A tick of the controller; it has no negotiation before its plan."""
 
-    known: Known
+    received: Received
     negotiation: int = 1
 
 
@@ -41,10 +42,10 @@ class AlonePlanner:
         self._peers = tuple(other for other in setup.agents if other != agent)
         self._setup = setup
         # What the team would do, undisturbed: all UAVs follow their part of it.
-        regulation = Regulation(setup.model, setup.hover, setup.settings, setup.X_ref, setup.track)
+        regulation = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
         self._law = AloneTeam(setup.model, setup.hover, setup.settings, regulation)
         self._regulation = regulation
-        self._law.follow(setup.X_ref, setup.track)
+        self._law.follow(setup.X_ref, setup.reference.sampled.track)
         self.restart()
 
     def restart(self) -> None:
@@ -59,29 +60,36 @@ class AlonePlanner:
         self._law.fail((), ())
         self._idle_since_ns = self._stopwatch()
 
-    def head(self, setup: Setup) -> None:
+    @property
+    def belief(self) -> Belief | None:
+        """None: there is no estimate of the team."""
+        return None
+
+    def adopt(self, step: AloneStep, proposals: Sequence[Plan]) -> None:
+        """Do nothing: there is no negotiation."""
+
+    def follow(self, setup: Setup) -> None:
         """Follow the reference of the run with a further target, from that target's tick on."""
         self._setup = setup
-        if setup.ahead is not None:
-            self._regulation.head(setup.X_ref, setup.ahead)
-        self._law.follow(setup.X_ref, setup.track)
+        self._regulation.follow(setup.reference.sampled)
+        self._law.follow(setup.X_ref, setup.reference.sampled.track)
 
     def warm_up(self) -> None:
         """Do nothing: a step has nothing to compile."""
 
-    def begin(self, known: Known) -> AloneStep:
+    def begin(self, received: Received) -> AloneStep:
         """Take in the newest measurement and the failures of UAVs."""
-        if known.measurements:
-            self._measurement = max(known.measurements, key=lambda measurement: measurement.tick)
-        if self._failed != (known.off, known.released):
-            self._failed = known.off, known.released
+        if received.measurements:
+            self._measurement = max(received.measurements, key=lambda measurement: measurement.tick)
+        if self._failed != (received.off, received.released):
+            self._failed = received.off, received.released
             self._law.fail(*self._failed)
-        return AloneStep(known)
+        return AloneStep(received)
 
     def plan(self, step: AloneStep, out: Outbox, publish_ns: int) -> list[Message]:
         """Return the tick's plan and report."""
         begun_ns, step.negotiation = self._stopwatch(), 0
-        setup, k = self._setup, step.known.measurement.tick
+        setup, k = self._setup, step.received.tick
         measured = self._measurement
         if measured is not None and measured.tick == k:
             self._inputs = self._controlled(measured)
@@ -102,11 +110,15 @@ class AlonePlanner:
         )
 
         now_ns = self._stopwatch()
-        started_ns = step.known.started_ns
-        spent_ns = {"wait": started_ns - self._idle_since_ns, "publish": publish_ns, "solve": now_ns - begun_ns}
+        started_ns = step.received.started_ns
+        spent_ns = {
+            "wait": started_ns - self._idle_since_ns,
+            "publish": publish_ns,
+            "solve": now_ns - begun_ns,
+        }
         none = (-1,) * len(self._peers)
         report = step_report(
-            step.known,
+            step.received,
             self._agent,
             out,
             status="solved",
@@ -136,7 +148,9 @@ class AlonePlanner:
         """Return the inputs of the owned UAVs by their measurements, within rates and limits, (4 owned,)."""
         settings, wanted = self._setup.settings, []
         start = measured.tick + int(self._setup.scenario.clock.next_tick)
-        for uav, values, until in zip(self._owned, measured.uav_states, measured.inputs, strict=True):
+        for uav, values, until in zip(
+            self._owned, measured.uav_states, measured.inputs, strict=True
+        ):
             law, course = self._law.law(uav), self._law.course(uav, start)
             motion = self._motion(uav, values, float(until[0]), measured, start)
             held_I = self._held_I[uav]
@@ -148,7 +162,9 @@ class AlonePlanner:
         inputs = np.clip(np.concatenate(wanted), self._inputs - step, self._inputs + step)
         return np.clip(inputs, settings.lower(len(self._owned)), settings.upper(len(self._owned)))
 
-    def _motion(self, uav: int, values: Array, thrust_N: float, measured: Measurement, start: int) -> Motion:
+    def _motion(
+        self, uav: int, values: Array, thrust_N: float, measured: Measurement, start: int
+    ) -> Motion:
         """Return the motion of a UAV, 0-based, at tick `start` by its own measurements, with the thrust until them."""
         system, tick = self._setup.system, measured.tick
         if self._setup.sensors.vehicle:
@@ -156,7 +172,11 @@ class AlonePlanner:
         x = np.zeros(system.n)
         x[: state.PAYLOAD], x[state.uav_slice(uav)] = measured.payload, values
         return ahead(
-            motion_of(system, uav, x), tick, start, self._reference(uav), self._setup.settings.sampling_period_s
+            motion_of(system, uav, x),
+            tick,
+            start,
+            self._reference(uav),
+            self._setup.settings.sampling_period_s,
         )
 
     def _reference(self, uav: int) -> Callable[[int], Motion]:

@@ -2,46 +2,105 @@
 
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from operator import attrgetter
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from agent.handover import News, Silence
-from model.arrays import Array
-from model.state import input_indices
-from mpc.fail_safe import FailSafe
-from mpc.settings import ControllerSettings
-from protocol.wire.messages import Plan
+from transport.agent.handover import News, Silence
+from transport.model.arrays import Array
+from transport.model.state import input_indices, input_slice
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.settings import ControllerSettings
+from transport.protocol.wire.messages import Plan
 
-# Alignment of a plan with the horizon: shifted by its true age; by one tick whatever its age, as in the paper; or its
-# input for the present tick, held.
+# Alignment of a plan with the horizon: shifted by its true age; by one tick whatever its age, as in
+# the paper; or its input for the present tick, held.
 Alignment = Literal["by_age", "by_one", "held"]
-
-# Inputs of all UAVs by the shared control law, without corrections, from tick and state; None without such a law.
-Law = Callable[[int, Array], Array | None]
-# Present estimate of the state at a past tick, (n,); None where it is not known.
-Past = Callable[[int], Array | None]
 
 # Plans kept per agent: enough for the past inputs over any usable delay.
 KEPT_PLANS = 256
+
+Columns = npt.NDArray[np.intp]
+
+
+def _none(*_: object) -> None:
+    """Return None: no law, no state."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SharedLaw:
+    """Control law that all agents share, as one agent evaluates it for the others."""
+
+    # Inputs of all UAVs without corrections, (m,), from tick and state, (n,); None without a law.
+    inputs: Callable[[int, Array], Array | None] = _none
+    # Estimate at the tick at which a plan starts, (n,): the difference of the plan's first step
+    # from the law holds for later ones. None where the state is not known, or where that difference
+    # is mostly the error of the sender's estimate, which changes from tick to tick.
+    start_state: Callable[[int], Array | None] = _none
+    # Rule by which the others act alone as their news are overdue, and the inputs of a UAV alone,
+    # (4,), from UAV, tick and state; None: they never do.
+    silence: Silence | None = None
+    alone: Callable[[int, int, Array], Array] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Silent:
+    """How much other agents are assumed to act alone, by input, (m,) each."""
+
+    alone: Array  # share of the law alone, 0 to 1
+    correlation: Array  # of the errors of their estimates with the own ones
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Untold:
+    """Inputs of a tick that no plan has told, as masks, (m,)."""
+
+    by_law: npt.NDArray[np.bool_]  # of agents that follow the shared control law
+    by_fail_safe: npt.NDArray[np.bool_]  # of UAVs on their fail-safe
+
+    def tell(self, uav: int) -> None:
+        """Declare the inputs of a UAV, 0-based, told."""
+        self.by_law[input_slice(uav)] = False
+        self.by_fail_safe[input_slice(uav)] = False
+
+    def any(self) -> bool:
+        """Return whether an input is untold."""
+        return bool(self.by_fail_safe.any() or self.by_law.any())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Assumed:
+    """Inputs assumed in place of the last plan of an agent that left."""
+
+    start_tick: int  # first tick that they are for
+    inputs: Array  # (N_p, 4 owned)
 
 
 class AnnouncedInputs:
     """Plans of all agents as one agent knows them.
 
-    Where a method takes a tick `before`, only plans made before it count, even if later ones have been received.
+    Where a method takes a tick `before`, only plans made before it count, even if later ones have
+    been received.
 
     Args:
         owned: 0-based UAVs of agent 1, agent 2, ...
         u_hover: Inputs assumed before an agent's first plan arrives, (4 N,).
         alignment: Alignment of the others' plans with the horizon.
         own: The agent itself, 1-based, whose plans are always aligned by age; 0 for none.
-        law: Shared control law, followed after the first step of a plan.
-        past: State estimates: the difference of the first step of a plan from that law holds for later ones. None where
-            the error of the sender's estimate, which differs from tick to tick, is most of it.
-        settings: Bounds of the actuators, applied to that law.
+        law: Shared control law, followed after the first step of a plan; without inputs for none.
+        settings: Bounds of the actuators, applied to inputs in force.
+
+    Attributes:
+        off_roster: Agents that make no more plans.
+        fail_safe: Control law after the last plan of one of them.
+        law_since: Tick from which on the shared control law is that of the present team.
+        failed_since: Tick of the newest failure of a UAV. From then on every agent follows the
+            control law of the UAVs that are left; earlier plans apply until then.
+        news: How old the newest plans of the others usually are.
+        began: Tick from which on the agent could have had plans of the others.
     """
 
     def __init__(
@@ -50,36 +109,40 @@ class AnnouncedInputs:
         u_hover: Array,
         alignment: Alignment = "by_age",
         own: int = 0,
-        law: Law = lambda _tick, _x: None,
-        past: Past | None = None,
+        law: SharedLaw | None = None,
         settings: ControllerSettings | None = None,
     ) -> None:
-        self.off_roster: set[int] = set()  # agents that make no more plans
-        self.fail_safe: FailSafe | None = None  # control law after the last plan of one of them
-        self.silence: Silence | None = None  # rule by which the others act alone; None: they never do
-        self.news = News(())  # usual ages of the others' plans
-        self.began = 0  # tick from which on the agent could have had plans of the others
-        self.alone_inputs: Callable[[int, int, Array], Array] | None = None  # of a UAV alone, by UAV, tick and state
-        self.law_since = 0  # tick from which on the shared control law is that of the present team
-        # Tick of the newest failure of a UAV: from then on every agent follows the control law of the UAVs that are
-        # left; earlier plans apply until then.
+        self.off_roster: set[int] = set()
+        self.fail_safe: FailSafe | None = None
+        self.law_since = 0
         self.failed_since = 0
-        self._owned, self._u_hover, self._alignment, self._own = owned, u_hover, alignment, own
-        self._law, self._past = law, past
+        self.began = 0
+        self._owned = owned
+        self._u_hover = u_hover
+        self._alignment = alignment
+        self._own = own
+        self._law = SharedLaw() if law is None else law
+        peers = [agent for agent in range(1, len(owned) + 1) if agent != own]
+        self.news = News(peers, self._law.silence)
+
         uavs = sum(map(len, owned))
-        self._bounds = None if settings is None else (settings.lower(uavs), settings.upper(uavs))
+        self._bounds: tuple[Array, Array] | None = None
+        if settings is not None:
+            self._bounds = settings.lower(uavs), settings.upper(uavs)
+
+        # By agent: its columns of u; its plans, ascending in the tick they were made at; and where
+        # the last plan of an agent that left has not been received, the inputs assumed for it.
         self._columns = {agent: input_indices(uavs) for agent, uavs in enumerate(owned, start=1)}
-        # By agent, ascending in the tick they were made at.
         self._plans: dict[int, list[Plan]] = {agent: [] for agent in self._columns}
-        # Start and inputs assumed for the last plan of agents that left, where that plan has not been received.
-        self._assumed: dict[int, tuple[int, Array]] = {}
+        self._assumed: dict[int, Assumed] = {}
 
     def add(self, plan: Plan) -> None:
         """Keep a plan, in any order of arrival; a second plan of the same tick is ignored."""
         plans = self._plans[plan.agent]
-        at = bisect_left(plans, plan.tick, key=attrgetter("tick"))
-        if at == len(plans) or plans[at].tick != plan.tick:
-            plans.insert(at, plan)
+        index = bisect_left(plans, plan.tick, key=attrgetter("tick"))
+        is_new = index == len(plans) or plans[index].tick != plan.tick
+        if is_new:
+            plans.insert(index, plan)
         if len(plans) > KEPT_PLANS:
             del plans[0]
 
@@ -89,174 +152,260 @@ class AnnouncedInputs:
         self._assumed.pop(agent, None)
 
     def assume(self, agent: int, start: int, inputs: Array) -> None:
-        """Assume inputs, (N_p, 4 N), from a tick on for an agent that left: docs/equations.md (32b)."""
-        self._assumed[agent] = start, inputs[:, self._columns[agent]]
+        """Assume inputs of all UAVs, (N_p, 4 N), from a tick on for an agent that left.
+
+        Source: docs/equations.md (32b).
+        """
+        columns = self._columns[agent]
+        self._assumed[agent] = Assumed(start_tick=start, inputs=inputs[:, columns])
 
     def newest(self, agent: int, before: int, started: int | None = None) -> Plan | None:
-        """Return the newest plan that an agent made before a tick, and that has started at another."""
+        """Return an agent's newest plan made before a tick, and started at another."""
         for plan in reversed(self._plans[agent]):
             if plan.tick < before and (started is None or plan.start_tick <= started):
                 return plan
         return None
 
+    def under_previous_law(self, before: int) -> list[int]:
+        """Return the agents whose newest plan was made under the previous control law."""
+        agents = []
+        for agent in self._columns:
+            plan = None if agent in self.off_roster else self.newest(agent, before)
+            if plan is not None and self.failed_since <= plan.tick < self.law_since:
+                agents.append(agent)
+        return agents
+
+    # As news of the others are overdue, (32c).
+
+    @property
+    def silence(self) -> Silence | None:
+        """Rule by which agents act alone; None: they never do."""
+        return self._law.silence
+
+    def observe_news(self, k: int) -> None:
+        """Take in how old the newest plans of the others are at a tick."""
+        for agent in self._columns:
+            plan = self.newest(agent, before=k)
+            if plan is not None and agent != self._own:
+                self.news.observe(agent, k - plan.tick)
+
+    def overdue(self, agent: int, tick: int, before: int) -> float:
+        """Return by how many ticks another agent's news are older than usual; 0 off the roster."""
+        if agent == self._own or agent in self.off_roster:
+            return 0.0
+        plan = self.newest(agent, before, started=tick)
+        newest = self.began - 1 if plan is None else plan.tick
+        return max(0.0, float(tick - newest - self.news.usual(agent)))
+
+    def alone(self, agent: int, tick: int, before: int) -> float:
+        """Return how much another agent is assumed to act alone: as its plan says, by the rule."""
+        if self.silence is None:
+            return 0.0
+        plan = self.newest(agent, before, started=tick)
+        said = 0.0 if plan is None else plan.alone
+        return max(said, self.silence.alone(self.overdue(agent, tick, before)))
+
+    def silent(self, tick: int, before: int) -> Silent | None:
+        """Return what is assumed of the others' inputs; None where all news are as usual."""
+        if self.silence is None:
+            return None
+        as_usual = self.silence.correlation(0.0)
+        share = np.zeros(len(self._u_hover))
+        correlation = np.full(len(self._u_hover), as_usual)
+        for agent, columns in self._columns.items():
+            if agent != self._own:
+                overdue = self.overdue(agent, tick, before)
+                share[columns] = self.alone(agent, tick, before)
+                correlation[columns] = self.silence.correlation(overdue)
+        if not share.any() and (correlation == as_usual).all():
+            return None
+        return Silent(alone=share, correlation=correlation)
+
+    def _without_plan(self, agent: int, tick: int, before: int, x: Array | None) -> Array:
+        """Return the inputs of an agent without any plan, (4 owned,).
+
+        Hover; once its first plan is overdue, by the shared law, and alone. Source: (32c).
+        """
+        columns = self._columns[agent]
+        hover = self._before_any_plan(columns)
+        if x is None or self.silence is None:
+            return hover
+        if self.overdue(agent, tick, before) <= self.silence.begins:
+            return hover
+        u = self._law.inputs(tick, x)
+        by_law = hover if u is None else u[columns]
+        return self._mixed(by_law, agent, tick, before, x)
+
+    def _mixed(self, by_law: Array, agent: int, tick: int, before: int, x: Array) -> Array:
+        """Return inputs between those by the law and those alone, as the agent is assumed to act."""
+        share = self.alone(agent, tick, before)
+        if share == 0.0 or self._law.alone is None:
+            return by_law
+        alone = [self._law.alone(uav, tick, x) for uav in self._owned[agent - 1]]
+        return (1.0 - share) * by_law + share * np.concatenate(alone)
+
+    # Over the horizon, (32).
+
     def sequence(self, start: int, steps: int, before: int) -> Array:
-        """Return the announced inputs of all UAVs over the horizon: the newest plans, held at their ends.
+        """Return the announced inputs over the horizon: the newest plans, held at their ends.
 
         Hover follows the last plan of an agent off the roster.
 
         Returns: Inputs over N_p steps from tick `start` on, (N_p, 4 N).
         Source: docs/equations.md (32); paper, section IV-A.
         """
-        U = np.repeat(self._u_hover[None], steps, axis=0)
+        U = np.empty((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
-            if agent in self._assumed:
-                begun, inputs = self._assumed[agent]
-                entries = inputs[max(start - begun, 0) :][:steps]
+            assumed = self._assumed.get(agent)
+
+            #   u_a(s + j) = U_a(min(s + j - s_a, N_p - 1))    (32)
+            end = self._before_any_plan(columns)
+            if assumed is not None:
+                entries = assumed.inputs[max(start - assumed.start_tick, 0) :][:steps]
             elif plan is not None:
-                entries = self._entries(plan.inputs, plan, start, steps)
+                entries = self._aligned(plan.inputs, plan, start, steps)
                 if agent not in self.off_roster:
-                    U[len(entries) :, columns] = plan.inputs[-1]
+                    end = plan.inputs[-1]
             else:
-                continue
+                entries = U[:0, columns]
             U[: len(entries), columns] = entries
+            U[len(entries) :, columns] = end
         return U
 
-    def under_previous_law(self, before: int) -> list[int]:
-        """Return the agents whose newest plan made before a tick was made under the previous control law."""
-        newest = {agent: self.newest(agent, before) for agent in self._columns if agent not in self.off_roster}
-        return [agent for agent, plan in newest.items() if plan and self.failed_since <= plan.tick < self.law_since]
-
     def corrections(self, start: int, steps: int, before: int) -> Array:
-        """Return the announced corrections, (N_p, 4 N), zero after their end. Source: docs/equations.md (32)."""
+        """Return the announced corrections to the shared law, (N_p, 4 N), zero after their end.
+
+        Source: docs/equations.md (32).
+        """
         c = np.zeros((steps, len(self._u_hover)))
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before)
-            if plan is not None and agent not in self.off_roster and plan.tick >= self.failed_since:
-                entries = self._entries(plan.corrections, plan, start, steps)
-                c[: len(entries), columns] = entries
+            if plan is None or agent in self.off_roster or plan.tick < self.failed_since:
+                continue
+            entries = self._aligned(plan.corrections, plan, start, steps)
+            c[: len(entries), columns] = entries
         return c
 
-    def unannounced(self, tick: int, before: int) -> npt.NDArray[np.bool_]:
-        """Return which of the inputs that `at` returns no plan says: by the law, and by the fail-safe, (2, 4 N)."""
-        found = np.zeros((2, len(self._u_hover)), dtype=bool)
-        by_law, by_fail_safe = found
-        for agent, columns in self._columns.items():
-            plan = self.newest(agent, before, tick)
-            if agent in self.off_roster:
-                by_fail_safe[columns] = plan is not None and tick - plan.start_tick >= len(plan.inputs)
-            elif agent != self._own:
-                by_law[columns] = plan is None or plan.start_tick < tick
-        return found
+    def _before_any_plan(self, columns: Columns) -> Array:
+        """Return the inputs of an agent's UAVs while no plan of it is known, (4 owned,): hover."""
+        hover: Array = self._u_hover[columns]
+        return hover
 
-    def overdue(self, agent: int, tick: int, before: int) -> float:
-        """Return by how many ticks another agent's news are older than usual at a tick; 0 off the roster."""
-        if agent == self._own or agent in self.off_roster:
-            return 0.0
-        plan = self.newest(agent, before, tick)
-        since = self.began - 1 if plan is None else plan.tick
-        return max(0.0, float(tick - since - self.news.usual(agent)))
-
-    def alone(self, agent: int, tick: int, before: int) -> float:
-        """Return how much another agent is assumed to act alone at a tick: as its plan says, and by the rule."""
-        if self.silence is None:
-            return 0.0
-        plan = self.newest(agent, before, tick)
-        said = 0.0 if plan is None else plan.alone
-        return max(said, self.silence.alone(self.overdue(agent, tick, before)))
-
-    def silent(self, tick: int, before: int) -> tuple[Array, Array] | None:
-        """Return share alone and correlation of errors by input, (4 N,) each; None where all news are as usual."""
-        if self.silence is None:
-            return None
-        share, shared = np.zeros(len(self._u_hover)), np.full(len(self._u_hover), self.silence.shared(0.0))
-        for agent, columns in self._columns.items():
-            share[columns] = self.alone(agent, tick, before) if agent != self._own else 0.0
-            shared[columns] = self.silence.shared(self.overdue(agent, tick, before))
-        is_usual = not share.any() and bool((shared == self.silence.shared(0.0)).all())
-        return None if is_usual else (share, shared)
-
-    def at(self, tick: int, before: int, x: Array | None = None) -> Array:
-        """Return the inputs assumed in force over [t_k, t_{k+1}): from each agent's newest plan that had started.
-
-        That plan's first input was applied as announced. Later ones have been replaced by plans that were not received.
-        With a shared control law they are the first one plus the change of that law since then, with the state and the
-        announced corrections; the sender's estimate of external forces cancels out of the difference.
-
-        The state x at t_k, (n,), serves to evaluate control law and fail-safe; None leaves both out.
-
-        Returns: (4 N,).
-        Source: docs/equations.md (32), (32a).
-        """
-        u = self._u_hover.copy()
-        for agent, columns in self._columns.items():
-            plan, is_off = self.newest(agent, before, tick), agent in self.off_roster
-            if plan is None:
-                if x is not None and self._is_silent(agent, tick, before):
-                    self._without_plan(u, agent, tick, before, x)
-                continue
-            begun, inputs = plan.start_tick, plan.inputs
-            if agent in self._assumed and tick >= self._assumed[agent][0]:
-                begun, inputs = self._assumed[agent]
-            step = tick - begun
-            if is_off and step >= len(inputs):
-                if x is not None and self.fail_safe is not None:
-                    owned = self._owned[agent - 1]
-                    u[columns] = np.concatenate([self.fail_safe.inputs(uav, x, tick) for uav in owned])
-                continue
-            u[columns] = inputs[min(step, len(inputs) - 1)]
-            failed = plan.tick < self.failed_since
-            is_replaced = tick >= self.failed_since if failed else plan.tick >= self.law_since
-            if is_replaced and x is not None and step > 0 and not is_off and agent != self._own:
-                by_law = self._by_law(plan, tick, x)
-                if by_law is not None:
-                    u[columns] = by_law[columns]
-                self._mix(u, agent, tick, before, x)
-        return u if self._bounds is None else np.minimum(np.maximum(u, self._bounds[0]), self._bounds[1])
-
-    def _is_silent(self, agent: int, tick: int, before: int) -> bool:
-        """Return whether an agent on the roster, not the own one, should have been heard long ago."""
-        return self.silence is not None and self.overdue(agent, tick, before) > self.silence.begins
-
-    def _without_plan(self, u: Array, agent: int, tick: int, before: int, x: Array) -> None:
-        """Set the inputs of an agent whose first plan is overdue: by the shared law, and alone. Source: (32c)."""
-        by_law, columns = self._law(tick, x), self._columns[agent]
-        if by_law is not None:
-            u[columns] = by_law[columns]
-        self._mix(u, agent, tick, before, x)
-
-    def _mix(self, u: Array, agent: int, tick: int, before: int, x: Array) -> None:
-        """Mix the inputs of an agent with those of its UAVs alone, as far as it is assumed to act so."""
-        share, columns = self.alone(agent, tick, before), self._columns[agent]
-        if share > 0.0 and self.alone_inputs is not None:
-            inputs = self.alone_inputs
-            alone = np.concatenate([inputs(uav, tick, x) for uav in self._owned[agent - 1]])
-            u[columns] = (1.0 - share) * u[columns] + share * alone
-
-    def _by_law(self, plan: Plan, tick: int, x: Array) -> Array | None:
-        """Return an agent's inputs by the shared control law after the first step of its plan, at the state x, (n,).
-
-        Returns: (4 N,), valid in the agent's columns only; None where there is no such law.
-        Source: docs/equations.md (32a).
-        """
-        u = self._law(tick, x)
-        if u is None or plan.tick < self.failed_since or not len(plan.corrections):
-            return u
-        u, columns, step = u.copy(), self._columns[plan.agent], tick - plan.start_tick
-        if step < len(plan.corrections):
-            u[columns] += plan.corrections[step]
-        began = None if self._past is None else self._past(plan.start_tick)
-        then = None if began is None else self._law(plan.start_tick, began)
-        if then is not None:
-            # Differences in the sender's knowledge, such as external forces, show at the first step.
-            u[columns] += plan.inputs[0] - then[columns] - plan.corrections[0]
-        return u
-
-    def _entries(self, sequence: Array, plan: Plan, start: int, steps: int) -> Array:
+    def _aligned(self, sequence: Array, plan: Plan, start: int, steps: int) -> Array:
         """Return a plan's inputs or corrections aligned with the horizon, as far as they reach."""
         skipped = max(start - plan.start_tick, 0)
-        if self._alignment == "by_age" or plan.agent == self._own or plan.agent in self.off_roster:
+        is_by_age = self._alignment == "by_age" or plan.agent == self._own
+        if is_by_age or plan.agent in self.off_roster:
             return sequence[skipped:][:steps]
         if self._alignment == "held":
             return np.repeat(sequence[skipped:][:1], steps, axis=0)
         return sequence[min(skipped, 1) :][:steps]
+
+    # Over a past or present period, (32a).
+
+    def in_force(self, tick: int, before: int, x: Array | None = None) -> Array:
+        """Return the inputs assumed over [t_k, t_{k+1}), from each agent's newest started plan.
+
+        That plan's first input was applied as announced. Later ones have been replaced by plans
+        that were not received: with a shared control law the agent followed that.
+
+        The state x at t_k, (n,), serves to evaluate control law and fail-safe; None leaves both
+        out.
+
+        Returns: (4 N,).
+        Source: docs/equations.md (32), (32a).
+        """
+        u = np.empty_like(self._u_hover)
+        for agent, columns in self._columns.items():
+            plan = self.newest(agent, before, started=tick)
+            if plan is None:
+                u[columns] = self._without_plan(agent, tick, before, x)
+            else:
+                u[columns] = self._applied(plan, tick, before, x)
+
+        if self._bounds is None:
+            return u
+        lower, upper = self._bounds
+        return np.minimum(np.maximum(u, lower), upper)
+
+    def untold(self, tick: int, before: int) -> Untold:
+        """Return which of the inputs of `in_force` no plan has told."""
+        m = len(self._u_hover)
+        untold = Untold(by_law=np.zeros(m, dtype=bool), by_fail_safe=np.zeros(m, dtype=bool))
+        for agent, columns in self._columns.items():
+            plan = self.newest(agent, before, started=tick)
+            if agent in self.off_roster:
+                is_over = plan is not None and tick - plan.start_tick >= len(plan.inputs)
+                untold.by_fail_safe[columns] = is_over
+            elif agent != self._own:
+                untold.by_law[columns] = plan is None or plan.start_tick < tick
+        return untold
+
+    def _applied(self, plan: Plan, tick: int, before: int, x: Array | None) -> Array:
+        """Return the inputs that an agent applied after its newest started plan, (4 owned,)."""
+        played = self._played(plan, tick)
+        step = tick - played.start_tick
+        is_off = plan.agent in self.off_roster
+        if is_off and step >= len(played.inputs):
+            return self._by_fail_safe(plan.agent, tick, x)
+
+        #   u_a(k) = U_a(min(k - s_a, N_p - 1))    (32)
+        announced: Array = played.inputs[min(step, len(played.inputs) - 1)]
+
+        is_first = step <= 0 or plan.agent == self._own
+        if x is None or is_first or is_off or not self._is_under_law(plan, tick):
+            return announced
+        by_law = self._by_law(plan, tick, x)
+        if by_law is None:
+            return announced
+        return self._mixed(by_law, plan.agent, tick, before, x)
+
+    def _played(self, plan: Plan, tick: int) -> Plan | Assumed:
+        """Return the plan that the actuators play, or the inputs assumed in its place, (32b)."""
+        assumed = self._assumed.get(plan.agent)
+        if assumed is not None and tick >= assumed.start_tick:
+            return assumed
+        return plan
+
+    def _is_under_law(self, plan: Plan, tick: int) -> bool:
+        """Return whether the agent followed the present control law at a tick after a plan."""
+        if plan.tick < self.failed_since:
+            return tick >= self.failed_since
+        return plan.tick >= self.law_since
+
+    def _by_law(self, plan: Plan, tick: int, x: Array) -> Array | None:
+        """Return an agent's inputs by the shared law after its plan's first step, (4 owned,).
+
+        None where there is no such law. Source: docs/equations.md (32a).
+        """
+        columns = self._columns[plan.agent]
+        u = self._law.inputs(tick, x)
+        if u is None:
+            return None
+        if plan.tick < self.failed_since or not len(plan.corrections):
+            return np.asarray(u[columns])
+
+        #   lambda_a(k) = K_a (x(k) - x_ref(k)) + c_ff(k) + C_a(k - s_a),    C_a zero after its end
+        step = tick - plan.start_tick
+        by_law: Array = u[columns]
+        if step < len(plan.corrections):
+            by_law = by_law + plan.corrections[step]
+
+        # Differences in the sender's knowledge, such as external forces, show at the first step.
+        #   u_a(k) = U_a(0) + lambda_a(k) - lambda_a(s_a)
+        start_state = self._law.start_state(plan.start_tick)
+        if start_state is None:
+            return by_law
+        u_start = self._law.inputs(plan.start_tick, start_state)
+        if u_start is None:
+            return by_law
+        first_step = plan.inputs[0] - u_start[columns] - plan.corrections[0]
+        return np.asarray(by_law + first_step)
+
+    def _by_fail_safe(self, agent: int, tick: int, x: Array | None) -> Array:
+        """Return an agent's inputs by the fail-safe, (4 owned,); hover without a state."""
+        if x is None or self.fail_safe is None:
+            return self._before_any_plan(self._columns[agent])
+        inputs = [self.fail_safe.inputs(uav, x, tick) for uav in self._owned[agent - 1]]
+        return np.concatenate(inputs)

@@ -5,12 +5,13 @@ another. Its plan says how much, so that those who hear it predict it. Source: d
 """
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from model.arrays import Array
+from transport.agent.estimation.noise import OthersErrors
+from transport.model.arrays import Array
 
 # Age of news beyond the usual one at which an agent begins to act alone, and at which it does so wholly, s. A filter
 # without news errs by centimetres within a second; a measured payload leaves only the others' UAVs to be predicted.
@@ -19,8 +20,8 @@ FILTERED_S, MEASURED_S = (0.5, 1.0), (1.0, 2.0)
 _WINDOW = 3.0
 # Time from the team's law to the law alone, and back, s: the return waits for the estimate to take in the news.
 _TO_ALONE_S, _TO_TEAM_S = 0.5, 2.0
-# Correlation of the errors of two agents: they share all measurements but the newest, until news are older than usual.
-SHARED = 0.6
+# Correlation of the errors of two agents, until news are older than usual.
+SHARED = OthersErrors().correlation
 _FORGETS_S = 0.3  # time constant in which own measurements replace what both know
 
 
@@ -46,7 +47,7 @@ class Silence:
         """Return the share of the law alone, 0 to 1, where news are overdue by so many ticks. Source: (32c)."""
         return min(max((overdue - self.begins) / (self.complete - self.begins), 0.0), 1.0)
 
-    def shared(self, overdue: float) -> float:
+    def correlation(self, overdue: float) -> float:
         """Return the correlation of two agents' errors where news are overdue by so many ticks. Source: (63c)."""
         if overdue <= self.begins:
             return SHARED
@@ -60,10 +61,9 @@ class News:
         ticks = 1 if silence is None else round(_WINDOW * silence.complete)
         self._ages: dict[int, deque[int]] = {agent: deque(maxlen=ticks) for agent in peers}
 
-    def observe(self, ages: Mapping[int, int]) -> None:
-        """Take in the ages of the newest plans at the next tick, by agent; of those without any plan none."""
-        for agent, age in ages.items():
-            self._ages[agent].append(age)
+    def observe(self, agent: int, age: int) -> None:
+        """Take in the age of the newest plan of an agent at the next tick, ticks."""
+        self._ages[agent].append(age)
 
     def usual(self, agent: int) -> int:
         """Return the smallest recent age of an agent's news, ticks; 1 where there have been none."""

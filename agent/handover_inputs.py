@@ -4,14 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.handover import Mixture, mixed
-from agent.team_estimate import TeamEstimate
-from model import state
-from model.arrays import Array
-from model.rotations import rotation
-from mpc.alone import Course, Motion, OwnSensors, motion_of
-from mpc.prediction import Linear
-from protocol.scenario.setup import Setup
+from transport.agent.estimation.vehicle_sensors import SensorEstimator
+from transport.agent.handover import Mixture, mixed
+from transport.agent.team_estimate import TeamEstimate
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.rotations import rotation
+from transport.mpc.alone import Course, Motion, OwnSensors, motion_of
+from transport.mpc.prediction import Linear
+from transport.protocol.scenario.setup import Setup
 
 # Time over which the thrust of the team, that the integral begins with, is averaged, s.
 _PRELOAD_S = 1.0
@@ -26,7 +27,6 @@ class HandOver:
         self._setup, self._team, self._owned = setup, team, owned
         self._period_s = setup.settings.sampling_period_s
         self._mixture = Mixture(self._period_s)
-        self._is_sensed = setup.sensors.vehicle
         # While UAVs act alone: force of the integral of each, N, and its sensors.
         self._held_I: dict[int, Array] = {}
         self._sensors: dict[int, OwnSensors] = {}
@@ -64,17 +64,22 @@ class HandOver:
         self._held_I[uav] = law.held(held_I, motion, course, self._period_s)
 
         fading = np.exp(-self._period_s / _FADES_S * np.arange(steps))
-        ahead = np.array([_own_inputs(self._team.alone(uav, start + step)[1]) for step in range(steps)])
+        ahead = np.array(
+            [_own_inputs(self._team.alone(uav, start + step)[1]) for step in range(steps)]
+        )
         return np.asarray(ahead + fading[:, None] * deviation)
 
     def _motion(self, uav: int, k: int, start: int, x: Array) -> Motion:
-        """Return the motion of a UAV at tick `start` by its own sensors; by the estimate, (n,), where they are silent."""
+        """Return the motion of a UAV at tick `start` by its own sensors.
+
+        Where they are silent: by the estimate, (n,).
+        """
         system, estimator = self._setup.system, self._team.estimator
 
         def course(tick: int) -> Motion:
             return self._team.alone(uav, tick)[1].motion
 
-        if not self._is_sensed:
+        if not isinstance(estimator, SensorEstimator):
             return motion_of(system, uav, x)
         since = k
         if uav not in self._sensors:
@@ -83,21 +88,23 @@ class HandOver:
         motion = motion_of(system, uav, x)
         for tick in range(since, k + 1):
             told = estimator.told(tick, uav)
-            if told is not None:
-                thrust_N = float(told[state.SENSED])
-                motion = self._sensors[uav].motion(told[: state.SENSED], thrust_N, tick, start - k + tick, course)
+            if told is not None and told.inputs is not None:
+                thrust_N = float(told.inputs[0])
+                motion = self._sensors[uav].motion(
+                    told.values, thrust_N, tick, start - k + tick, course
+                )
         return motion
 
     def _preload(self, uav: int, k: int) -> Array:
         """Return the force with which the integral begins: the mean by which the team's thrust differs from the law."""
         differences = []
         for tick in range(max(0, k - round(_PRELOAD_S / self._period_s)), k):
-            x = self._team.estimator.known(tick)
+            x = self._team.estimator.past(tick)
             if x is None:
                 continue
             law, course = self._team.alone(uav, tick)
             motion = motion_of(self._setup.system, uav, x)
-            thrust_N = self._team.announced.at(tick, before=k)[state.input_slice(uav)][0]
+            thrust_N = self._team.announced.in_force(tick, before=k)[state.input_slice(uav)][0]
             applied_I = -thrust_N * rotation(motion.Theta)[:, 2]
             differences.append(applied_I - law.force(motion, course))
         law, _ = self._team.alone(uav, k)

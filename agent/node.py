@@ -1,64 +1,99 @@
 """An agent as a state machine: one measurement in, one plan out.
 
-A measurement opens its tick. In lockstep the agent then waits for the plans of the tick before that the clock waited
-for (they may still be on their way), plans, and answers; with several iterations of negotiation it exchanges plans with
-the others within the tick before that. In real time it does not wait: it uses the messages received by the time it is
-free, and of several measurements the newest.
+A measurement opens its tick. In lockstep the agent then waits for the plans of the tick before that
+the clock waited for (they may still be on their way), plans, and answers; with several iterations
+of negotiation it exchanges plans with the others within the tick before that. In real time it does
+not wait: it uses the messages received by the time it is free, and of several measurements the
+newest.
 """
 
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from agent.alone import ALONE, AlonePlanner, AloneStep
-from agent.kalman import Belief
-from agent.own import PROJECT, OwnPlanner, OwnStep
-from agent.step import Planner, Step
-from agent.team_estimate import Known
-from protocol.admission.arrivals import Arrivals
-from protocol.admission.participant import Participant
-from protocol.scenario.setup import Setup
-from protocol.wire.errors import MessageError
-from protocol.wire.messages import Measurement, Message, Plan, Roster, Target
-from protocol.wire.names import agent_name
+from transport.agent.alone import ALONE, AlonePlanner
+from transport.agent.estimation.belief import Belief
+from transport.agent.own import PROJECT, OwnPlanner
+from transport.agent.planner import AgentPlanner, OpenStep
+from transport.agent.received import Received
+from transport.agent.step import Planner
+from transport.protocol.admission.arrivals import Arrivals
+from transport.protocol.admission.participant import Participant
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import Measurement, Message, Plan, Roster, Target
+from transport.protocol.wire.names import agent_name
+
+
+def planner_of(setup: Setup, agent: int, stopwatch: Callable[[], int]) -> AgentPlanner[Any]:
+    """Return the planner of an agent, 1-based, by `agents.controller`."""
+    if setup.scenario.agents.controller == PROJECT:
+        return Planner(setup, agent, stopwatch)
+    if setup.scenario.agents.controller == ALONE:
+        return AlonePlanner(setup, agent, stopwatch)
+    return OwnPlanner(setup, agent, stopwatch)
 
 
 class AgentNode(Participant):
-    """One agent, 1-based, of a run; the stopwatch counts ns of a steady clock, for the step report only."""
+    """One agent, 1-based, of a run.
+
+    The stopwatch counts ns of a steady clock, for the step report only.
+    """
 
     def __init__(
-        self, setup: Setup, agent: int, incarnation: int = 0, stopwatch: Callable[[], int] = lambda: 0
+        self,
+        setup: Setup,
+        agent: int,
+        incarnation: int = 0,
+        stopwatch: Callable[[], int] = lambda: 0,
     ) -> None:
-        self._agent, self._stopwatch = agent, stopwatch
-        planners: dict[str, Any] = {PROJECT: Planner, ALONE: AlonePlanner}
-        self._planner: Any = planners.get(setup.scenario.agents.controller, OwnPlanner)(setup, agent, stopwatch)
-        self._targets: deque[tuple[int, Setup]] = deque()  # those still to come: the tick, the run with it
+        self._agent = agent
+        self._stopwatch = stopwatch
+        self._planner = planner_of(setup, agent, stopwatch)
+        # Targets still to come: the tick, and the run with the target.
+        self._targets: deque[tuple[int, Setup]] = deque()
         super().__init__(setup, agent_name(agent), incarnation, after=1, own=agent)
 
     def _begin(self, incarnation: int) -> None:
         super()._begin(incarnation)
-        self._measurements: Arrivals[Measurement] = Arrivals(self._links, after=0, speed=self._speed)
+        self._measurements: Arrivals[Measurement] = Arrivals(
+            self._links, after=0, speed=self._speed
+        )
         self._measurement: Measurement | None = None  # of the open tick, until its step begins
-        self._step: Step | OwnStep | AloneStep | None = None  # being negotiated
-        self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}  # by tick and exchanges to come, and agent
+        self._step: OpenStep | None = None  # being negotiated
+        # Others' proposals by tick and exchanges to come, and agent.
+        self._proposals: dict[tuple[int, int], dict[int, Plan]] = {}
 
     @property
     def wake_ns(self) -> int | None:
         """Time of the next poll: in real time at once when a measurement is here, else none."""
-        return 0 if self._measurement is not None and not self._waits else None
-
-    def poll(self, now_ns: int) -> Sequence[Message]:
-        """In real time, plan from the newest measurement once all received messages are taken in."""
-        return self._work(now_ns, polled=True)
+        is_due = self._measurement is not None and not self._waits
+        return 0 if is_due else None
 
     @property
     def belief(self) -> Belief | None:
-        """Newest belief of the Kalman filter; None without one."""
-        return self._planner.belief if isinstance(self._planner, Planner) else None
+        """Newest estimate with its covariance; None without one."""
+        return self._planner.belief
 
     def warm_up(self) -> None:
-        """Compute a step and discard it, so that the first step of the run is not slower than the others."""
+        """Prepare, so that the first step of the run is not slower than the others."""
         self._planner.warm_up()
+
+    def poll(self, now_ns: int) -> Sequence[Message]:
+        """In real time, plan from the newest measurement, after all received messages."""
+        return self._work(now_ns, polled=True)
+
+    def check_moment(self, message: Message) -> None:
+        """Refuse also measurements of earlier starts. Raises: MessageError: with the reason."""
+        super().check_moment(message)
+        is_off_roster = self._agent not in self._membership.since
+        if not isinstance(message, Measurement) or not is_off_roster:
+            return
+        if message.roster <= self._membership.version:
+            reason = f"measurement of tick {message.tick}, without this start on the roster"
+            raise MessageError("past", reason)
+
+    # Messages that arrive.
 
     def _head(self, target: Target) -> None:
         self._targets.append((target.tick, self._setup))
@@ -73,69 +108,76 @@ class AgentNode(Participant):
             return
         super()._take_plan(plan, now_ns)
         if plan.negotiation > 0:
-            self._proposals.setdefault((plan.tick, plan.negotiation), {})[plan.agent] = plan
-
-    def _end(self) -> Sequence[Message]:
-        last: Sequence[Message] = self._planner.end(max(self._tick, 0), self._out)
-        return last
-
-    def check_moment(self, message: Message) -> None:
-        """Refuse also measurements of earlier starts. Raises: MessageError: with the reason."""
-        super().check_moment(message)
-        membership = self._membership
-        is_off = self._agent not in membership.since
-        if isinstance(message, Measurement) and is_off and message.roster <= membership.version:
-            raise MessageError("past", f"measurement of tick {message.tick}, without this start on the roster")
+            iteration = (plan.tick, plan.negotiation)
+            self._proposals.setdefault(iteration, {})[plan.agent] = plan
 
     def _enlist(self, roster: Roster) -> list[Plan]:
         """Take in a roster and return the plans that were ahead of it."""
-        was_on_it = self._membership.incarnations.get(self._agent) == self.incarnation
-        waiting = self._membership.update(roster)
-        if was_on_it and self._membership.incarnations.get(self._agent) != self.incarnation:
-            # Taken off the roster: its information may be outdated, so it comes back as a new process.
+        membership = self._membership
+        was_on_it = membership.incarnations.get(self._agent) == self.incarnation
+        waiting = membership.update(roster)
+        is_on_it = membership.incarnations.get(self._agent) == self.incarnation
+        if was_on_it and not is_on_it:
+            # Its information may be outdated, so it comes back as a new process.
             self._planner.restart()
             self._begin(self.incarnation + 1)
         return waiting
 
+    def _end(self) -> Sequence[Message]:
+        return self._planner.end(max(self._tick, 0), self._out)
+
+    # Work on the open tick.
+
     def _work(self, now_ns: int, *, polled: bool = False) -> list[Message]:
-        """Begin the open tick and continue its negotiation as far as the messages received allow."""
+        """Begin the open tick and negotiate as far as the messages received allow."""
         out: list[Message] = []
         if not self._waits and not polled:
             return out
-        if self._measurement is not None and self._step is None and self._has_plans_for(self._measurement):
-            measurement, self._measurement = self._measurement, None
-            self._tick = measurement.tick
-            followed = None
-            while self._targets and self._targets[0][0] <= self._tick:
-                followed = self._targets.popleft()[1]
-            if followed is not None:
-                self._planner.head(followed)
-            self._step = self._planner.begin(self._known(measurement, now_ns))
-            out += self._plan(self._step)
+
+        measurement = self._measurement
+        if measurement is not None and self._step is None and self._has_plans_for(measurement):
+            self._measurement = None
+            self._open(measurement, now_ns)
+            out += self._plan()
         while self._step is not None and self._has_proposals_for(self._step):
             self._planner.adopt(self._step, self._take_proposals(self._step))
-            out += self._plan(self._step)
+            out += self._plan()
         return out
 
-    def _plan(self, step: Step | OwnStep | AloneStep) -> list[Message]:
-        """Return the next proposal of a step, or its plan and report, which conclude it."""
-        messages: list[Message] = self._planner.plan(step, self._out, self.publish_ns)
-        if step.negotiation == 0:
+    def _open(self, measurement: Measurement, now_ns: int) -> None:
+        """Begin the step of a measurement's tick, towards the newest target that has begun."""
+        self._tick = measurement.tick
+        newest: Setup | None = None
+        while self._targets and self._targets[0][0] <= self._tick:
+            _, newest = self._targets.popleft()
+        if newest is not None:
+            self._planner.follow(newest)
+        self._step = self._planner.begin(self._received(measurement, now_ns))
+
+    def _plan(self) -> list[Message]:
+        """Return the next proposal of the open step, or its plan and report, which conclude it."""
+        step = self._step
+        messages = self._planner.plan(step, self._out, self.publish_ns)
+        if step is not None and step.negotiation == 0:
             self._step = None
         return messages
 
-    def _known(self, measurement: Measurement, now_ns: int) -> Known:
-        """Return the information for a measurement's tick, and forget the messages of earlier ticks."""
+    def _received(self, measurement: Measurement, now_ns: int) -> Received:
+        """Return the information for a measurement's tick; forget earlier messages."""
         started_ns = self._stopwatch()
-        k, membership = measurement.tick, self._membership
-        # A message is usable when its link says so, even if it is here earlier, and in an order of its own.
+        k = measurement.tick
+        membership = self._membership
+
+        # A message is usable when its link says so, even if it is here earlier, and in an order of
+        # its own.
         plans, lost_plans = self._plans.take(k, now_ns)
-        self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick >= k}
-        self._proposals = {at: proposals for at, proposals in self._proposals.items() if at[0] >= k}
+        measurements, _ = self._measurements.take(k, now_ns)
+        self._forget_before(k)
+
         roster = membership.at(measurement.roster)
-        return Known(
+        return Received(
             measurement=measurement,
-            measurements=self._measurements.take(k, now_ns)[0],
+            measurements=measurements,
             plans=plans,
             lost=lost_plans,
             agents=frozenset(roster.agents),
@@ -146,25 +188,41 @@ class AgentNode(Participant):
             started_ns=started_ns,
         )
 
-    def _take_proposals(self, step: Step | OwnStep | AloneStep) -> list[Plan]:
-        """Return the others' proposals of the present iteration that their links pass without delay, by agent."""
-        k = step.known.measurement.tick
-        proposals = sorted(self._proposals.pop((k, step.negotiation), {}).items())
-        links = self._plans.links
-        return [plan for _, plan in proposals if 0.0 in links[plan.sender].delays(k, step.negotiation)]
+    def _forget_before(self, tick: int) -> None:
+        """Forget arrivals and proposals of earlier ticks."""
+        self._arrived = {k: agents for k, agents in self._arrived.items() if k >= tick}
+        self._proposals = {
+            iteration: proposals
+            for iteration, proposals in self._proposals.items()
+            if iteration[0] >= tick
+        }
 
     def _has_plans_for(self, measurement: Measurement) -> bool:
-        """Return whether the roster is here, and the plans of the tick before from those on it that shared one."""
+        """Return whether the roster is here, and the shared plans of the tick before."""
+        membership = self._membership
+        before = measurement.tick - 1
         if not self._waits:
             return True
-        if measurement.roster > self._membership.version:
+        if measurement.roster > membership.version:
             return False
-        if measurement.tick - 1 < self._membership.since.get(self._agent, 0):
+        if before < membership.since.get(self._agent, 0):
             return True  # plans of ticks before this process took part are not for it
-        senders = set(measurement.shared) & self._membership.took_part(measurement.tick - 1) - {self._agent}
-        return senders <= self._arrived.get(measurement.tick - 1, set())
+        senders = set(measurement.shared) & membership.took_part(before)
+        return senders - {self._agent} <= self._arrived.get(before, set())
 
-    def _has_proposals_for(self, step: Step | OwnStep | AloneStep) -> bool:
+    def _has_proposals_for(self, step: OpenStep) -> bool:
         """Return whether the proposals of the present iteration are here from all others."""
-        here = self._proposals.get((step.known.measurement.tick, step.negotiation), {})
-        return self._membership.incarnations.keys() - {self._agent} <= here.keys()
+        others = self._membership.incarnations.keys() - {self._agent}
+        iteration = (step.received.tick, step.negotiation)
+        return others <= self._proposals.get(iteration, {}).keys()
+
+    def _take_proposals(self, step: OpenStep) -> list[Plan]:
+        """Return the others' proposals of an iteration that pass without delay, by agent."""
+        k = step.received.tick
+        proposals = self._proposals.pop((k, step.negotiation), {})
+        plans = [proposals[agent] for agent in sorted(proposals)]
+        return [plan for plan in plans if self._is_immediate(plan, k, step.negotiation)]
+
+    def _is_immediate(self, plan: Plan, k: int, negotiation: int) -> bool:
+        """Return whether a proposal's link passes a copy of it without delay."""
+        return 0.0 in self._plans.links[plan.sender].delays(k, negotiation)

@@ -1,65 +1,44 @@
 """A controller of the user: a class named in the scenario plans the inputs of an agent's UAVs.
 
-The class takes the place of estimator, prediction and program; docs/bring-your-own.md has its methods. A step that
-raises, or that returns anything but inputs, is data: the shifted previous plan is applied, as after a solve without
-solution, and a `Note` says why.
+The class takes the place of estimator, prediction and program; docs/bring-your-own.md has its
+methods. A step that raises, or that returns anything but inputs, is data: the shifted previous plan
+is applied, as after a solve without solution, and a `Note` says why.
 """
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from agent.step import step_report
-from agent.team_estimate import Known
-from model.arrays import Array
-from model.linearisation import Model
-from model.parameters import System
-from model.state import StateView, input_indices
-from protocol.scenario.errors import ScenarioError
-from protocol.scenario.own_class import OwnClassError, made, own_class, real_array, told, version_of
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import MAX_NAME, MAX_NAMES, STAGES, Measurement, Message, Note, Plan, PlanStatus
-from protocol.wire.node import Outbox
+from transport.agent.own_returned import Returned, checked, converted
+from transport.agent.own_run import run_of
+from transport.agent.received import Received
+from transport.agent.step import numbers_note, step_report
+from transport.model.arrays import Array
+from transport.model.state import StateView, input_indices
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.own_class import (
+    OwnClassError,
+    made,
+    own_class,
+    told,
+    version_of,
+)
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan, PlanStatus
+from transport.protocol.wire.node import Outbox
 
 PROJECT = "mpc"  # the controller of the project
 OF_PROJECT = PROJECT, "alone"
-
-
-@dataclass(slots=True, kw_only=True)
-class Run:
-    """Team and run as a controller of the user knows them: the parameters that the scenario states, not the plant's.
-
-    UAVs are numbered from 0, as in arrays, agents from 1. `tick`, `agents` and `failed` are renewed before each step.
-    """
-
-    agent: int  # of this object
-    owned: tuple[int, ...]  # its UAVs
-    system: System  # masses, inertias, attachment points and rod lengths; N is `system.N`
-    model: Model  # equations of motion; `model.linearise(x, u)` has the derivatives
-    x_hover: Array  # state of the hover at the origin, (12 + 12 N,)
-    u_hover: Array  # inputs of the hover, (4 N,), N and N m
-    lower: Array  # smallest inputs of the owned UAVs, (4 owned,); inputs are clipped to them
-    upper: Array  # largest ones
-    period_s: float  # sampling period
-    ticks: int  # sampling instants of the run
-    horizon: int  # most rows of a plan
-    delay: int  # ticks from the present one to the first that a plan acts at: 0, or 1 with clock.actuation "next_tick"
-    seed: int  # of the run, for random numbers that are the same in every run of a scenario
-    tick: int = 0  # the present one; a measurement may be older (`links.measurement`)
-    agents: tuple[int, ...] = ()  # on the roster
-    failed: tuple[int, ...] = ()  # UAVs whose motors are off
-    _X_ref: Array
-
-    def reference(self, tick: int) -> Array:
-        """Return the reference state at a tick, (12 + 12 N,), held after the end of the maneuver."""
-        return np.array(self._X_ref[min(tick, len(self._X_ref) - 1)])
+METHODS = ("start", "step", "stop")  # of a class of the user
 
 
 def checked_controller(setup: Setup) -> str:
-    """Return name and version of the controller after starting it once. Raises: ScenarioError: it cannot be used."""
+    """Return name and version of the controller after starting it once.
+
+    Raises: ScenarioError: it cannot be used.
+    """
     name = setup.scenario.agents.controller
     if name in OF_PROJECT:
         return name
@@ -68,24 +47,59 @@ def checked_controller(setup: Setup) -> str:
 
 
 def controller_version(name: str) -> str:
-    """Return the version of a controller, empty for those of the project. Raises: OwnClassError: it is not found."""
+    """Return the version of a controller, empty for that of the project.
+
+    Raises: OwnClassError: it is not found.
+    """
     return "" if name in OF_PROJECT else version_of(own_class(name))
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class OwnStep:
-    """A tick of a controller of the user; it has no negotiation before its plan."""
+    """An open tick of a controller of the user; it has no negotiation before its plan."""
 
-    known: Known
-    negotiation: int = 1
+    received: Received
+    start: int  # first tick that the plan is for
+    negotiation: int = 1  # exchanges of plans still to come
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """Result of a tick: inputs of the class, or the shifted previous ones with the reason."""
+
+    inputs: Array  # (rows, 4 owned)
+    numbers: Mapping[str, float]  # for the log, by name
+    status: PlanStatus
+    problem: str = ""  # why the step failed; empty if it did not
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Previous:
+    """Inputs of the last plan."""
+
+    start: int  # their first tick
+    inputs: Array  # (rows, 4 owned)
+
+    def from_tick(self, tick: int) -> Array:
+        """Return the inputs from a tick on; the last row is held."""
+        skipped = min(tick - self.start, len(self.inputs) - 1)
+        return self.inputs[skipped:]
 
 
 class OwnPlanner:
-    """Planner of an agent, 1-based, whose controller is a class of the user; ScenarioError: it cannot be used."""
+    """Planner of an agent, 1-based, whose controller is a class of the user.
+
+    Raises: ScenarioError: the class cannot be used.
+    """
+
+    belief = None  # the class has its own estimator, if any
 
     def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
-        self._setup, self._agent, self._stopwatch = setup, agent, stopwatch
-        self._name, self._owned = setup.scenario.agents.controller, setup.owned[agent - 1]
+        self._setup = setup
+        self._agent = agent
+        self._stopwatch = stopwatch
+        self._name = setup.scenario.agents.controller
+        self._owned = setup.owned[agent - 1]
         self._peers = tuple(other for other in setup.agents if other != agent)
         self._controller: Any = None
         self.restart()
@@ -95,98 +109,138 @@ class OwnPlanner:
     def restart(self) -> None:
         """Start a new object of the class, without knowledge of the run so far."""
         self.stop()
-        setup, uavs = self._setup, len(self._owned)
-        self._run = Run(
-            agent=self._agent,
-            owned=self._owned,
-            system=setup.system,
-            model=setup.model,
-            x_hover=setup.hover.x.copy(),
-            u_hover=setup.hover.u.copy(),
-            lower=setup.settings.lower(uavs),
-            upper=setup.settings.upper(uavs),
-            period_s=setup.settings.sampling_period_s,
-            ticks=setup.ticks,
-            horizon=setup.settings.horizon,
-            delay=int(setup.scenario.clock.next_tick),
-            seed=setup.scenario.seed,
-            _X_ref=setup.X_ref,
-        )
+        self._run = run_of(self._setup, self._agent)
         self._measurement: Measurement | None = None  # the newest that is usable
         self._newest: dict[int, int] = {}  # tick of the newest plan used, by agent
-        self._previous = 0, setup.hover.u[input_indices(self._owned)][None]  # first tick and rows of the last plan
-        self._problem = ""  # why the class did not start
+        hover = self._setup.hover.u[input_indices(self._owned)]
+        self._previous = Previous(start=0, inputs=hover[None])
         self._idle_since_ns = self._stopwatch()
+        self._problem = self._start()  # why the class did not start
+
+    def _start(self) -> str:
+        """Start a new object of the class; return why that failed, empty if it did not."""
         try:
-            controller = made(own_class(self._name), ("start", "step", "stop"))
+            controller = made(own_class(self._name), METHODS)
             with told("start"):
                 controller.start(self._run)
-            self._controller = controller
         except OwnClassError as error:
-            self._problem = str(error)
-
-    def head(self, setup: Setup) -> None:
-        """Let the class have the reference with a further target, from that target's tick on."""
-        self._setup, self._run._X_ref = setup, setup.X_ref
+            return str(error)
+        self._controller = controller
+        return ""
 
     def stop(self) -> str:
         """End the run for the class, once; return why that failed, empty if it did not."""
-        controller, self._controller = self._controller, None
+        controller = self._controller
+        self._controller = None
+        if controller is None:
+            return ""
         try:
             with told("stop"):
-                if controller is not None:
-                    controller.stop()
+                controller.stop()
         except OwnClassError as error:
             return str(error)
         return ""
 
+    def follow(self, setup: Setup) -> None:
+        """Let the class have the reference with a further target, from that target's tick on."""
+        self._setup = setup
+        self._run.follow(setup)
+
     def warm_up(self) -> None:
         """Do nothing: the class prepares itself when it starts."""
 
-    def begin(self, known: Known) -> OwnStep:
+    def begin(self, received: Received) -> OwnStep:
         """Take in what has arrived at a tick."""
-        if known.measurements:
-            self._measurement = max(known.measurements, key=lambda measurement: measurement.tick)
-        for plan in known.plans:
+        if received.measurements:
+            newest = max(received.measurements, key=lambda measurement: measurement.tick)
+            self._measurement = newest
+        for plan in received.plans:
             self._newest[plan.agent] = max(plan.tick, self._newest.get(plan.agent, -1))
-        self._run.tick = known.measurement.tick
-        self._run.agents, self._run.failed = tuple(sorted(known.agents)), tuple(sorted(known.off))
-        return OwnStep(known)
+
+        self._run.tick = received.tick
+        self._run.agents = tuple(sorted(received.agents))
+        self._run.failed = tuple(sorted(received.off))
+        return OwnStep(received=received, start=received.tick + self._run.delay)
 
     def plan(self, step: OwnStep, out: Outbox, publish_ns: int) -> list[Message]:
-        """Return the tick's plan and report, and a note if the class has something to say or has failed."""
-        known, step.negotiation, begun_ns = step.known, 0, self._stopwatch()
-        k, start = known.measurement.tick, known.measurement.tick + self._run.delay
-        inputs = self._previous[1][min(start - self._previous[0], len(self._previous[1]) - 1) :]
-        status: PlanStatus = "solved"
-        data: Mapping[str, float] = {}
-        problem = ""
+        """Return the tick's plan and report, and a note with numbers or a failure, if any."""
+        step.negotiation = 0
+        begun_ns = self._stopwatch()
+        outcome = self._outcome(step)
+        self._previous = Previous(start=step.start, inputs=outcome.inputs)
+        plan = self._plan(step, outcome, out)
+
+        received = step.received
+        now_ns = self._stopwatch()
+        times_ns = {
+            **dict.fromkeys(STAGES, 0),
+            "wait": received.started_ns - self._idle_since_ns,
+            "publish": publish_ns,
+            "solve": now_ns - begun_ns,
+            "total": now_ns - received.started_ns,
+        }
+        report = self._report(received, outcome.status, times_ns, out)
+        notes = self._notes(received.tick, outcome.problem, outcome.numbers, out)
+        self._idle_since_ns = self._stopwatch()
+        return [*notes, plan, report]
+
+    def adopt(self, step: OwnStep, proposals: Sequence[Plan]) -> None:
+        """Do nothing: there is no negotiation."""
+
+    def end(self, tick: int, out: Outbox) -> list[Message]:
+        """End the run for the class; return a note if that failed."""
+        return self._notes(tick, self.stop(), {}, out)
+
+    def _outcome(self, step: OwnStep) -> Outcome:
+        """Return the inputs of the class; the shifted previous plan if it has none."""
+        shifted = self._previous.from_tick(step.start)
         try:
-            inputs, data = self._stepped(known, inputs)
+            if self._controller is None:
+                raise OwnClassError(self._problem)
+            if self._measurement is None:
+                return Outcome(inputs=shifted, numbers={}, status="solved")
+            returned = self._returned(self._measurement, step.received.plans)
         except OwnClassError as error:
-            status, problem = "numerical", str(error)
-        self._previous = start, inputs
+            return Outcome(inputs=shifted, numbers={}, status="numerical", problem=str(error))
+        return Outcome(inputs=returned.inputs, numbers=returned.numbers, status="solved")
+
+    def _returned(self, measurement: Measurement, plans: Sequence[Plan]) -> Returned:
+        """Return what a step of the class returns, checked. Raises: OwnClassError: it fails."""
+        with told("step"):
+            returned = converted(self._controller.step(measurement, plans))
+        return checked(returned, self._run)
+
+    def _plan(self, step: OwnStep, outcome: Outcome, out: Outbox) -> Plan:
+        """Return the plan of a tick."""
         measured = self._measurement
-        states = StateView(self._run.reference(k)).uavs[list(self._owned)] if measured is None else measured.uav_states
-        plan = out.stamp(
+        if measured is None:
+            x_ref = self._run.reference(step.received.tick)
+            states = StateView(x_ref).uavs[list(self._owned)]
+        else:
+            states = measured.uav_states
+        return out.stamp(
             Plan,
-            tick=k,
+            tick=step.received.tick,
             agent=self._agent,
-            start_tick=start,
+            start_tick=step.start,
             uavs=tuple(uav + 1 for uav in self._owned),
             uav_states=states,
-            inputs=inputs,
-            corrections=np.zeros((0, inputs.shape[1])),
-            status=status,
+            inputs=outcome.inputs,
+            corrections=np.zeros((0, outcome.inputs.shape[1])),
+            status=outcome.status,
             negotiation=0,
             shared=True,
         )
-        now_ns = self._stopwatch()
-        waited_ns = known.started_ns - self._idle_since_ns
-        spent_ns = {"wait": waited_ns, "publish": publish_ns, "solve": now_ns - begun_ns}
+
+    def _report(
+        self, received: Received, status: PlanStatus, times_ns: Mapping[str, int], out: Outbox
+    ) -> Message:
+        """Return the report of a tick."""
+        k = received.tick
+        measured = self._measurement
         ages = tuple(k - self._newest[peer] if peer in self._newest else -1 for peer in self._peers)
-        report = step_report(
-            known,
+        return step_report(
+            received,
             self._agent,
             out,
             status=status,
@@ -199,43 +253,14 @@ class OwnPlanner:
             plan_ages=ages,
             state_ages=ages,
             measurement_age=-1 if measured is None else k - measured.tick,
-            times_ns={**dict.fromkeys(STAGES, 0), **spent_ns, "total": now_ns - known.started_ns},
+            times_ns=times_ns,
         )
-        note = self._note(k, problem, data, out)
-        self._idle_since_ns = self._stopwatch()
-        return [*note, plan, report]
 
-    def end(self, tick: int, out: Outbox) -> list[Message]:
-        """End the run for the class; return a note if that failed."""
-        return self._note(tick, self.stop(), {}, out)
-
-    def _note(self, tick: int, problem: str, data: Mapping[str, float], out: Outbox) -> list[Message]:
-        if not problem and not data:
+    def _notes(
+        self, tick: int, problem: str, numbers: Mapping[str, float], out: Outbox
+    ) -> list[Message]:
+        """Return a note with numbers for the log or a problem; none without both."""
+        if not problem and not numbers:
             return []
-        said = f"controller {self._name}: {problem}" if problem else ""
-        names, values = tuple(data), list(data.values())
-        return [out.stamp(Note, tick=tick, agent=self._agent, problem=said, names=names, values=values)]
-
-    def _stepped(self, known: Known, previous: Array) -> tuple[Array, Mapping[str, float]]:
-        """Return inputs of a step, (rows, 4 owned), within the limits, and numbers. Raises: OwnClassError: it fails."""
-        if self._controller is None:
-            raise OwnClassError(self._problem)
-        if self._measurement is None:
-            return previous, {}
-        data: object = {}
-        with told("step"):
-            given = self._controller.step(self._measurement, known.plans)
-            if isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], Mapping):
-                given, data = given
-            inputs, columns, rows = np.atleast_2d(real_array(given)), len(self._run.lower), self._run.horizon
-            numbers = {str(name): float(value) for name, value in dict(data).items()}  # type: ignore[call-overload]
-        if inputs.ndim != 2 or inputs.shape[1] != columns or not 1 <= len(inputs) <= rows:
-            expected = f"expected shape ({columns},) or (1 to {rows}, {columns})"
-            raise OwnClassError(f"step: {expected}, got {np.shape(given)}")
-        given_numbers = {**{f"input {list(at)}": value for at, value in np.ndenumerate(inputs)}, **numbers}
-        if wrong := [f"{name} = {value}" for name, value in given_numbers.items() if not math.isfinite(value)]:
-            raise OwnClassError(f"step: expected finite inputs and numbers for the log, got {wrong[0]}")
-        if len(numbers) > MAX_NAMES or any(len(name) > MAX_NAME for name in numbers):
-            expected = f"expected at most {MAX_NAMES} numbers with names of at most {MAX_NAME} characters"
-            raise OwnClassError(f"step: {expected} for the log, got {len(numbers)}")
-        return np.clip(inputs, self._run.lower, self._run.upper), numbers
+        text = f"controller {self._name}: {problem}" if problem else ""
+        return [numbers_note(tick, self._agent, numbers, out, text)]

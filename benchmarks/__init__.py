@@ -1,1 +1,4 @@
-"""Benchmarks of computation, codec and whole runs: `make bench` writes the tables of docs/performance.md."""
+"""Benchmarks of computation, codec and whole runs.
+
+`make bench` writes the tables of docs/performance.md.
+"""

@@ -1,4 +1,7 @@
-"""The command: `make bench`, or `python -m benchmarks --help`; a function for each table of docs/performance.md."""
+"""The command: `make bench`, or `python -m benchmarks --help`.
+
+A function for each table of docs/performance.md.
+"""
 
 import argparse
 import json
@@ -17,13 +20,23 @@ import numpy as np
 import tomli_w
 
 from benchmarks import solvers
-from benchmarks.runs import CLIMB, BenchmarkError, digits, messages, origin, setup, spread, step_times, times_ms
+from benchmarks.runs import (
+    CLIMB,
+    BenchmarkError,
+    digits,
+    messages,
+    origin,
+    setup,
+    spread,
+    step_times,
+    times_ms,
+)
 from docs.tables import ROOT, place, put, table
-from model.arrays import Array
-from plant.node import PlantNode
-from protocol.scenario.setup import Setup
-from protocol.wire.codec import decode, encode
-from protocol.wire.messages import STAGES, Plan
+from transport.model.arrays import Array
+from transport.plant.node import PlantNode
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.codec import decode, encode
+from transport.protocol.wire.messages import STAGES, Plan
 
 DOCUMENT = ROOT / "docs" / "performance.md"
 
@@ -70,10 +83,15 @@ def step() -> str:
 
 def parts() -> str:
     """Return the table of plant and codec."""
-    rows = [[f"plant, one period, {uavs} UAVs", spread(integration("rods", uavs))] for uavs in (2, 4, 8, 16)]
+    rows = [
+        [f"plant, one period, {uavs} UAVs", spread(integration("rods", uavs))]
+        for uavs in (2, 4, 8, 16)
+    ]
     rows.append(["the same in MuJoCo, 4 UAVs", spread(integration("mujoco", 4))])
     run = setup("resilient", CLIMB)
-    plans = [message for message in messages(run) if isinstance(message, Plan) and message.agent == 1]
+    plans = [
+        message for message in messages(run) if isinstance(message, Plan) and message.agent == 1
+    ]
     data = [encode(plan) for plan in plans]
     rows.append(["plan to bytes", spread(times_ms([partial(encode, plan) for plan in plans]))])
     rows.append(["bytes to plan", spread(times_ms([partial(decode, part) for part in data]))])
@@ -85,7 +103,9 @@ def integration(engine_name: str, uavs: int) -> list[float]:
     """Return times of one sampling period of the plant in hover, ms."""
     run = setup("resilient", CLIMB, f"plant.engine={engine_name}", uavs=uavs)
     engine = PlantNode(run).engine
-    return times_ms([partial(engine.advance, run.hover.u, None, run.settings.sampling_period_s)], 400)
+    return times_ms(
+        [partial(engine.advance, run.hover.u, None, run.settings.sampling_period_s)], 400
+    )
 
 
 def loop() -> str:
@@ -100,7 +120,14 @@ def loop() -> str:
         spreads = [summary[name] for name in ("agent_step_ms", "rest_of_tick_ms")]
         cells = [f"{digits(values['p50'])} ({digits(values['p99'])})" for values in spreads]
         numbers = (summary["real_time_factor"], summary["startup_s"])
-        rows.append([str(uavs), digits(1e3 * summary["wall_time_s"] / run.ticks), *cells, *map(digits, numbers)])
+        rows.append(
+            [
+                str(uavs),
+                digits(1e3 * summary["wall_time_s"] / run.ticks),
+                *cells,
+                *map(digits, numbers),
+            ]
+        )
     columns = ("UAVs", "tick, ms", "an agent's step", "network", "real-time factor", "start-up, s")
     return f"{LOOP_TEXT}\n\n{table(columns, rows)}"
 
@@ -113,7 +140,16 @@ def recorded(run: Setup) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="benchmarks-") as parent:
         scenario, folder = Path(parent) / "run.toml", Path(parent) / "run"
         scenario.write_text(tomli_w.dumps(run.scenario.tree()), encoding="utf-8")
-        command = [sys.executable, "-m", "transport", "run", str(scenario), "--out", str(folder), "--no-figures"]
+        command = [
+            sys.executable,
+            "-m",
+            "transport",
+            "run",
+            str(scenario),
+            "--out",
+            str(folder),
+            "--no-figures",
+        ]
         code = subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode
         if code != 0:
             raise BenchmarkError(f"{' '.join(command)}: exit code {code}")
@@ -121,13 +157,22 @@ def recorded(run: Setup) -> dict[str, Any]:
         return summary
 
 
-SECTIONS: Mapping[str, Callable[[], str]] = {"step": step, "solvers": solvers.measure, "parts": parts, "loop": loop}
+SECTIONS: Mapping[str, Callable[[], str]] = {
+    "step": step,
+    "solvers": solvers.measure,
+    "parts": parts,
+    "loop": loop,
+}
 
 
 def main() -> int:
     """Measure the sections and write each; return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measure, and write docs/performance.md.")
-    parser.add_argument("--only", action="append", choices=list(SECTIONS), help="this section; may be repeated")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks", description="Measure, and write docs/performance.md."
+    )
+    parser.add_argument(
+        "--only", action="append", choices=list(SECTIONS), help="this section; may be repeated"
+    )
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends started processes
     for name in parser.parse_args().only or SECTIONS:
         place(DOCUMENT, f"bench: {name}")  # refused before minutes are spent

@@ -1,13 +1,15 @@
-"""Honest estimates: `python -m benchmarks.estimates` compares the agents' Kalman filters with the ground truth.
+"""Consistency of the estimates: the agents' Kalman filters against the ground truth.
 
-It renews the table of docs/vehicles.md in a quarter of an hour. The squared error of an estimate in units of its
-covariance (NEES) has as many degrees of freedom as the state if the covariance is right. Means are over agents and
-ticks, which are correlated: the band is that of a single instant.
+`python -m benchmarks.estimates` renews the table of docs/vehicles.md in a quarter of an hour. The
+squared error of an estimate in units of its covariance (NEES) has as many degrees of freedom as the
+state if the covariance is right. Means are over agents and ticks, which are correlated: the band is
+that of a single instant.
 """
 
 import math
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +17,17 @@ import numpy as np
 from scipy.stats import chi2
 
 import transport
-from agent.kalman import Belief
-from agent.node import AgentNode
 from benchmarks.runs import origin, quiet, step_times
 from docs.tables import ROOT, place, put, table
-from model import state
-from model.arrays import Array
-from model.compiled import compile_functions
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import STAGES, Message, Plan, PlantState
+from transport.agent.estimation.belief import Belief
+from transport.agent.estimation.manifold import PER_UAV
+from transport.agent.node import AgentNode
 from transport.flight.memory import InMemoryRun
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.compiled import compile_functions
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import STAGES, Message, Plan, PlantState
 
 # The sensors of a small autopilot with satellite navigation.
 SENSORS: Mapping[str, Any] = {
@@ -38,7 +41,11 @@ SENSORS: Mapping[str, Any] = {
 }
 LATE: Mapping[str, Any] = {"links.delay_s": 0.2, "links.loss": 0.3}
 FORCES: Mapping[str, Any] = {**LATE, "controller.disturbance.estimate": True}
-WIND: Mapping[str, Any] = {**FORCES, "plant.payload_mass_factor": 1.2, "plant.wind.gust_mps": [1.0, 1.0, 1.0]}
+WIND: Mapping[str, Any] = {
+    **FORCES,
+    "plant.payload_mass_factor": 1.2,
+    "plant.wind.gust_mps": [1.0, 1.0, 1.0],
+}
 LOST: Mapping[str, Any] = {**LATE, "clock.on_agent_loss": "continue"}
 DEATH: Mapping[str, Any] = {"at_s": 7.0, "do": "kill", "target": "agent3"}
 RETURN: Mapping[str, Any] = {"at_s": 9.0, "do": "restart", "target": "agent3"}
@@ -66,11 +73,33 @@ COLUMNS = (
 )
 
 
-def compared(setup: Setup) -> tuple[bool, tuple[float, float, float, float], bool]:
-    """Return whether a run completed, its four numbers in the order of the columns, whether NEES is in its band.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """Estimates of a run against the ground truth.
 
-    Errors are root mean squares over ticks, and over agents for the estimate; the attitude is the largest.
+    Errors are root mean squares over ticks, and over agents for the estimate.
     """
+
+    is_completed: bool
+    payload_error_cm: float  # of the flight, from its path
+    largest_attitude_deg: float
+    estimate_error_cm: float
+    nees: float
+    is_in_band: bool  # whether the NEES is in the band of a single instant
+
+    @property
+    def numbers(self) -> tuple[float, float, float, float]:
+        """The numbers in the order of the columns."""
+        return (
+            self.payload_error_cm,
+            self.largest_attitude_deg,
+            self.estimate_error_cm,
+            self.nees,
+        )
+
+
+def simulated(setup: Setup) -> tuple[bool, dict[int, Array], list[tuple[int, Belief]]]:
+    """Return whether a run completed, its plant states by tick, and beliefs with ticks."""
     truth: dict[int, Array] = {}
     beliefs: list[tuple[int, Belief]] = []
 
@@ -84,51 +113,86 @@ def compared(setup: Setup) -> tuple[bool, tuple[float, float, float, float], boo
 
     run = InMemoryRun(setup, record)
     with quiet():
-        completed = run.run().outcome == "completed"
+        is_completed = run.run().outcome == "completed"
+    return is_completed, truth, beliefs
+
+
+def compared(setup: Setup) -> Comparison:
+    """Return the estimates of a run against its ground truth."""
+    is_completed, truth, beliefs = simulated(setup)
     ticks = sorted(truth)
-    path, _ = setup.maneuver.path(setup.settings.sampling_period_s * np.array(ticks, dtype=np.float64))
     x = np.array([truth[tick] for tick in ticks])
+    times_s = setup.settings.sampling_period_s * np.array(ticks, dtype=np.float64)
+    path, _ = setup.maneuver.path(times_s)
+    from_path = np.sum((x[:, state.R0] - path) ** 2, axis=1)
+
     errors = [(_error(belief, truth[tick]), belief) for tick, belief in beliefs if tick in truth]
-    n = len(errors[0][0])
-    nees = float(np.mean([xi @ np.linalg.solve(belief.covariance.P[:n, :n], xi) for xi, belief in errors]))
-    low, high = chi2.ppf([0.025, 0.975], n)
-    numbers = (
-        100.0 * math.sqrt(np.mean(np.sum((x[:, state.R0] - path) ** 2, axis=1))),
-        float(np.degrees(np.abs(x[:, state.THETA0]).max())),
-        100.0 * math.sqrt(np.mean([np.sum(xi[state.R0] ** 2) for xi, _ in errors])),
-        nees,
+    of_position = [np.sum(xi[state.R0] ** 2) for xi, _ in errors]
+    nees = float(np.mean([_squared_error(xi, belief) for xi, belief in errors]))
+    low, high = chi2.ppf([0.025, 0.975], len(errors[0][0]))
+    return Comparison(
+        is_completed=is_completed,
+        payload_error_cm=100.0 * math.sqrt(np.mean(from_path)),
+        largest_attitude_deg=float(np.degrees(np.abs(x[:, state.THETA0]).max())),
+        estimate_error_cm=100.0 * math.sqrt(np.mean(of_position)),
+        nees=nees,
+        is_in_band=bool(low < nees < high),
     )
-    return completed, numbers, bool(low < nees < high)
 
 
 def _error(belief: Belief, x: Array) -> Array:
     """Return the error of an estimate in its coordinates, without actual inputs and forces."""
     n = len(x)
-    found: Array = belief.covariance.L[:n].T @ (x - belief.x[:n])
-    return found[: state.PAYLOAD + (n - state.PAYLOAD) // state.PER_UAV * 10]
+    N = (n - state.PAYLOAD) // state.PER_UAV
+    xi: Array = belief.covariance.basis.L[:n].T @ (x - belief.x[:n])
+    return xi[: state.PAYLOAD + PER_UAV * N]
+
+
+def _squared_error(xi: Array, belief: Belief) -> float:
+    """Return the squared error of an estimate in units of its covariance."""
+    P = belief.covariance.P[: len(xi), : len(xi)]
+    return float(xi @ np.linalg.solve(P, xi))
 
 
 def row(name: str, changes: Mapping[str, Any], seeds: int) -> list[str]:
     """Simulate a case with and without the filter and return its row."""
     base = transport.Scenario("precise")
-    runs = [compared(base.copy({**SENSORS, **changes, "seed": seed}).setup) for seed in range(seeds)]
-    ranges = [f"{min(of):.2f} - {max(of):.2f}" for of in zip(*(numbers for _, numbers, _ in runs), strict=True)]
-    counts = [f"{sum(of)} of {seeds}" for of in ([run[0] for run in runs], [run[2] for run in runs])]
-    beside = {key: value for key, value in changes.items() if not key.startswith("plant.noise")}
-    measured = transport.fly(base.copy(beside), progress=False).summary["payload_tracking"]["rms_m"]
-    return [name, counts[0], *ranges, counts[1], f"{100.0 * measured:.2f}"]
+    runs = [
+        compared(base.copy({**SENSORS, **changes, "seed": seed}).setup) for seed in range(seeds)
+    ]
+    columns = zip(*(run.numbers for run in runs), strict=True)
+    ranges = [f"{min(column):.2f} - {max(column):.2f}" for column in columns]
+    completed = f"{sum(run.is_completed for run in runs)} of {seeds}"
+    in_band = f"{sum(run.is_in_band for run in runs)} of {seeds}"
+
+    with_states = {k: value for k, value in changes.items() if not k.startswith("plant.noise")}
+    summary = transport.fly(base.copy(with_states), progress=False).summary
+    measured_cm = 100.0 * summary["payload_tracking"]["rms_m"]
+    return [name, completed, *ranges, in_band, f"{measured_cm:.2f}"]
 
 
 def step_ratio(uavs: int, turns: int = 3) -> float:
-    """Return the processor time of a step with the filter over one without it, with 200 ms of delay, in turns."""
-    climb = {"maneuver.phase": [{"name": "climb", "duration_s": 6.0, "displacement_m": [1.0, 2.0, -3.0]}]}
-    base = transport.Scenario("precise", {**climb, "links.delay_s": 0.2}).resized(uavs)
-    total, ratios = STAGES.index("total"), []
+    """Return the processor time of a step with the filter over one without, with 200 ms of delay.
+
+    Both are measured in turns.
+    """
+    phase = {"name": "climb", "duration_s": 6.0, "displacement_m": [1.0, 2.0, -3.0]}
+    changes = {"maneuver.phase": [phase], "links.delay_s": 0.2}
+    base = transport.Scenario("precise", changes).resized(uavs)
     compile_functions(uavs)
+
+    ratios = []
     for _ in range(turns):
-        without, beside = (np.median(step_times(base.copy(more).setup)[:, total]) for more in ({}, SENSORS))
-        ratios.append(beside / without)
+        without_ms = _step_ms(base.copy({}).setup)
+        with_ms = _step_ms(base.copy(SENSORS).setup)
+        ratios.append(with_ms / without_ms)
     return float(np.median(ratios))
+
+
+def _step_ms(setup: Setup) -> float:
+    """Return the median time of a step of a run."""
+    total = STAGES.index("total")
+    return float(np.median(step_times(setup)[:, total]))
 
 
 def main(document: Path = ROOT / "docs" / "vehicles.md") -> None:

@@ -13,16 +13,16 @@ from unittest.mock import patch
 import numpy as np
 import threadpoolctl
 
-from model.arrays import Array
-from model.compiled import compile_functions
-from mpc.controller import Controller
-from mpc.qp import QP
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
-from protocol.scenario.team import resized
-from protocol.wire.messages import Message, StepReport
 from transport.flight import memory
 from transport.flight.run_files import machine
+from transport.model.arrays import Array
+from transport.model.compiled import compile_functions
+from transport.mpc.controller import Controller
+from transport.mpc.qp import QP
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.team import resized
+from transport.protocol.wire.messages import Message, StepReport
 
 # Calls that are not counted, while caches fill and modules load.
 WARM_UP = 3
@@ -55,13 +55,17 @@ def messages(run: Setup) -> list[Message]:
     with quiet():
         control = memory.simulate(run, sent.append, time.thread_time_ns)
     if control.outcome != "completed":
-        raise BenchmarkError(f"run of {run.scenario.name}: expected to be completed, got {control.reason}")
+        raise BenchmarkError(
+            f"run of {run.scenario.name}: expected to be completed, got {control.reason}"
+        )
     return sent
 
 
 def step_times(run: Setup) -> Array:
     """Return the processor time of the stages of all steps of a run but the first few, ms, (steps, stages)."""
-    return np.array([m.times_ms for m in messages(run) if isinstance(m, StepReport) and m.tick >= WARM_UP])
+    return np.array(
+        [m.times_ms for m in messages(run) if isinstance(m, StepReport) and m.tick >= WARM_UP]
+    )
 
 
 def programs(run: Setup, most: int) -> list[QP]:
@@ -105,7 +109,9 @@ def times_ms(calls: Sequence[Callable[[], object]], repetitions: int = 5) -> lis
 
 def digits(value: float) -> str:
     """Return a number with three significant digits, more than a machine repeats."""
-    return np.format_float_positional(value, precision=3, fractional=False, unique=False, trim="k").rstrip(".")
+    return np.format_float_positional(
+        value, precision=3, fractional=False, unique=False, trim="k"
+    ).rstrip(".")
 
 
 def spread(ms: Sequence[float]) -> str:

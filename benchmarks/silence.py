@@ -1,8 +1,9 @@
 """Silent networks: `python -m benchmarks.silence` flies teams without messages for a while, or for good, or in part.
 
-Each case is flown with seeds; the instant at which the silence begins is drawn from the seed. The payload error during the
-silence is compared with that of the controller "alone" at the same time in the same weather, the error from 3 s after it
-on with that of the run without silence. One line for each case, `--runs` for each run; `--case TEXT` selects cases.
+Each case is flown with seeds; the instant at which the silence begins is drawn from the seed. The
+payload error during the silence is compared with that of the controller "alone" at the same time in
+the same weather, the error from 3 s after it on with that of the run without silence. One line for
+each case, `--runs` for each run; `--case TEXT` selects cases.
 """
 
 import argparse
@@ -15,12 +16,12 @@ from itertools import combinations
 
 import numpy as np
 
-from model.arrays import Array
-from model.state import R0, THETA0
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, Note, PlantState
 from transport.flight.memory import simulate
+from transport.model.arrays import Array
+from transport.model.state import R0, THETA0
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, Note, PlantState
 
 # The sensors of a small autopilot with satellite navigation, forces estimated, plans 100 ms late.
 VEHICLE = (
@@ -54,7 +55,9 @@ class Case:
     scenario: str
     settings: tuple[str, ...] = ()
     silent_s: float = 0.0  # duration; 0 for none
-    parts: tuple[tuple[str, ...], ...] | None = None  # groups that do not hear the others; None: each agent alone
+    parts: tuple[tuple[str, ...], ...] | None = (
+        None  # groups that do not hear the others; None: each agent alone
+    )
     links: tuple[str, ...] = ()  # further settings of the network
     from_start: bool = False  # no message from the first tick on
     compared: bool = True  # with the run without silence, and with "alone"
@@ -75,7 +78,9 @@ class Flown:
     def rms(self, begin_s: float, end_s: float) -> float:
         """Return the payload error over an interval, m rms; nan without data."""
         part = self.error_m[
-            round(begin_s / self.period_s) : min(len(self.error_m), round(min(end_s, 1e6) / self.period_s))
+            round(begin_s / self.period_s) : min(
+                len(self.error_m), round(min(end_s, 1e6) / self.period_s)
+            )
         ]
         return float(np.sqrt(np.mean(part**2))) if len(part) else math.nan
 
@@ -90,7 +95,9 @@ class Result:
     separation_m: float = math.inf
     during_m: list[float] = field(default_factory=list)  # payload error in the silence
     alone: list[float] = field(default_factory=list)  # over that of "alone"
-    after: list[float] = field(default_factory=list)  # payload error after it over that without silence
+    after: list[float] = field(
+        default_factory=list
+    )  # payload error after it over that without silence
     resets: int = 0
 
 
@@ -99,7 +106,9 @@ def cases() -> Iterator[Case]:
     for speed in (0.0, 1.0, 2.0):
         for silent_s in (1.0, 3.0, 10.0, 30.0, FOR_GOOD):
             name = f"precise, gusts {speed:g} m/s, {_words(silent_s)}"
-            yield Case(name=name, scenario="precise", settings=(*VEHICLE, *gusts(speed)), silent_s=silent_s)
+            yield Case(
+                name=name, scenario="precise", settings=(*VEHICLE, *gusts(speed)), silent_s=silent_s
+            )
     for silent_s in (10.0, FOR_GOOD):
         yield Case(name=f"windy, {_words(silent_s)}", scenario="windy", silent_s=silent_s)
     yield Case(
@@ -221,12 +230,12 @@ def run(case: Case, seeds: Sequence[int], *, each: bool) -> Result:
             late_s = end_s + _BACK_S
             result.after.append(flown.rms(late_s, FOR_GOOD) / undisturbed.rms(late_s, FOR_GOOD))
         if each:
-            numbers = (
-                f"{flown.attitude_deg.max():.1f} deg, {flown.separation_m.min():.3f} m, {result.during_m[-1]:.3f} m"
-            )
+            worst = f"{flown.attitude_deg.max():.1f} deg, {flown.separation_m.min():.3f} m"
+            numbers = f"{worst}, {result.during_m[-1]:.3f} m"
             ratios = f"alone x{(result.alone or [math.nan])[-1]:.2f}, after x{(result.after or [math.nan])[-1]:.2f}"
             said = f"  seed {seed}: from {begin_s:.2f} s, {flown.outcome}, {numbers}, {ratios}, {flown.resets} resets"
-            print(f"{said} {flown.reason}".rstrip(), flush=True)
+            sys.stdout.write(f"{said} {flown.reason}".rstrip() + "\n")
+            sys.stdout.flush()
     return result
 
 
@@ -254,7 +263,8 @@ def main(given: Sequence[str] | None = None) -> None:
     seeds = range(options.first, options.first + options.seeds)
     for case in cases():
         if options.case in case.name:
-            print(said(case, run(case, seeds, each=options.runs)), flush=True)
+            sys.stdout.write(said(case, run(case, seeds, each=options.runs)) + "\n")
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Solvers compared on the programs of simulated runs: time, and differences of the solutions.
 
-Each solver is given a dense program as the controller forms it and starts anew: between two steps all matrices change.
-The time includes the conversion to the solver's form.
+Each solver is given a dense program as the controller forms it and starts anew: between two steps
+all matrices change. The time includes the conversion to the solver's form.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,10 +13,11 @@ from scipy import sparse
 
 from benchmarks.runs import CLIMB, programs, setup, spread, times_ms
 from docs.tables import table
-from model.arrays import Array
-from mpc.qp import QP, solve, solve_clarabel
+from transport.model.arrays import Array
+from transport.mpc.qp import QP, solve, solve_clarabel
 
-# Limits that bind at every step of the same climb: thrust a tenth above that of hover, and a tenth of its rate.
+# Limits that bind at every step of the same climb: thrust a tenth above that of hover, and a tenth
+# of its rate.
 TIGHT = ("controller.limits.thrust_N=[0.0,25.0]", "controller.limits.thrust_rate_N_s=10.0")
 
 TEXT = (
@@ -50,7 +51,10 @@ def compare(qps: Sequence[QP], repetitions: int = 5) -> dict[str, tuple[list[flo
         for name, solver in SOLVERS.items():
             ms, apart = found[name]
             difference = float(np.abs(solver(qp) - reference).max())
-            found[name] = ([*ms, *times_ms([partial(solver, qp)], repetitions)], max(apart, difference))
+            found[name] = (
+                [*ms, *times_ms([partial(solver, qp)], repetitions)],
+                max(apart, difference),
+            )
     return found
 
 
@@ -72,8 +76,22 @@ def _daqp(qp: QP) -> Array:
 def _osqp(qp: QP) -> Array:
     lower, upper = _all_bounds(qp)
     solver = import_module("osqp").OSQP()
-    P, A = sparse.triu(sparse.csc_matrix(qp.H), format="csc"), sparse.csc_matrix(np.vstack([np.eye(len(qp.g)), qp.A]))
-    solver.setup(P, qp.g, A, lower, upper, verbose=False, eps_abs=1e-8, eps_rel=1e-8, max_iter=100000, polishing=True)
+    P, A = (
+        sparse.triu(sparse.csc_matrix(qp.H), format="csc"),
+        sparse.csc_matrix(np.vstack([np.eye(len(qp.g)), qp.A])),
+    )
+    solver.setup(
+        P,
+        qp.g,
+        A,
+        lower,
+        upper,
+        verbose=False,
+        eps_abs=1e-8,
+        eps_rel=1e-8,
+        max_iter=100000,
+        polishing=True,
+    )
     return np.asarray(solver.solve(raise_error=True).x)
 
 

@@ -2,26 +2,32 @@
 
 from collections.abc import Collection
 
-from coordinator.roster import names
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Plan
+from transport.coordinator.roster import names
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Plan
 
 # A process that wakes up so much later than planned was frozen, or had no processor to run on.
 _AWAY_NS = 200_000_000
 
 
 class Clock:
-    """Sampling clock of a run. Ticks are due relative to the first one, so that delays do not add up.
+    """Sampling clock of a run.
 
-    In lockstep it waits for all answers, and at a speed above 0 until the next tick is due. In real time it opens ticks
-    at their deadlines; `clock.on_overrun` says what happens when plans miss them. Times are ns of a steady clock;
-    `missing` are the agents on the roster that have not answered the open tick.
+    Ticks are due relative to the first one, so that delays do not add up.
+
+    In lockstep it waits for all answers, and at a speed above 0 until the next tick is due. In real
+    time it opens ticks at their deadlines; `clock.on_overrun` says what happens when plans miss
+    them. Times are ns of a steady clock; `missing` are the agents on the roster that have not
+    answered the open tick.
     """
 
     def __init__(self, setup: Setup) -> None:
         self.waiting_since_ns = 0  # start of the barrier timeout
         self._settings, self._period_ns = setup.scenario.clock, setup.period_ns
-        self.is_realtime, self._holds = self._settings.mode == "realtime", self._settings.on_overrun == "hold"
+        self.is_realtime, self._holds = (
+            self._settings.mode == "realtime",
+            self._settings.on_overrun == "hold",
+        )
         self._barrier_ns = round(self._settings.barrier_timeout_s * 1e9)
         self._start_ns = 0
         self.plant_ns = 0  # when the plant answered, or was first asked for the next interval
@@ -47,18 +53,27 @@ class Clock:
         return self.waiting_since_ns + round(self._settings.join_timeout_s * 1e9)
 
     def excuse_absence(self, tick: int, wake_ns: int | None, now_ns: int) -> None:
-        """Restart all timeouts if the coordinator woke up late: answers that came meanwhile are still to be read.
+        """Restart all timeouts if the coordinator woke up late.
 
-        At most once in a tick: a process that is always late must still find out which agents are gone.
+        Answers that came meanwhile are still to be read.
+
+        At most once in a tick: a process that is always late must still find out which agents are
+            gone.
         """
         called_ns, self._called_ns = self._called_ns, now_ns
-        if wake_ns is None or self._excused_tick == tick or now_ns <= max(wake_ns, called_ns) + _AWAY_NS:
+        if (
+            wake_ns is None
+            or self._excused_tick == tick
+            or now_ns <= max(wake_ns, called_ns) + _AWAY_NS
+        ):
             return
         self._excused_tick = tick
         self.waiting_since_ns = self.plant_ns = now_ns
         self._owed_since_ns = dict.fromkeys(self._owed_since_ns, now_ns)
 
-    def open(self, tick: int, members: Collection[int], joined: Collection[int], now_ns: int) -> None:
+    def open(
+        self, tick: int, members: Collection[int], joined: Collection[int], now_ns: int
+    ) -> None:
         """Note that a tick is opened for the members of the roster, some of which have just joined."""
         if tick == 0:
             self._start_ns = now_ns
@@ -91,19 +106,30 @@ class Clock:
         """Return the agents that have owed an answer for the barrier timeout."""
         if not self.is_realtime:
             return missing if now_ns >= self.expires_ns else set()
-        return {a for a in members if now_ns >= self._owed_since_ns.get(a, now_ns) + self._barrier_ns}
+        return {
+            a for a in members if now_ns >= self._owed_since_ns.get(a, now_ns) + self._barrier_ns
+        }
 
     def plant_is_silent(self, now_ns: int) -> bool:
-        """Return whether the plant has owed an answer for the barrier timeout; in lockstep agents wait for it, too."""
+        """Return whether the plant has owed an answer for the barrier timeout.
+
+        In lockstep agents wait for it, too.
+        """
         return self.is_realtime and now_ns >= self.plant_ns + self._barrier_ns
 
     def may_close(self, tick: int, missing: set[int], now_ns: int, *, last: bool) -> bool:
-        """Return whether the open tick may be closed; in lockstep the last one closes with its last answer."""
+        """Return whether the open tick may be closed.
+
+        In lockstep the last one closes with its last answer.
+        """
         is_due = now_ns >= self.due_ns(tick + 1) or (last and not self.is_realtime)
         return is_due and not self.waits_for(missing)
 
     def overrun(self, tick: int, missing: set[int], now_ns: int) -> str:
-        """Count the deadlines missed in a tick that is closed; return why they end the run, or an empty text."""
+        """Count the deadlines missed in a tick that is closed.
+
+        Return why they end the run, or an empty text.
+        """
         self._overruns += len(missing)
         settings = self._settings
         if settings.on_overrun != "abort" or not self.is_realtime:
@@ -115,7 +141,9 @@ class Clock:
             )
         worst_s = max(self._overrun_ns, now_ns - self.due_ns(tick + 1)) / 1e9
         if settings.overrun_limit_s is not None and worst_s > settings.overrun_limit_s:
-            return f"tick {tick + 1} was {worst_s:.3f} s late, {settings.overrun_limit_s:g} s allowed"
+            return (
+                f"tick {tick + 1} was {worst_s:.3f} s late, {settings.overrun_limit_s:g} s allowed"
+            )
         return ""
 
     def waits_for(self, missing: set[int]) -> bool:

@@ -1,23 +1,46 @@
-"""The coordinator as a state machine: opens tick k + 1 when all agents have answered tick k, or at its deadline.
+"""The coordinator as a state machine.
 
-`coordinator.clock` has the difference between lockstep and real time. Agents that are gone or do not answer are taken
-off the roster; those that return with a higher incarnation are put on it again when a tick is opened.
+Opens tick k + 1 when all agents have answered tick k, or at its deadline.
+
+`coordinator.clock` has the difference between lockstep and real time. Agents that are gone or do
+not answer are taken off the roster; those that return with a higher incarnation are put on it again
+when a tick is opened.
 """
 
 from collections.abc import Collection, Sequence
 from enum import Enum
 
-from coordinator.clock import Clock
-from coordinator.roster import TeamRoster, names
-from protocol.admission.plausibility import check_tick
-from protocol.scenario.errors import RequestError, requested
-from protocol.scenario.schema import TargetSection
-from protocol.scenario.setup import Setup
-from protocol.wire.errors import MessageError
-from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_INTERRUPTED, EXIT_OVERRUN, EXIT_UNREACHABLE
-from protocol.wire.messages import Control, Event, Message, Plan, PlantState, Presence, Request, Target, Tick
-from protocol.wire.names import COORDINATOR, PLANT
-from protocol.wire.node import Outbox
+from transport.coordinator.clock import Clock
+from transport.coordinator.failed_steps import FailedSteps
+from transport.coordinator.roster import TeamRoster, names
+from transport.protocol.admission.plausibility import check_tick
+from transport.protocol.scenario.errors import RequestError, requested
+from transport.protocol.scenario.schema import TargetSection
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.exit_codes import (
+    EXIT_DIVERGED,
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_OVERRUN,
+    EXIT_UNREACHABLE,
+)
+from transport.protocol.wire.messages import (
+    Control,
+    Event,
+    Message,
+    Plan,
+    PlantState,
+    Presence,
+    Request,
+    Target,
+    Tick,
+)
+from transport.protocol.wire.names import COORDINATOR, PLANT
+from transport.protocol.wire.node import Outbox
+
+# Outcomes of runs that reach their end, by exit code; a run with another code was aborted.
+_OUTCOMES = {0: "completed", EXIT_DIVERGED: "diverged", EXIT_FAILED: "failed"}
 
 
 class State(Enum):
@@ -33,7 +56,8 @@ class State(Enum):
 class CoordinatorNode:
     """Sampling clock and roster of one run; `tick` is the open one, -1 before the first.
 
-    The observers, such as "recorder", must be ready before the first tick, like the plant and the agents.
+    The observers, such as "recorder", must be ready before the first tick, like the plant and the
+    agents.
     """
 
     name = COORDINATOR
@@ -47,10 +71,15 @@ class CoordinatorNode:
         self._clock, self._roster = Clock(setup), TeamRoster(setup, self._out)
         self._awaited = {PLANT, *self._roster.agents, *observers}
         self._observers = set(observers)  # that have not left
-        self._answered: dict[int, bool] = {}  # agents that answered, and whether with a plan the others received
-        self._negotiating: dict[int, int] = {}  # negotiation iterations left in the open tick, by agent
+        self._answered: dict[
+            int, bool
+        ] = {}  # agents that answered, and whether with a plan the others received
+        self._negotiating: dict[
+            int, int
+        ] = {}  # negotiation iterations left in the open tick, by agent
         self._plant_tick = -1  # newest tick the plant has recorded
         self._divergence = ""
+        self._failed_steps = FailedSteps(setup.scenario.agents.failed_share)
 
     @property
     def wake_ns(self) -> int | None:
@@ -85,6 +114,7 @@ class CoordinatorNode:
             case Plan(negotiation=left) if left > 0:
                 self._negotiating[event.agent] = left
             case Plan():
+                self._failed_steps.count(event)
                 if event.tick == self.tick:
                     self._answered[event.agent] = event.shared
                 self._clock.answer(event, self.tick, now_ns)
@@ -103,7 +133,9 @@ class CoordinatorNode:
         if expired and self.state is State.DIVERGED:
             return self._stop(EXIT_DIVERGED, self._divergence)
         if self._clock.plant_is_silent(now_ns):
-            return self._stop(EXIT_UNREACHABLE, f"plant has not answered since tick {self._plant_tick}")
+            return self._stop(
+                EXIT_UNREACHABLE, f"plant has not answered since tick {self._plant_tick}"
+            )
         silent = self._clock.silent(self._roster.members, self._missing, now_ns)
         if silent:
             return self._drop_silent(silent, now_ns)
@@ -136,8 +168,13 @@ class CoordinatorNode:
                 check_tick(message, self._plant_tick + 1, self.tick)
             case Plan():
                 roster = self._roster
-                if message.agent not in roster.members or message.incarnation != roster.incarnations[message.sender]:
-                    raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
+                if (
+                    message.agent not in roster.members
+                    or message.incarnation != roster.incarnations[message.sender]
+                ):
+                    raise MessageError(
+                        "wrong_incarnation", "plan of an incarnation that is not on the roster"
+                    )
                 check_tick(message, 0 if self._clock.is_realtime else self.tick, self.tick)
 
     def _process_ready(self, event: Presence, now_ns: int) -> Sequence[Message]:
@@ -147,7 +184,11 @@ class CoordinatorNode:
         self._awaited.discard(event.name)
         known = self._roster.incarnations.get(event.name, -1)
         self._roster.incarnations[event.name] = max(event.incarnation, known)
-        return () if self._awaited else [self._roster.message("all processes are ready", 0), *self._open(now_ns)]
+        return (
+            ()
+            if self._awaited
+            else [self._roster.message("all processes are ready", 0), *self._open(now_ns)]
+        )
 
     def _agent_returned(self, event: Presence, now_ns: int) -> Sequence[Message]:
         """Let a new incarnation of an agent join at the next tick."""
@@ -156,7 +197,11 @@ class CoordinatorNode:
             return ()
         self._roster.joining[agent] = event.incarnation
         # It may return before its end was noticed: the old incarnation is gone all the same.
-        lost = self._lose([agent], f"{event.name} is gone", now_ns) if agent in self._roster.members else ()
+        lost = (
+            self._lose([agent], f"{event.name} is gone", now_ns)
+            if agent in self._roster.members
+            else ()
+        )
         return lost if self.state is State.STOPPED else [*lost, *self._advance(now_ns)]
 
     def _process_gone(self, event: Presence, now_ns: int) -> Sequence[Message]:
@@ -169,13 +214,24 @@ class CoordinatorNode:
         self._observers.discard(event.name)
         if event.name == PLANT:
             return self._stop(EXIT_UNREACHABLE, "plant is gone")
-        return self._lose([agent], f"{event.name} is gone", now_ns) if agent in self._roster.members else ()
+        return (
+            self._lose([agent], f"{event.name} is gone", now_ns)
+            if agent in self._roster.members
+            else ()
+        )
 
     def _answer_request(self, request: Request) -> Sequence[Message]:
         """Answer a request for the status of the run, or for a change of links or a target from the next tick on."""
         if request.what == "status":
             members, observers = sorted(self._roster.members), sorted(self._observers)
-            request.reply({"tick": self.tick, "ticks": self._ticks, "members": members, "observers": observers})
+            request.reply(
+                {
+                    "tick": self.tick,
+                    "ticks": self._ticks,
+                    "members": members,
+                    "observers": observers,
+                }
+            )
             return ()
         try:
             if request.what not in ("link", "target"):
@@ -184,7 +240,9 @@ class CoordinatorNode:
                 raise RequestError("expected a running simulation")
             messages: Sequence[Message]
             if request.what == "target":
-                messages = self._roster.target(requested(TargetSection, dict(request.given)), self.tick + 1)
+                messages = self._roster.target(
+                    requested(TargetSection, dict(request.given)), self.tick + 1
+                )
             else:
                 messages = self._roster.link(request.given, self.tick + 1)
         except RequestError as error:
@@ -200,7 +258,8 @@ class CoordinatorNode:
 
     def _drop_silent(self, silent: set[int], now_ns: int) -> Sequence[Message]:
         """Take agents that have not answered in time off the roster."""
-        # An agent that is behind in a negotiation blocks the others: drop it alone and restart their timeout.
+        # An agent that is behind in a negotiation blocks the others: drop it alone and restart
+        # their timeout.
         iterations = self._setup.scenario.controller.negotiation_iterations
         left = {agent: self._negotiating.get(agent, iterations) for agent in silent}
         behind = {agent for agent in silent if left[agent] == max(left.values())}
@@ -209,8 +268,12 @@ class CoordinatorNode:
         members = self._roster.members
         if len(silent) > 1 and silent == members and members.isdisjoint(self._answered):
             # All at once: more likely the plant, on which all depend.
-            return self._stop(EXIT_UNREACHABLE, f"no agent answered tick {self.tick} in time: is the plant alive?")
-        return self._lose(silent, f"{names(silent)} did not answer tick {self.tick} in time", now_ns)
+            return self._stop(
+                EXIT_UNREACHABLE, f"no agent answered tick {self.tick} in time: is the plant alive?"
+            )
+        return self._lose(
+            silent, f"{names(silent)} did not answer tick {self.tick} in time", now_ns
+        )
 
     def _lose(self, agents: Collection[int], reason: str, now_ns: int) -> Sequence[Message]:
         """Take agents off the roster, and continue or end the run by `clock.on_agent_loss`."""
@@ -227,11 +290,19 @@ class CoordinatorNode:
         if self.state is State.WAITING:
             return ()
         if self.state is State.DIVERGED and self.tick > self._plant_tick:
-            # The tick after the last interval is always opened before the end, whichever message came first.
+            # The tick after the last interval is always opened before the end, whichever message
+            # came first.
             return self._stop(EXIT_DIVERGED, self._divergence)
-        if not self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last) or self._awaits_plant:
+        if (
+            not self._clock.may_close(self.tick, self._missing, now_ns, last=self._is_last)
+            or self._awaits_plant
+        ):
             return ()
-        if self.state is not State.DIVERGED and not self._is_last and self._roster.awaited(self.tick + 1):
+        if (
+            self.state is not State.DIVERGED
+            and not self._is_last
+            and self._roster.awaited(self.tick + 1)
+        ):
             if self.state is not State.HELD:
                 self.state, self._clock.waiting_since_ns = State.HELD, now_ns
             return ()
@@ -239,7 +310,7 @@ class CoordinatorNode:
         if overrun:
             return self._stop(EXIT_OVERRUN, overrun)
         if self._is_last:
-            return self._stop(EXIT_DIVERGED if self.state is State.DIVERGED else 0, self._divergence)
+            return self._end()
         opened = self._open(now_ns)
         return [*opened, *self._advance(now_ns)] if self.state is State.DIVERGED else opened
 
@@ -267,11 +338,19 @@ class CoordinatorNode:
             self._clock.plant_ns = now_ns  # it owes no earlier interval
         return [*messages, opened]
 
+    def _end(self) -> Sequence[Message]:
+        """End the run at its last tick: diverged, failed or completed."""
+        if self.state is State.DIVERGED:
+            return self._stop(EXIT_DIVERGED, self._divergence)
+
+        failure = self._failed_steps.verdict()
+        return self._stop(EXIT_FAILED if failure else 0, failure)
+
     def _stop(self, exit_code: int, reason: str) -> Sequence[Message]:
         if self.state is State.STOPPED:
             return ()
         self.state = State.STOPPED
-        outcome = {0: "completed", EXIT_DIVERGED: "diverged"}.get(exit_code, "aborted")
+        outcome = _OUTCOMES.get(exit_code, "aborted")
         fields = {"outcome": outcome, "reason": reason, "exit_code": exit_code}
         self.finished = self._out.stamp(Control, tick=max(self.tick, 0), **fields)
         return [self.finished]

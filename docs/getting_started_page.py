@@ -1,6 +1,9 @@
-"""Run the commands of docs/getting-started.md in a new folder and renew their outputs: two minutes on two cores.
+"""Run the commands of docs/getting-started.md in a new folder and renew their outputs.
 
-Commands that install something or serve the viewer are not run. tests/test_getting_started.py runs the page in memory.
+Two minutes on two cores.
+
+Commands that install something or serve the viewer are not run. tests/test_getting_started.py runs
+the page in memory.
 """
 
 import doctest
@@ -54,7 +57,11 @@ def in_shell(command: str) -> str:
         stderr=subprocess.STDOUT,
         text=True,
     )
-    lines = [line.rstrip() for line in done.stdout.splitlines() if line.strip() and not PROGRESS.match(line)]
+    lines = [
+        line.rstrip()
+        for line in done.stdout.splitlines()
+        if line.strip() and not PROGRESS.match(line)
+    ]
     return "".join(f"{line}\n" for line in lines)
 
 

@@ -1,4 +1,7 @@
-"""Make docs/licences.md, every pinned package with its licence by its own metadata: `make licences`."""
+"""Make docs/licences.md, every pinned package with its licence by its own metadata.
+
+`make licences`.
+"""
 
 import re
 from importlib.metadata import PackageNotFoundError, metadata
@@ -14,7 +17,8 @@ asked for, and why: [decisions.md](decisions.md#dependencies). The project itsel
 The extra `firmware`, under the GPL-3, is not pinned: separate processes, which the user installs.
 """
 
-# Licences missing in the metadata of packages, or given there as a page of text: read in their own files.
+# Licences missing in the metadata of packages, or given there as a page of text: read in their own
+# files.
 TOLD = {
     "casadi": "LGPL-3.0-or-later",
     "clarabel": "Apache-2.0",
@@ -32,9 +36,15 @@ def licence(package: str) -> str:
     except PackageNotFoundError:
         return "not installed here (another platform's, or optional)"
     classifiers = told.get_all("Classifier") or []
-    classified = ", ".join(line.rpartition(" :: ")[2] for line in classifiers if line.startswith("License ::"))
+    classified = ", ".join(
+        line.rpartition(" :: ")[2] for line in classifiers if line.startswith("License ::")
+    )
     short = str(told.get("License") or "").strip()
-    return str(told.get("License-Expression") or classified or (short if 0 < len(short) < 60 else "see the package"))
+    return str(
+        told.get("License-Expression")
+        or classified
+        or (short if 0 < len(short) < 60 else "see the package")
+    )
 
 
 def main() -> None:
@@ -44,7 +54,9 @@ def main() -> None:
         content = (ROOT / lock).read_text(encoding="utf-8")
         # A package is pinned twice where its versions differ with those of Python.
         pinned = re.findall(r"^([A-Za-z0-9_.-]+)==(\S+)", content, re.MULTILINE)
-        rows = [[name, version, licence(name)] for name, version in sorted(pinned) if name not in seen]
+        rows = [
+            [name, version, licence(name)] for name, version in sorted(pinned) if name not in seen
+        ]
         text += f"\n## Needed {purpose}\n\n{table(['package', 'version', 'licence'], rows)}\n"
         seen |= {name for name, _ in pinned}
     (ROOT / "docs" / "licences.md").write_text(text, encoding="utf-8")

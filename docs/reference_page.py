@@ -1,6 +1,9 @@
-"""Renew docs/keys.md and docs/commands.md from the sections of a scenario and the commands: `make reference`.
+"""Renew docs/keys.md and docs/commands.md from the sections of a scenario and the commands.
 
-The page of keys has headings and text; each table stands below the name of its section, in a comment.
+`make reference`.
+
+The page of keys has headings and text; each table stands below the name of its section, in a
+comment.
 """
 
 import json
@@ -12,10 +15,10 @@ from pydantic.fields import FieldInfo
 from tables import ROOT, table
 from typer.cli import get_docs_for_click
 
-from protocol.scenario.keys import key_of, meanings, section_in, unit_of, walk
-from protocol.scenario.link_sections import LinkSection
 from transport.cli.lazy import LazyGroup
 from transport.cli.main import app
+from transport.protocol.scenario.keys import key_of, meanings, section_in, unit_of, walk
+from transport.protocol.scenario.link_sections import LinkSection
 
 KEYS, COMMANDS = ROOT / "docs" / "keys.md", ROOT / "docs" / "commands.md"
 _TABLE = re.compile(r"(<!-- keys of (\S+) -->\n).*?(\n<!-- end of keys -->)", re.DOTALL)
@@ -27,7 +30,12 @@ def commands_page() -> str:
     """Return the page of commands."""
     root = typer.main.get_command(app)
     _load(root)
-    text = get_docs_for_click(obj=root, ctx=typer.Context(root), name="transport", title="Commands and options") + "\n"
+    text = (
+        get_docs_for_click(
+            obj=root, ctx=typer.Context(root), name="transport", title="Commands and options"
+        )
+        + "\n"
+    )
     return re.sub(r"(?<! )<(?=[a-z])", "&lt;", text.replace("\b\n", ""))
 
 
@@ -40,7 +48,9 @@ def _load(group: object) -> None:
 
 
 def keys_page() -> str:
-    """Return the page of keys with its tables renewed; those of `[links]` are not repeated in sections like it.
+    """Return the page of keys with its tables renewed.
+
+    Those of `[links]` are not repeated in sections like it.
 
     Raises: SystemExit: a key without a docstring, or a section without a table on the page.
     """
@@ -52,13 +62,19 @@ def keys_page() -> str:
             continue
         meaning = meanings(section).get(key)
         if not meaning:
-            raise SystemExit(f"{section.__module__}.{section.__name__}, {key}: expected a docstring, got none")
+            raise SystemExit(
+                f"{section.__module__}.{section.__name__}, {key}: expected a docstring, got none"
+            )
         kind = key_of(field).type or type_of(field.annotation, field.metadata)
         row = [f"`{key}`", kind, unit_of(key, field), _default(field), meaning]
         rows.setdefault(path or "scenario", []).append(row)
 
     def renewed(found: re.Match[str]) -> str:
-        return found[1] + table(["key", "type", "unit", "default", "meaning"], rows.pop(found[2])) + found[3]
+        return (
+            found[1]
+            + table(["key", "type", "unit", "default", "meaning"], rows.pop(found[2]))
+            + found[3]
+        )
 
     text = _TABLE.sub(renewed, KEYS.read_text(encoding="utf-8"))
     if rows:
@@ -70,7 +86,9 @@ def type_of(annotation: Any, metadata: tuple[Any, ...] | list[Any] = ()) -> str:
     """Return a type and its range as text, such as "3 numbers > 0" or "daqp, clarabel"."""
     arguments = get_args(annotation)
     if type(None) in arguments:
-        return type_of(next(argument for argument in arguments if argument is not type(None)), metadata)
+        return type_of(
+            next(argument for argument in arguments if argument is not type(None)), metadata
+        )
     if hasattr(annotation, "__metadata__"):
         return type_of(annotation.__origin__, (*annotation.__metadata__, *metadata))
     if get_origin(annotation) is Literal:
@@ -83,19 +101,34 @@ def type_of(annotation: Any, metadata: tuple[Any, ...] | list[Any] = ()) -> str:
 
 def _count(metadata: tuple[Any, ...] | list[Any]) -> str:
     """Return how many entries a list has: a number where it is fixed, else "list of"."""
-    if any(getattr(getattr(entry, "func", None), "__name__", "") == "_three_numbers" for entry in metadata):
+    if any(
+        getattr(getattr(entry, "func", None), "__name__", "") == "_three_numbers"
+        for entry in metadata
+    ):
         return "3"
-    sizes = {getattr(entry, end, None) for entry in metadata for end in ("min_length", "max_length")} - {None}
+    sizes = {
+        getattr(entry, end, None) for entry in metadata for end in ("min_length", "max_length")
+    } - {None}
     return str(sizes.pop()) if len(sizes) == 1 else "list of"
 
 
 def _range(metadata: tuple[Any, ...] | list[Any]) -> str:
     """Return the limits of a number as text, such as " > 0, < 90" or ", 0 to 1"; "" for none."""
-    found = {name: value for name in _SIGNS for e in metadata if (value := getattr(e, name, None)) is not None}
-    limits = {name: f"{end:,}".replace(",", " ") if end >= 10_000 else f"{end:g}" for name, end in found.items()}
+    found = {
+        name: value
+        for name in _SIGNS
+        for e in metadata
+        if (value := getattr(e, name, None)) is not None
+    }
+    limits = {
+        name: f"{end:,}".replace(",", " ") if end >= 10_000 else f"{end:g}"
+        for name, end in found.items()
+    }
     if limits.keys() == {"ge", "le"}:
         return f", {limits['ge']} to {limits['le']}"
-    return " " + ", ".join(f"{sign} {limits[name]}" for name, sign in _SIGNS.items() if name in limits)
+    return " " + ", ".join(
+        f"{sign} {limits[name]}" for name, sign in _SIGNS.items() if name in limits
+    )
 
 
 def _default(field: FieldInfo) -> str:

@@ -1,7 +1,9 @@
-"""Make every figure and table of results in README and docs: part of `make figures`, 45 minutes on two cores.
+"""Make every figure and table of results in README and docs.
 
-Runs the experiments, or only those named as arguments, as far as runs/figures/ has no results of this commit, and
-writes their parts of docs/results.md, docs/images/ and the tables of the README.
+Part of `make figures`, 45 minutes on two cores.
+
+Runs the experiments, or only those named as arguments, as far as runs/figures/ has no results of
+this commit, and writes their parts of docs/results.md, docs/images/ and the tables of the README.
 """
 
 import csv
@@ -23,7 +25,9 @@ Row = Mapping[str, str]
 
 # Further arguments of the commands.
 EXPERIMENTS: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(("paper", "latency", "loss", "jitter", "matrix", "kill", "deaths", "sharing"), ()),
+    **dict.fromkeys(
+        ("paper", "latency", "loss", "jitter", "matrix", "kill", "deaths", "sharing"), ()
+    ),
     **dict.fromkeys(("ablation", "horizon", "hover"), ()),
     "agile": ("--speed", "5", "--speed", "6", "--seeds", "1"),
     "scaling": ("--max", "12", "--seeds", "3"),
@@ -48,7 +52,10 @@ def read(name: str, file: str = "points.csv") -> list[dict[str, str]]:
 
 
 def part_of(name: str) -> str:
-    """Run an experiment as far as this commit has not run it; return its report and origin, copy the figures."""
+    """Run an experiment as far as this commit has not run it.
+
+    Return its report and origin, copy the figures.
+    """
     sys.stderr.write(f"experiment {name}\n")
     folder = folder_of(name)
     transport("experiment", name, *EXPERIMENTS[name], "--out", str(folder))
@@ -67,9 +74,17 @@ def between(values: Sequence[float]) -> str:
 GLANCE: Sequence[tuple[str, str, Row]] = (
     ("`transport experiment latency`: 100 ms delay", "latency", {"delay_s": "0.1"}),
     ("400 ms delay", "latency", {"delay_s": "0.4"}),
-    ("`transport experiment loss`: 10 % packet loss", "loss", {"loss": "0.1", "model": "bernoulli"}),
+    (
+        "`transport experiment loss`: 10 % packet loss",
+        "loss",
+        {"loss": "0.1", "model": "bernoulli"},
+    ),
     ("60 % burst loss", "loss", {"loss": "0.6", "model": "bursts"}),
-    ("`transport experiment kill`: an agent killed and restarted after 2 s", "kill", {"restart_s": "10.0"}),
+    (
+        "`transport experiment kill`: an agent killed and restarted after 2 s",
+        "kill",
+        {"restart_s": "10.0"},
+    ),
     ("never restarted", "kill", {"restart_s": "never"}),
     ("`transport experiment deaths`: killed for good at 20 random times", "deaths", {}),
 )
@@ -79,10 +94,16 @@ def at_a_glance() -> str:
     """Return the README's table: effect of the network on the two algorithms."""
 
     def cell(name: str, labels: Row) -> str:
-        rows = [row for row in read(name) if row.items() >= labels.items() and row.get("agent") != "none"]
+        rows = [
+            row
+            for row in read(name)
+            if row.items() >= labels.items() and row.get("agent") != "none"
+        ]
         if not rows:
             return ""
-        flights, completed = (sum(int(row[what]) for row in rows) for what in ("flights", "completed"))
+        flights, completed = (
+            sum(int(row[what]) for row in rows) for what in ("flights", "completed")
+        )
         if not completed:
             first = min(float(row["first_lost_s"]) for row in rows)
             return f"{completed} of {flights} complete, the first diverges at {first:.1f} s"
@@ -90,11 +111,16 @@ def at_a_glance() -> str:
             [float(row[number]) for row in rows if row[number]]
             for number in ("cost_ratio", "attitude_max_deg", "swing_m")
         )
-        result = f"cost x{between(ratios)}, attitude {max(attitudes):.1f} deg, swing {between(swings)} m"
+        result = (
+            f"cost x{between(ratios)}, attitude {max(attitudes):.1f} deg, swing {between(swings)} m"
+        )
         return f"{completed} of {flights} complete: {result}"
 
     rows = [
-        [what, *(cell(name, {"scenario": scenario, **labels}) for scenario in ("paper", "resilient"))]
+        [
+            what,
+            *(cell(name, {"scenario": scenario, **labels}) for scenario in ("paper", "resilient")),
+        ]
         for what, name, labels in GLANCE
     ]
     return table(["", "`paper`: the paper's algorithm with our weights", "`resilient`"], rows)
@@ -104,11 +130,17 @@ def claim() -> str:
     """Return the README's table of the paper's algorithm against the centralized controller, one row a comparison."""
     rows = [row for row in read("paper", "verdict.csv") if row["controller"] == "paper's algorithm"]
     weathers = list(dict.fromkeys(row["weather"] for row in rows))
-    cells = {(row["at"], row["weather"]): ": ".join(filter(None, (row["cost"], row["verdict"]))) for row in rows}
+    cells = {
+        (row["at"], row["weather"]): ": ".join(filter(None, (row["cost"], row["verdict"])))
+        for row in rows
+    }
     periods: dict[str, str] = {}
     for row in rows:  # of the first weather
         periods.setdefault(row["at"], f" (T_s {row['T_s']})" * bool(row["T_s"]))
-    lines = [[f"at {at}{where}", *(cells[at, weather] for weather in weathers)] for at, where in periods.items()]
+    lines = [
+        [f"at {at}{where}", *(cells[at, weather] for weather in weathers)]
+        for at, where in periods.items()
+    ]
     return table(["the paper's algorithm with our weights", *weathers], lines)
 
 

@@ -1,4 +1,7 @@
-"""Simulations behind the measured tables of documents: in memory, on all cores, kept for each commit."""
+"""Simulations behind the measured tables of documents.
+
+In memory, on all cores, kept for each commit.
+"""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -9,8 +12,6 @@ import numpy as np
 from rich.console import Console
 from tables import ROOT, commit, place, put, table
 
-from protocol.scenario.file import find_scenario
-from protocol.scenario.setup import Setup
 from transport.analysis.series import series_of
 from transport.experiments.cases import Point, Result, cases_of_point
 from transport.experiments.declaration import Experiment
@@ -18,6 +19,8 @@ from transport.experiments.sweep import Results, sweep
 from transport.experiments.workers import on_cores
 from transport.flight.run_files import machine, versions
 from transport.log.run_log import RunLog
+from transport.protocol.scenario.file import find_scenario
+from transport.protocol.scenario.setup import Setup
 
 RESULTS = ROOT / "runs" / "figures" / "simulations"
 
@@ -46,8 +49,12 @@ class Table(NamedTuple):
 
     name: str
     first: Sequence[str]  # headings of a row's first cells
-    rows: Mapping[str | tuple[str, ...], Sequence[Run | None]]  # runs of each row by its first cells
-    columns: Mapping[str, Callable[..., str]]  # the other cells, given the results of all runs of a row
+    rows: Mapping[
+        str | tuple[str, ...], Sequence[Run | None]
+    ]  # runs of each row by its first cells
+    columns: Mapping[
+        str, Callable[..., str]
+    ]  # the other cells, given the results of all runs of a row
 
 
 def listed(name: str, first: str, rows: Mapping[str, Run], columns: Mapping[str, Cell]) -> Table:
@@ -56,7 +63,11 @@ def listed(name: str, first: str, rows: Mapping[str, Run], columns: Mapping[str,
 
 
 def grid(
-    name: str, first: Sequence[str], others: Sequence[str], rows: Mapping[Any, Sequence[Run | None]], cell: Cell
+    name: str,
+    first: Sequence[str],
+    others: Sequence[str],
+    rows: Mapping[Any, Sequence[Run | None]],
+    cell: Cell,
 ) -> Table:
     """Return a table with a run in each cell."""
     return Table(name, first, rows, {text: partial(_nth, i, cell) for i, text in enumerate(others)})
@@ -69,17 +80,29 @@ def _nth(index: int, cell: Cell, *results: Flown | None) -> str:
 
 def values(name: str, *results: Flown) -> list[float]:
     """Return a number of all completed runs."""
-    numbers = [result.numbers[name] for flown in results for result in flown if result.outcome == "completed"]
+    numbers = [
+        result.numbers[name]
+        for flown in results
+        for result in flown
+        if result.outcome == "completed"
+    ]
     return [number for number in numbers if number is not None]
 
 
-def cell(name: str, form: str = "", factor: float = 1.0, of: Callable[..., Any] = np.mean) -> Callable[..., str]:
-    """Return a cell with a number of completed runs, "" without any; by default with three significant digits."""
+def cell(
+    name: str, form: str = "", factor: float = 1.0, of: Callable[..., Any] = np.mean
+) -> Callable[..., str]:
+    """Return a cell with a number of completed runs, "" without any.
+
+    By default with three significant digits.
+    """
 
     def text(*results: Flown) -> str:
         found = values(name, *results)
         number = factor * float(of(found)) if found else 0.0
-        digits = form or np.format_float_positional(number, precision=3, fractional=False, unique=False, trim="k")
+        digits = form or np.format_float_positional(
+            number, precision=3, fractional=False, unique=False, trim="k"
+        )
         return digits.rstrip(".").format(number) if found else ""
 
     return text
@@ -92,14 +115,22 @@ def completed(*results: Flown) -> str:
 
 def outcome(flown: Flown) -> str:
     """Return whether a run completes or when it diverges."""
-    return "completes" if flown[0].outcome == "completed" else f"**diverges** at {flown[0].numbers['lost_s']:.1f} s"
+    return (
+        "completes"
+        if flown[0].outcome == "completed"
+        else f"**diverges** at {flown[0].numbers['lost_s']:.1f} s"
+    )
 
 
 def unless_diverged(*cells: Cell) -> Cell:
     """Return a cell with several numbers of a run, or when it diverges."""
 
     def text(flown: Flown) -> str:
-        return ", ".join(one(flown) for one in cells) if flown[0].outcome == "completed" else outcome(flown)
+        return (
+            ", ".join(one(flown) for one in cells)
+            if flown[0].outcome == "completed"
+            else outcome(flown)
+        )
 
     return text
 
@@ -117,24 +148,33 @@ def events(*given: tuple[float, str, str]) -> tuple[str, ...]:
 def renew(pages: Mapping[str, Sequence[Table]], version: str = "") -> None:
     """Simulate, and renew the tables of documents, or only those named as arguments.
 
-    A line of each document says where all its numbers come from. The version is that of another package.
+    A line of each document says where all its numbers come from. The version is that of another
+    package.
 
     Raises: SystemExit: a document lacks markers.
     """
     chosen = [(ROOT / "docs" / page, one) for page, tables in pages.items() for one in tables]
-    chosen = [(document, one) for document, one in chosen if not sys.argv[1:] or one.name in sys.argv[1:]]
+    chosen = [
+        (document, one) for document, one in chosen if not sys.argv[1:] or one.name in sys.argv[1:]
+    ]
     for document, one in chosen:
         for name in ("origin", one.name):
             place(document, name)  # refused before minutes are spent
-    runs = dict.fromkeys(run for _, one in chosen for row in one.rows.values() for run in row if run)
+    runs = dict.fromkeys(
+        run for _, one in chosen for row in one.rows.values() for run in row if run
+    )
     points, now = tuple(run.point() for run in runs), commit()
     cases = [
         case
         for i, (run, point) in enumerate(zip(runs, points, strict=True))
-        for case in cases_of_point(i, point.read(), find_scenario(run.scenario), run.seeds, more=more)
+        for case in cases_of_point(
+            i, point.read(), find_scenario(run.scenario), run.seeds, more=more
+        )
     ]
     experiment = Experiment(name="pages", points=points)
-    with Results("pages", None if "changes" in now or now == "unknown" else RESULTS / now) as results:
+    with Results(
+        "pages", None if "changes" in now or now == "unknown" else RESULTS / now
+    ) as results:
         swept = sweep(experiment, cases, on_cores, results, Console(stderr=True))
     swept.check()
     found = dict(zip(runs, swept.by_point, strict=True))
@@ -148,14 +188,20 @@ def _text(shown: Table, found: Mapping[Run, Flown]) -> str:
     lines = []
     for key, runs in shown.rows.items():
         results = [run and found[run] for run in runs]
-        lines.append([*([key] if isinstance(key, str) else key), *(cell(*results) for cell in shown.columns.values())])
+        lines.append(
+            [
+                *([key] if isinstance(key, str) else key),
+                *(cell(*results) for cell in shown.columns.values()),
+            ]
+        )
     return table([*shown.first, *shown.columns], lines)
 
 
 def more(setup: Setup, summary: Any, log: RunLog) -> dict[str, float | None]:
     """Return further numbers of a run.
 
-    The largest distance of a UAV from its reference at the last tick, and those of cables and distances from walls.
+    The largest distance of a UAV from its reference at the last tick, and those of cables and
+    distances from walls.
     """
     series = series_of(setup, log)
     return {

@@ -17,7 +17,10 @@ FLOWN = (
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table in Markdown; an empty cell takes one blank."""
-    lines = ["|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|" for cells in (headings, *rows)]
+    lines = [
+        "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+        for cells in (headings, *rows)
+    ]
     return "\n".join([lines[0], "|" + "---|" * len(headings), *lines[1:]])
 
 
@@ -39,20 +42,27 @@ def put(document: Path, name: str, content: str) -> None:
     Raises: SystemExit: the document has no such markers.
     """
     found = place(document, name)
-    document.write_text(found.string[: found.start()] + content + found.string[found.end() :], encoding="utf-8")
+    document.write_text(
+        found.string[: found.start()] + content + found.string[found.end() :], encoding="utf-8"
+    )
 
 
 def commit() -> str:
     """Return the last commit that changed the simulation; "unknown" outside a repository.
 
-    A tree with uncommitted changes there has no commit of its own: its name ends with " and changes".
+    A tree with uncommitted changes there has no commit of its own: its name ends with " and
+        changes".
     """
 
     def git(*arguments: str) -> str:
         command = ["git", *arguments, "--", *FLOWN]
-        return subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout.strip()
+        return subprocess.run(
+            command, capture_output=True, text=True, check=True, cwd=ROOT
+        ).stdout.strip()
 
     try:
-        return (git("log", "-1", "--format=%h") or "unknown") + " and changes" * bool(git("status", "--porcelain"))
+        return (git("log", "-1", "--format=%h") or "unknown") + " and changes" * bool(
+            git("status", "--porcelain")
+        )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"

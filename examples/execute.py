@@ -1,4 +1,6 @@
-"""Execute the notebooks of this folder in fresh kernels and store their outputs; figures are stored small.
+"""Execute the notebooks of this folder in fresh kernels and store their outputs.
+
+Figures are stored small.
 
 python examples/execute.py
 """
@@ -20,7 +22,9 @@ def executed(path: Path, timeout_s: float = 600.0) -> nbformat.NotebookNode:
     Raises: nbclient.exceptions.CellExecutionError: a cell raised an error.
     """
     notebook = nbformat.read(path, as_version=4)
-    client = NotebookClient(notebook, timeout=timeout_s, resources={"metadata": {"path": str(path.parent)}})
+    client = NotebookClient(
+        notebook, timeout=timeout_s, resources={"metadata": {"path": str(path.parent)}}
+    )
     return client.execute()
 
 
@@ -32,7 +36,9 @@ def shrink(notebook: nbformat.NotebookNode) -> None:
             picture = output.get("data", {}).get("image/png")
             if picture is not None:
                 small = io.BytesIO()
-                Image.open(io.BytesIO(base64.b64decode(picture))).reduce(2).save(small, format="png")
+                Image.open(io.BytesIO(base64.b64decode(picture))).reduce(2).save(
+                    small, format="png"
+                )
                 output["data"]["image/png"] = base64.b64encode(small.getvalue()).decode()
 
 

@@ -15,16 +15,24 @@ T = TypeVar("T")
 
 
 class ShapeError(ValueError):
-    """An array of the wrong shape or not finite; the text names it, the expected and the actual value."""
+    """An array of the wrong shape or not finite.
+
+    The text names it, the expected and the actual value.
+    """
 
 
 def checked(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Array:
-    """Return a read-only, C-contiguous float64 copy of a shape, None for any length. Raises: ShapeError: not of it."""
+    """Return a read-only, C-contiguous float64 copy of a shape, None for any length.
+
+    Raises: ShapeError: not of it.
+    """
     try:
         array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name}: expected an array of numbers, got {value!r}") from error
-    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
+    if array.ndim != len(shape) or any(
+        want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
+    ):
         expected, got = (", ".join(map(str, lengths)) for lengths in (shape, array.shape))
         raise ShapeError(f"{name}: expected shape ({expected.replace('None', 'any')}), got ({got})")
     if not np.isfinite(array).all():
@@ -46,7 +54,10 @@ def assign(instance: object, **values: Any) -> None:
 
 
 def padded(rows: Array, columns: int) -> Array:
-    """Return rows with zeros behind them, up to a number of columns; the rows themselves if they have as many."""
+    """Return rows with zeros behind them, up to a number of columns.
+
+    The rows themselves if they have as many.
+    """
     missing = columns - rows.shape[1]
     return np.pad(rows, ((0, 0), (0, missing))) if missing else rows
 
@@ -59,7 +70,10 @@ def rows(start: int, steps: int, known: int) -> Rows:
 
 
 def continued(before: T, after: T, kept: int) -> T:
-    """Return a dataclass of rows from `first` on with up to `kept` earlier ones ahead; functions are the later."""
+    """Return a dataclass of rows from `first` on with up to `kept` earlier ones ahead.
+
+    Functions are the later.
+    """
     first, now = before.first, after.first  # type: ignore[attr-defined]
     count = min(kept, now - first)
 
@@ -68,7 +82,7 @@ def continued(before: T, after: T, kept: int) -> T:
             names = [field.name for field in fields(new) if field.name != "first"]
             found = {name: joined(getattr(old, name), getattr(new, name)) for name in names}
             return replace(new, **found)  # type: ignore[type-var]
-        if callable(new):
+        if callable(new) or isinstance(new, bytes):
             return new
         at = rows(now - first - count, count, len(old))
         if isinstance(new, list):

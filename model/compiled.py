@@ -1,4 +1,7 @@
-"""Model functions of a number of UAVs: built, or compiled and kept on disk, and called through CasADi's buffers."""
+"""Model functions of a number of UAVs.
+
+Built, or compiled and kept on disk, and called through CasADi's buffers.
+"""
 
 import hashlib
 import itertools
@@ -9,21 +12,32 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from model import compiler, dynamics, rotations, state
-from model.arrays import Array
-from model.dynamics import Symbols
+from transport.model import compiler, dynamics, rotations, state
+from transport.model.arrays import Array
+from transport.model.dynamics import Symbols
 
 # No contraction of products and sums: the same bits as CasADi's interpreter.
 _FLAGS = ("-Og", "-march=native", "-fno-math-errno", "-ffp-contract=off")
-# A tenth of the code, evaluated tens of times in a step of a controller: worth the time of its compilation. GCC's
-# vectorisation of straight code fuses products and sums of neighbours in spite of the flag above.
+# A tenth of the code, evaluated tens of times in a step of a controller: worth the time of its
+# compilation. GCC's vectorisation of straight code fuses products and sums of neighbours in spite
+# of the flag above.
 _OFTEN = '#pragma GCC push_options\n#pragma GCC optimize("O2,no-tree-slp-vectorize")\n{}\n#pragma GCC pop_options'
 # Instructions; longer functions stay interpreted, as compilation time grows more than linearly.
 _MAX_LENGTH = 80_000
 
-_FUNCTIONS = ("derivative", "tensions", "velocities", "outputs", "linearise", "step", "sense", "sensed")
+_FUNCTIONS = (
+    "derivative",
+    "tensions",
+    "velocities",
+    "outputs",
+    "linearise",
+    "step",
+    "sense",
+    "sensed",
+)
 
-# Coefficients of the Dormand-Prince 5(4) pair (J. Comput. Appl. Math. 6, 1980): stages, 5th order, 4th order.
+# Coefficients of the Dormand-Prince 5(4) pair (J. Comput. Appl. Math. 6, 1980): stages, 5th order,
+# 4th order.
 _DP_STAGES: tuple[tuple[float, ...], ...] = (
     (),
     (1 / 5,),
@@ -44,8 +58,11 @@ class Compiled:
         self._buffer, self._evaluate = function.buffer()
         self._arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
         ends = np.cumsum([0, *(function.nnz_out(i) for i in range(function.n_out()))]).tolist()
-        self.parts = [slice(begin, end) for begin, end in itertools.pairwise(ends)]  # of the outputs in that of `flat`
-        # Matrices, as opposed to vectors and the nonzero entries of sparse outputs; CasADi is column-major.
+        self.parts = [
+            slice(begin, end) for begin, end in itertools.pairwise(ends)
+        ]  # of the outputs in that of `flat`
+        # Matrices, as opposed to vectors and the nonzero entries of sparse outputs; CasADi is
+        # column-major.
         self._matrices = [
             (i, function.size_out(i))
             for i in range(function.n_out())
@@ -58,7 +75,10 @@ class Compiled:
             self._buffer.set_res(i, self._results[part].data)  # type: ignore[call-arg]
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
-        """Return one new array per output: vectors for single columns, the nonzero entries of sparse ones by column."""
+        """Return one new array per output.
+
+        Vectors for single columns, the nonzero entries of sparse ones by column.
+        """
         flat = self.flat(*arguments)
         found = [flat[part] for part in self.parts]
         for i, shape in self._matrices:
@@ -74,14 +94,17 @@ class Compiled:
 
 
 def functions(N: int, rates: bool = False) -> dict[str, ca.Function]:
-    """Return the CasADi functions of N UAVs, with thrust and moments or body rates as inputs; compiled if on disk.
+    """Return the CasADi functions of N UAVs, with thrust and moments or body rates as inputs.
 
-    derivative, tensions, sensed (x, u, p, F) and velocities, outputs (x, p) return what they say; further ones are
-    linearise (x, u, p, F) -> x', y, and, sparse and transposed, the factors of `model.linearisation.Pattern`
-    step (x, u, p, F, h) -> x after h seconds of constant u and F by one Dormand-Prince step and projection of the rods,
-        and the local error estimate before projection
-    sense (x, u, p, F) -> measurements y of the UAVs' own sensors, and their derivatives in parts: those by (x, F) with
-        the payload's acceleration held, sparse, by that acceleration, and its own by (x, F)
+    Compiled if on disk.
+
+    derivative, tensions, sensed (x, u, p, F) and velocities, outputs (x, p) return what they say;
+    further ones are linearise (x, u, p, F) -> x', y, and, sparse and transposed, the factors of
+    `model.linearisation.Pattern` step (x, u, p, F, h) -> x after h seconds of constant u and F by
+    one Dormand-Prince step and projection of the rods, and the local error estimate before
+    projection sense (x, u, p, F) -> measurements y of the UAVs' own sensors, and their derivatives
+    in parts: those by (x, F) with the payload's acceleration held, sparse, by that acceleration,
+    and its own by (x, F)
     """
     return _loaded(N, rates, library(N, rates))
 
@@ -91,17 +114,25 @@ def _loaded(N: int, rates: bool, path: Path | None) -> dict[str, ca.Function]:
     compiled: dict[str, ca.Function] = {}
     if path is not None:
         importer = ca.Importer(str(path), "dll")
-        compiled = {name: ca.external(name, importer) for name in _FUNCTIONS if importer.has_function(name)}
+        compiled = {
+            name: ca.external(name, importer) for name in _FUNCTIONS if importer.has_function(name)
+        }
     return compiled if len(compiled) == len(_FUNCTIONS) else _build(N, rates) | compiled
 
 
 def needs_compilation(N: int, rates: bool = False) -> bool:
-    """Return whether `compile_functions` would compile: a compiler is there, and the functions are not compiled yet."""
+    """Return whether `compile_functions` would compile.
+
+    A compiler is there, and the functions are not compiled yet.
+    """
     return compiler.enabled() and compiler.find_compiler() is not None and library(N, rates) is None
 
 
 def compile_functions(N: int, rates: bool = False) -> bool:
-    """Compile the functions of N UAVs, with the same bits, for this processor, in seconds; return whether they are."""
+    """Compile the functions of N UAVs, with the same bits, for this processor, in seconds.
+
+    Return whether they are.
+    """
     if needs_compilation(N, rates):
         sources = [
             _OFTEN.format(_source(function)) if name == "step" else _source(function)
@@ -131,7 +162,10 @@ def _digest() -> bytes:
 
 
 def _source(function: ca.Function) -> str:
-    """Return a function in C. The generator's name prefixes its helpers, so that sources can be concatenated."""
+    """Return a function in C.
+
+    The generator's name prefixes its helpers, so that sources can be concatenated.
+    """
     generator = ca.CodeGenerator(f"{function.name()}_source.c", {"with_header": False})
     generator.add(function)
     return str(generator.dump())
@@ -152,7 +186,9 @@ def _build(N: int, rates: bool) -> dict[str, ca.Function]:
         "linearise": _linearise(s, motion, y),
         "step": _step(s, f),
         "sense": sense,
-        "sensed": ca.Function("sensed", [s.x, s.u, s.p, s.F], sense.call([s.x, s.u, s.p, s.F], True, False)[:1]),
+        "sensed": ca.Function(
+            "sensed", [s.x, s.u, s.p, s.F], sense.call([s.x, s.u, s.p, s.F], True, False)[:1]
+        ),
     }
 
 
@@ -161,27 +197,44 @@ def _sense(s: Symbols, motion: dynamics.Motion) -> ca.Function:
     a, wrt = ca.SX.sym("a", 6), ca.vertcat(s.x, s.F)
     given = dynamics.motion(s, a)
     y = dynamics.sensed(s, given.tensions)
-    by_acceleration = dynamics.solve_positive_definite(motion.mass, ca.jacobian(given.unbalanced, wrt))
-    found = ca.substitute([y, ca.jacobian(y, wrt), ca.jacobian(y, a), by_acceleration], [a], [motion.acceleration])
-    return ca.Function("sense", [s.x, s.u, s.p, s.F], [ca.densify(found[0]), found[1], *map(ca.densify, found[2:])])
+    by_acceleration = dynamics.solve_positive_definite(
+        motion.mass, ca.jacobian(given.unbalanced, wrt)
+    )
+    found = ca.substitute(
+        [y, ca.jacobian(y, wrt), ca.jacobian(y, a), by_acceleration], [a], [motion.acceleration]
+    )
+    return ca.Function(
+        "sense", [s.x, s.u, s.p, s.F], [ca.densify(found[0]), found[1], *map(ca.densify, found[2:])]
+    )
 
 
 def _linearise(s: Symbols, motion: dynamics.Motion, y: ca.SX) -> ca.Function:
-    """Return the parts of `model.linearisation.Linearisation`: a solves M a = b, so a' is M^-1 (b - M a)', a held."""
+    """Return the parts of `model.linearisation.Linearisation`.
+
+    A solves M a = b, so a' is M^-1 (b - M a)', a held.
+    """
     a, Pi = ca.SX.sym("a", 6), dynamics.projection(s.x, s.N)
     given = dynamics.motion(s, a)
-    direct, pushed = given.derivative, [ca.jacobian(given.unbalanced, s.x) @ Pi, ca.jacobian(given.unbalanced, s.u)]
+    direct, pushed = (
+        given.derivative,
+        [ca.jacobian(given.unbalanced, s.x) @ Pi, ca.jacobian(given.unbalanced, s.u)],
+    )
     by_acceleration = dynamics.solve_positive_definite(motion.mass, ca.horzcat(*pushed))
     parts = [ca.jacobian(direct, s.x) @ Pi, ca.jacobian(direct, s.u), ca.jacobian(direct, a)]
     parts += [by_acceleration[:, : s.x.numel()], by_acceleration[:, s.x.numel() :]]
     parts = [*ca.substitute(parts, [a], [motion.acceleration]), ca.jacobian(y, s.x)]
     # Transposed: row by row.
     found = [motion.derivative, y, *(ca.sparsify(part).T for part in parts)]
-    return ca.Function("linearise", [s.x, s.u, s.p, s.F], [ca.densify(found[0]), ca.densify(y), *found[2:]])
+    return ca.Function(
+        "linearise", [s.x, s.u, s.p, s.F], [ca.densify(found[0]), ca.densify(y), *found[2:]]
+    )
 
 
 def _step(s: Symbols, f: ca.Function) -> ca.Function:
-    """Return one Dormand-Prince step; the derivative is called, not repeated, so that the code stays short."""
+    """Return one Dormand-Prince step.
+
+    The derivative is called, not repeated, so that the code stays short.
+    """
     x, u, p, F = (ca.MX.sym(name, getattr(s, name).numel()) for name in ("x", "u", "p", "F"))
     h, slopes = ca.MX.sym("h"), list[ca.MX]()
     for coefficients in _DP_STAGES:

@@ -1,4 +1,7 @@
-"""The cache folder, and C source compiled for this processor; PAYLOAD_TRANSPORT_NATIVE=0 switches it off."""
+"""The cache folder, and C source compiled for this processor.
+
+PAYLOAD_TRANSPORT_NATIVE=0 switches it off.
+"""
 
 import hashlib
 import os
@@ -6,6 +9,7 @@ import platform
 import shutil
 import subprocess
 import tempfile
+import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -29,7 +33,11 @@ def enabled() -> bool:
 
 def find_compiler() -> str | None:
     """Return the C compiler: $CC, or the first installed of cc, gcc and clang."""
-    return next(filter(None, map(shutil.which, filter(None, [os.environ.get("CC"), "cc", "gcc", "clang"]))), None)
+    for name in (os.environ.get("CC"), "cc", "gcc", "clang"):
+        path = shutil.which(name) if name else None
+        if path is not None:
+            return path
+    return None
 
 
 def compiled_file(name: str, source: bytes, flags: Sequence[str]) -> Path:
@@ -39,28 +47,58 @@ def compiled_file(name: str, source: bytes, flags: Sequence[str]) -> Path:
 
 
 def intact(path: Path) -> bool:
-    """Return whether a library is there, and this user's or root's."""
+    """Return whether a library exists as it was compiled, and is owned by this user or root."""
     try:
-        return path.stat().st_uid in (0, os.getuid())
-    except OSError:
+        if path.stat().st_uid not in (0, os.getuid()):
+            return False
+        return _checksum(path.read_bytes()) == _checksum_file(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
         return False
 
 
 def compile_library(path: Path, source: bytes, flags: Sequence[str]) -> bool:
-    """Compile a C source if it is not; return False if there is no compiler, it fails, or the cache is not writable."""
+    """Compile a C source, unless its library is intact; return whether there is one.
+
+    There is none without a compiler, if it fails, or if the cache cannot be written, which is
+    reported as a warning.
+    """
+    if intact(path):
+        return True
     compiler = find_compiler()
-    if intact(path) or compiler is None:
-        return intact(path)
+    if compiler is None:
+        return False
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            made = str(Path(folder) / path.name)
-            command = [compiler, *_COMMON, *flags, "-o", made, "-x", "c", "-", "-lm"]
-            subprocess.run(command, input=source, check=True, capture_output=True, timeout=_TIMEOUT_S)
-            os.replace(made, path)  # other processes see it in full or not at all
-    except (OSError, subprocess.SubprocessError):
+            library = Path(folder) / path.name
+            command = [compiler, *_COMMON, *flags, "-o", str(library), "-x", "c", "-", "-lm"]
+            subprocess.run(
+                command, input=source, check=True, capture_output=True, timeout=_TIMEOUT_S
+            )
+            checksum = _checksum_file(library)
+            checksum.write_text(_checksum(library.read_bytes()), encoding="utf-8")
+            # Other processes see each file in full or not at all; a library without its checksum
+            # is compiled again.
+            os.replace(checksum, _checksum_file(path))
+            os.replace(library, path)
+    except subprocess.SubprocessError:
+        return False
+    except OSError as error:
+        problem = f"the cache {path.parent} cannot be written ({error.strerror})"
+        remedy = "plain ones are used, which are several times slower"
+        warnings.warn(f"no compiled kernels: {problem}; {remedy}", RuntimeWarning, stacklevel=2)
         return False
     return True
+
+
+def _checksum(library: bytes) -> str:
+    """Return the hash of a library's content."""
+    return hashlib.sha256(library).hexdigest()
+
+
+def _checksum_file(path: Path) -> Path:
+    """Return the file beside a library that has its hash: a library cut by a full disk has another."""
+    return path.with_name(f"{path.name}.sha256")
 
 
 @lru_cache

@@ -1,4 +1,7 @@
-"""Smooth curves of the payload: p(s(t)), a shape over the covered share s, from rest to rest, and its derivatives."""
+"""Smooth curves of the payload.
+
+P(s(t)), a shape over the covered share s, from rest to rest, and its derivatives.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,15 +12,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from model import jets
-from model.arrays import Array
+from transport.model import jets
+from transport.model.arrays import Array
 
 ShapeKind = Literal["circle", "eight", "spline"]
 
 ORDERS = 7  # coefficients of a jet up to the highest derivative that moments of UAVs need
 _FLAT = ORDERS - 1  # derivatives of s' up to this order vanish at both ends
 _DEGREE = 7  # of splines: the sixth derivative is continuous between way points; minimum snap
-# Distance of the knots of a smoothed table, s, their least number, and samples of the table between two of them.
+# Distance of the knots of a smoothed table, s, their least number, and samples of the table between
+# two of them.
 _KNOTS_S, _FEWEST_KNOTS, _PER_KNOT = 0.25, 2 * _DEGREE, 8
 _SAMPLES = 2000  # points of a shape at which its largest speed is sought
 
@@ -29,30 +33,49 @@ _START = (_step / _step(1.0)).integ()
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """A shape and its timing: circle (a sin, b (1 - cos), c sin) of 2 pi laps s, eight with b sin of twice that."""
+    """A shape and its timing.
+
+    Circle (a sin, b (1 - cos), c sin) of 2 pi laps s, eight with b sin of twice that.
+    """
 
     kind: ShapeKind | None
     duration_s: float  # from rest to rest
     ramp_s: float  # time of speeding up, and of slowing down, at most half the duration
-    size_I: tuple[float, ...] = (0.0, 0.0, 0.0)  # a, b, c of circle and eight, m; the displacement of a straight curve
+    size_I: tuple[float, ...] = (
+        0.0,
+        0.0,
+        0.0,
+    )  # a, b, c of circle and eight, m; the displacement of a straight curve
     laps: float = 1.0  # of circle and eight
-    points_I: Sequence[Sequence[float]] = ()  # way points of a spline after its start at zero, (k, 3), m
-    times_s: Sequence[float] | None = None  # of them; None: s is proportional to the distance between way points
-    # Times and displacements since the start, (k, 4), s and m, instead of shape and timing: the closest spline.
+    points_I: Sequence[
+        Sequence[float]
+    ] = ()  # way points of a spline after its start at zero, (k, 3), m
+    times_s: Sequence[float] | None = (
+        None  # of them; None: s is proportional to the distance between way points
+    )
+    # Times and displacements since the start, (k, 4), s and m, instead of shape and timing: the
+    # closest spline.
     table: Sequence[Sequence[float]] = ()
 
     def path(self, t_s: Array, orders: int = ORDERS) -> Array:
-        """Return the jets of the displacement since the start at times since then, (k,): (orders, k, 3), m, SI."""
+        """Return the jets of the displacement since the start at times since then, (k,).
+
+        (orders, k, 3), m, SI.
+        """
         if len(self.table):
             inside = np.clip(t_s, 0.0, self.duration_s)
-            return np.array([self._smoothed(inside, order) / factorial(order) for order in range(orders)])
+            return np.array(
+                [self._smoothed(inside, order) / factorial(order) for order in range(orders)]
+            )
         return self._shape(self.covered(t_s, orders))
 
     def covered(self, t_s: Array, orders: int) -> Array:
         """Return the jets of the covered share s, (orders, k). Source: docs/equations.md (65)."""
         span = self.duration_s - self.ramp_s
         inside = np.clip(t_s, 0.0, self.duration_s)
-        s = (_started(inside, self.ramp_s, orders) - _started(inside - span, self.ramp_s, orders)) / span
+        s = (
+            _started(inside, self.ramp_s, orders) - _started(inside - span, self.ramp_s, orders)
+        ) / span
         s[1:, inside != t_s] = 0.0
         return s
 
@@ -88,7 +111,9 @@ class Curve:
             s /= s[-1]
         else:
             s = self.covered(np.array([0.0, *self.times_s]), 1)[0]
-        if len(points) <= _DEGREE // 2:  # the polynomial through them has no snap, but is not the only such spline
+        if (
+            len(points) <= _DEGREE // 2
+        ):  # the polynomial through them has no snap, but is not the only such spline
             return make_interp_spline(s, points, k=len(points) - 1)
         # Minimum snap with free ends; start and stop are those of s.
         ends = [(order, np.zeros(3)) for order in range((_DEGREE + 1) // 2, _DEGREE)]
@@ -112,7 +137,9 @@ class Curve:
         # Sparse products and a banded solution do not depend on the number of threads.
         squares = (free.T @ free).toarray()
         bands = np.array([np.pad(np.diagonal(squares, -i), (0, i)) for i in range(d + 1)])
-        points[d:-d] = solveh_banded(bands, free.T @ (places - basis[:, -d:] @ points[-d:]), lower=True)
+        points[d:-d] = solveh_banded(
+            bands, free.T @ (places - basis[:, -d:] @ points[-d:]), lower=True
+        )
         return BSpline(knots, points, d)
 
 
@@ -121,7 +148,10 @@ def _started(t_s: Array, ramp_s: float, orders: int) -> Array:
     x = t_s / ramp_s
     low, high = np.clip(x, 0.0, 0.5), np.clip(1.0 - x, 0.0, 0.5)
     # The second half mirrors the first: better conditioned than the polynomial near its other end.
-    first, second = jets.of_polynomial(_START, low, orders), jets.of_polynomial(_START, high, orders)
+    first, second = (
+        jets.of_polynomial(_START, low, orders),
+        jets.of_polynomial(_START, high, orders),
+    )
     signs = (-1.0) ** np.arange(orders)[:, None]
     second = second * signs
     second[0] += x - 0.5

@@ -1,16 +1,19 @@
-"""Zero-order hold of x' = f + A_c dx + B_c du: a Taylor series applied to [A_c B_c f], with A_c in factors."""
+"""Zero-order hold of x' = f + A_c dx + B_c du.
+
+A Taylor series applied to [A_c B_c f], with A_c in factors.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from model import native
-from model.arrays import Array, ShapeError
-from model.linearisation import Linearisation
+from transport.model import native
+from transport.model.arrays import Array, ShapeError
+from transport.model.linearisation import Linearisation
 
-# theta = max(b_2^(1/2), b_3^(1/3)), b_k the largest column sum of |X|^k, entry by entry, with X = A_c T, stands for the
-# norm: every k >= 2 is a sum of twos and threes, so |X^k| <= theta^k, and for a mechanical system theta is several
-# times smaller than |X| (Al-Mohy, Higham 2009).
+# theta = max(b_2^(1/2), b_3^(1/3)), b_k the largest column sum of |X|^k, entry by entry, with X =
+# A_c T, stands for the norm: every k >= 2 is a sum of twos and threes, so |X^k| <= theta^k, and for
+# a mechanical system theta is several times smaller than |X| (Al-Mohy, Higham 2009).
 _THETA_MAX = 2.0  # above it the period is halved: a short series without cancellation
 _THETA_POSSIBLE = 300.0  # products of exp(theta) stay far below the float64 range
 _REMAINDER = 2.0**-53  # relative to T: below the rounding of the sum itself
@@ -26,7 +29,11 @@ class Discrete:
 
 
 def zero_order_hold(
-    linear: Linearisation, period_s: float, known: Discrete | None = None, *, remainder: float = _REMAINDER
+    linear: Linearisation,
+    period_s: float,
+    known: Discrete | None = None,
+    *,
+    remainder: float = _REMAINDER,
 ) -> Discrete:
     """Discretise exactly over a period, s: (16)-(17); A and B of a known one, for another f, stay.
 
@@ -52,15 +59,24 @@ def _zero_order_hold(linear: Linearisation, period_s: float) -> Discrete:
     X = np.abs(linear.A_c) * period_s
     with np.errstate(over="ignore", invalid="ignore"):
         sums = X.sum(axis=0) @ X
-        _check_growth(float(np.maximum(sums.max() ** (1 / 2), (sums @ X).max() ** (1 / 3))), period_s)
+        _check_growth(
+            float(np.maximum(sums.max() ** (1 / 2), (sums @ X).max() ** (1 / 3))), period_s
+        )
     augmented = np.zeros((n + m + 1, n + m + 1))
     augmented[:n] = np.column_stack([linear.A_c, linear.B_c, linear.f])
     held = expm(augmented * period_s)[:n]
-    return Discrete(A=np.ascontiguousarray(held[:, :n]), B=np.ascontiguousarray(held[:, n:-1]), f_d=held[:, -1].copy())
+    return Discrete(
+        A=np.ascontiguousarray(held[:, :n]),
+        B=np.ascontiguousarray(held[:, n:-1]),
+        f_d=held[:, -1].copy(),
+    )
 
 
 def euler(linear: Linearisation, period_s: float) -> Discrete:
-    """Discretise by one step of Euler's method, for comparison. Raises: ShapeError: A_c is not finite."""
+    """Discretise by one step of Euler's method, for comparison.
+
+    Raises: ShapeError: A_c is not finite.
+    """
     if not np.isfinite(linear.A_c).all():
         raise ShapeError("A_c: expected finite numbers")
     A = np.eye(len(linear.A_c)) + period_s * linear.A_c

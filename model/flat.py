@@ -1,4 +1,7 @@
-"""References that a team can fly, by differential flatness (Sreenath, Kumar 2013; Mellinger, Kumar 2011)."""
+"""References that a team can fly, by differential flatness (Sreenath, Kumar 2013.
+
+Mellinger, Kumar 2011).
+"""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -7,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from model import jets, state
-from model.arrays import Array, Rows, frozen
-from model.hover import Hover
-from model.maneuver import Maneuver
-from model.parameters import System
+from transport.model import jets, state
+from transport.model.arrays import Array, Rows, frozen
+from transport.model.hover import Hover
+from transport.model.identity import digest
+from transport.model.maneuver import Maneuver
+from transport.model.parameters import System
 
 LEAST_TENSION = 0.1  # of a rod on a reference, as a share of that at hover: gusts would slacken a cable with less
 MOST_TILT = 1.2  # of a UAV on a reference, rad: Euler angles become singular at a right angle
@@ -30,19 +34,31 @@ class Flight:
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
-    """What controllers follow at instants 0..K-1 from `first` on, one sampling period apart; the last one is held."""
+    """What controllers follow at instants 0..K-1 from `first` on, one sampling period apart.
+
+    The last one is held.
+    """
 
     X: Array  # states, (K, n)
     U: Array  # inputs for the period after each instant: those of its middle, (K, m)
     X_middle: Array  # states there, (K, n)
     paths: Array  # jets of the payload's path at the instants and in the middle after each, (K, 2, 7, 3)
     first: int = 0  # number of the first instant
-    flown: Callable[[Array, Any], Flight]  # the motion of the team along such a path under forces, as `flight`
+    flown: Callable[
+        [Array, Any], Flight
+    ]  # the motion of the team along such a path under forces, as `flight`
+
+    @property
+    def key(self) -> bytes:
+        """Digest of the numbers that controllers follow."""
+        return digest(self.X, self.U, self.X_middle, self.paths, self.first)
 
     def by_forces(self, at: Rows) -> tuple[Array, Array]:
         """Return the change of X, (k, n, 4 + 3 N), and U, (k, m, 4 + 3 N), at k rows per external force and mass."""
         places = [divmod(row, _BLOCK) for row in np.arange(len(self.X))[at].tolist()]
-        X_forces, U_forces = ([self._block(number)[part][row] for number, row in places] for part in (0, 1))
+        X_forces, U_forces = (
+            [self._block(number)[part][row] for number, row in places] for part in (0, 1)
+        )
         return np.array(X_forces), np.array(U_forces)
 
     def _block(self, number: int) -> list[Array]:
@@ -69,6 +85,15 @@ class FlatReference:
         self.maneuver = maneuver
         self._system, self._hover = system, hover
 
+    @property
+    def key(self) -> bytes:
+        """Digest of the numbers that the reference follows from."""
+        return digest("flat", self._system, self._hover, self.maneuver)
+
+    def with_maneuver(self, maneuver: Maneuver) -> "FlatReference":
+        """Return the reference of another maneuver of the team."""
+        return FlatReference(self._system, self._hover, maneuver)
+
     def outputs(self, t_s: Array) -> Array:
         """Return y_ref at times t_s, (k,), s: (k, 4 N + 9), SI: equations.md (14), (66)-(68)."""
         return self.followed(t_s)[0]
@@ -85,85 +110,162 @@ class FlatReference:
         rho = np.array([uav.rho for uav in self._system.uavs])
         lengths = np.array([uav.rod_length for uav in self._system.uavs])
         places = view.r0_I[:, None] + rho - lengths[:, None] * view.e_P
-        parts = [places.reshape(len(x), -1), view.Theta0, view.omega_B[:, :, 2], path[0, :, :3], path[1, :, :3]]
+        parts = [
+            places.reshape(len(x), -1),
+            view.Theta0,
+            view.omega_B[:, :, 2],
+            path[0, :, :3],
+            path[1, :, :3],
+        ]
         return np.hstack(parts), x
 
     def track(self, instants: int, period_s: float, first: int = 0) -> Track:
         """Return what controllers follow over a number of instants from the first on, one period apart, s."""
         times = period_s * np.arange(first, first + instants, dtype=np.float64)
         paths = np.stack([self.maneuver.jets(times), self.maneuver.jets(times + period_s / 2.0)])
-        return track(self._system, self._hover, np.ascontiguousarray(np.moveaxis(paths, 2, 0)), first)
+        return track(
+            self._system, self._hover, np.ascontiguousarray(np.moveaxis(paths, 2, 0)), first
+        )
 
 
-def track(system: System, hover: Hover, by_instant: Array, first: int = 0, released: Collection[int] = ()) -> Track:
+def track(
+    system: System, hover: Hover, by_instant: Array, first: int = 0, released: Collection[int] = ()
+) -> Track:
     """Return what controllers follow along a path, given as in `Track`; the rest as in `flight`."""
     flown = partial(flight, system, hover, released=released)
-    at, between = (flown(jets_of) for jets_of in np.ascontiguousarray(np.moveaxis(by_instant, 0, 2)))
+    at, between = (
+        flown(jets_of) for jets_of in np.ascontiguousarray(np.moveaxis(by_instant, 0, 2))
+    )
     frozen(by_instant)
-    return Track(X=at.x, U=between.u, X_middle=between.x, paths=by_instant, first=first, flown=flown)
+    return Track(
+        X=at.x, U=between.u, X_middle=between.x, paths=by_instant, first=first, flown=flown
+    )
 
 
-def flight(system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()) -> Flight:
+def flight(
+    system: System, hover: Hover, path: Array, forces: Any = None, released: Collection[int] = ()
+) -> Flight:
     """Return the motion of a team whose level payload follows a path: equations.md (66)-(68).
 
-    Given are jets of position, m, and of length and width of the team, relative to hover, (7, k, 5), or (7, k, 3),
-    forces and further mass of the payload, (4 + 3 N,) or of each instant, also complex, and released UAVs, now bobs.
+    Given are jets of position, m, and of length and width of the team, relative to hover, (7, k,
+    5), or (7, k, 3), forces and further mass of the payload, (4 + 3 N,) or of each instant, also
+    complex, and released UAVs, now bobs.
     """
-    N, k = system.N, path.shape[1]
-    path, formation = path[..., :3], path[..., 3:]
+    N = system.N
     F = np.zeros(4 + 3 * N) if forces is None else forces
-    gravity = np.array([0.0, 0.0, system.gravity])
+    gone = sorted(released)
+
+    t = _rod_forces(system, hover, path, F, released)
+    per_tension = jets.power(jets.dot(t, t), -0.5)
+    e = -jets.product(t, per_tension)
+
+    pushed = _pushes(system, path[..., :3], e, t, F)
+    pushed[:, :, gone] = 0.0
+    pushed[0, :, gone, 2] = 1.0  # upright, for the directions below
+    per_thrust = jets.power(jets.dot(pushed, pushed), -0.5)
+    b3 = jets.product(pushed, per_thrust)
+    omega = _body_rates(b3)
+
+    X = np.zeros((path.shape[1], system.n), dtype=pushed.dtype)
+    X[:, state.R0] = path[0, :, :3]
+    X[:, state.V0] = path[1, :, :3]
+    blocks = state.StateView(X).uavs
+    blocks[..., state.E] = e[0]
+    blocks[..., state.ROD_RATE] = np.cross(e[0], e[1])
+    # Roll and pitch with zero yaw.
+    blocks[..., state.THETA.start] = -np.arcsin(b3[0, ..., 1])
+    blocks[..., state.THETA.start + 1] = np.arctan(b3[0, ..., 0] / b3[0, ..., 2])
+    blocks[..., state.OMEGA] = omega[0]
+    X[:, state.PAYLOAD :] = blocks.reshape(len(X), -1)
+
+    commands = _commands(system, omega[0], jets.derivative(omega)[0])
+    inputs = np.concatenate([1.0 / per_thrust[0], commands], axis=-1)
+    inputs[:, gone] = 0.0
+    U = inputs.reshape(len(X), -1)
+    tensions = 1.0 / per_tension[0, ..., 0]
+    frozen(X, U, tensions)
+    return Flight(x=X, u=U, tensions=tensions)
+
+
+def _rod_forces(
+    system: System, hover: Hover, path: Array, F: Any, released: Collection[int]
+) -> Array:
+    """Return the jets of the rods' forces on the payload, (5, k, N, 3), N.
+
+    t = t_hover + W^+ [m0 r0'' - F_0, 0], and those that hold a formation.
+    Source: docs/equations.md (66), (66a).
+    """
     rho = np.array([uav.rho for uav in system.uavs])
-    masses, lengths = np.array([[uav.mass, uav.rod_length] for uav in system.uavs]).T[:, :, None]
-    # Force and moment on the payload per force of each rod, (6, 3 N).
-    crosses = [np.cross(r, np.eye(3), axisb=0, axisc=0) for r in rho]
-    W = np.hstack([np.vstack([np.eye(3), cross]) * (i not in released) for i, cross in enumerate(crosses)])
-    share = np.linalg.pinv(W)[:, :3].reshape(N, 3, 3)
-    needed = (system.payload.mass + F[..., -1:]) * jets.derivative(jets.derivative(path))
+    gravity = np.array([0.0, 0.0, system.gravity])
+    place, formation = path[..., :3], path[..., 3:]
+
+    # Force and moment on the payload per force of each rod, (6, 3 N), none of released UAVs.
+    columns = []
+    for i, r in enumerate(rho):
+        moment = np.cross(r, np.eye(3), axisb=0, axisc=0)
+        columns.append(np.vstack([np.eye(3), moment]) * (i not in released))
+    W = np.hstack(columns)
+    share = np.linalg.pinv(W)[:, :3].reshape(system.N, 3, 3)
+
+    mass = system.payload.mass + F[..., -1:]
+    needed = mass * jets.derivative(jets.derivative(place))
     needed[0] -= F[..., :3] + F[..., -1:] * gravity
     t = np.einsum("nij,okj->okni", share, needed)
     t[0] -= hover.tensions[:, None] * state.StateView(hover.x).e_P
     if formation.size:
-        t += _apart(hover, rho, lengths, formation, W)[: len(t)]
-    inverse = jets.power(jets.dot(t, t), -0.5)
-    e = -jets.product(t, inverse)
-    place = path[: len(e), :, None] - lengths * e
-    place[0] += rho
-    carried = -masses * jets.derivative(jets.derivative(place)) - t[:3]
-    carried[0] += masses * gravity + F[..., 3:-1].reshape(-1, N, 3)
-    gone = sorted(released)
-    carried[:, :, gone] = 0.0
-    carried[0, :, gone, 2] = 1.0  # upright, for the directions below
-    per_thrust = jets.power(jets.dot(carried, carried), -0.5)
-    b3 = jets.product(carried, per_thrust)
-    sideways, x, z = b3[..., 1], b3[..., 0], b3[..., 2]
-    cosine = jets.power(jets.product(x, x) + jets.product(z, z), 0.5)
-    roll_rate = -jets.product(jets.derivative(sideways), jets.power(cosine, -1.0))
-    turned = jets.product(jets.derivative(x), z) - jets.product(x, jets.derivative(z))
-    pitch_rate = jets.product(turned, jets.power(cosine, -2.0))
-    omega = np.stack([roll_rate, jets.product(pitch_rate, cosine), jets.product(pitch_rate, sideways)], axis=-1)
-    rates, accelerations = omega[0], jets.derivative(omega)[0]
-    J = np.array([uav.inertia for uav in system.uavs])
-    momentum = np.einsum("nij,knj->kni", J, rates)
-    if system.rate_gains is None:
-        commands = np.einsum("nij,knj->kni", J, accelerations) + np.cross(rates, momentum)
-    else:
-        commands = rates + accelerations / system.rate_gains
+        t += _apart(hover, rho, _column(system, "rod_length"), formation, W)[: len(t)]
+    return np.asarray(t)
 
-    X = np.zeros((k, system.n), dtype=carried.dtype)
-    X[:, state.R0], X[:, state.V0] = path[0], path[1]
-    blocks = state.StateView(X).uavs
-    blocks[..., state.E], blocks[..., state.ROD_RATE] = e[0], np.cross(e[0], e[1])
-    # Roll and pitch with zero yaw.
-    blocks[..., state.THETA.start], blocks[..., state.THETA.start + 1] = -np.arcsin(sideways[0]), np.arctan(x[0] / z[0])
-    blocks[..., state.OMEGA] = rates
-    X[:, state.PAYLOAD :] = blocks.reshape(k, -1)
-    inputs = np.concatenate([1.0 / per_thrust[0], commands], axis=-1)
-    inputs[:, gone] = 0.0
-    U = inputs.reshape(k, -1)
-    tensions = 1.0 / inverse[0, ..., 0]
-    frozen(X, U, tensions)
-    return Flight(x=X, u=U, tensions=tensions)
+
+def _pushes(system: System, place: Array, e: Array, t: Array, F: Any) -> Array:
+    """Return the jets of thrust times direction of the UAVs, (3, k, N, 3), N.
+
+    f b3 = m (g - r_i'') - t + F_i at r_i = r0 + rho - l e. Source: docs/equations.md (67).
+    """
+    rho = np.array([uav.rho for uav in system.uavs])
+    masses = _column(system, "mass")
+    gravity = np.array([0.0, 0.0, system.gravity])
+
+    r = place[: len(e), :, None] - _column(system, "rod_length") * e
+    r[0] += rho
+    pushed = -masses * jets.derivative(jets.derivative(r)) - t[:3]
+    pushed[0] += masses * gravity + F[..., 3:-1].reshape(-1, system.N, 3)
+    return np.asarray(pushed)
+
+
+def _body_rates(b3: Array) -> Array:
+    """Return the jets of the body rates of UAVs with zero yaw, (2, k, N, 3), 1/s, by their axes b3.
+
+    omega = [phi', theta' cos phi, -theta' sin phi], sin phi = -b3_y, tan theta = b3_x / b3_z.
+    Source: docs/equations.md (68).
+    """
+    x, y, z = b3[..., 0], b3[..., 1], b3[..., 2]
+    cos_roll = jets.power(jets.product(x, x) + jets.product(z, z), 0.5)
+    roll_rate = -jets.product(jets.derivative(y), jets.power(cos_roll, -1.0))
+
+    turned = jets.product(jets.derivative(x), z) - jets.product(x, jets.derivative(z))
+    pitch_rate = jets.product(turned, jets.power(cos_roll, -2.0))
+    across = jets.product(pitch_rate, cos_roll)
+    down = jets.product(pitch_rate, y)
+    return np.stack([roll_rate, across, down], axis=-1)
+
+
+def _commands(system: System, omega: Array, omega_dot: Array) -> Array:
+    """Return moments or commanded body rates, (k, N, 3), by body rates and their derivatives.
+
+    tau = J omega' + omega x J omega, or omega + omega' / K. Source: docs/equations.md (57), (68).
+    """
+    if system.rate_gains is not None:
+        return np.asarray(omega + omega_dot / system.rate_gains)
+    J = np.array([uav.inertia for uav in system.uavs])
+    momentum = np.einsum("nij,knj->kni", J, omega)
+    turning = np.einsum("nij,knj->kni", J, omega_dot)
+    return np.asarray(turning + np.cross(omega, momentum))
+
+
+def _column(system: System, key: str) -> Array:
+    """Return a number of each UAV, (N, 1)."""
+    return np.array([[getattr(uav, key)] for uav in system.uavs])
 
 
 def _apart(hover: Hover, rho: Array, lengths: Array, formation: Array, W: Array) -> Array:

@@ -1,18 +1,23 @@
-"""Hover, the equilibrium at start and end of a maneuver, also of teams with failed UAVs: equations.md (50), (51)."""
+"""Hover, the equilibrium at start and end of a maneuver, also of teams with failed UAVs.
+
+Source: docs/equations.md (18), (19), (50), (51).
+"""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from model import state
-from model.arrays import Array, ArrayLike, frozen
-from model.parameters import ParameterError, System
-from model.rotations import euler_angles, rotation
+from transport.model import state
+from transport.model.arrays import Array, ArrayLike, frozen
+from transport.model.parameters import ParameterError, System
+from transport.model.rotations import euler_angles, rotation
 
-# Force and moment that may stay unbalanced, relative to the payload's weight (and 1 m): rounding, not physics.
+# Force and moment that may stay unbalanced, relative to the payload's weight (and 1 m): rounding,
+# not physics.
 _BALANCE_TOLERANCE = 1e-9
-# A released UAV becomes a bob that pulls with 1e-5 N. The equations divide by a mass only where a force acts on it.
+# A released UAV becomes a bob that pulls with 1e-5 N. The equations divide by a mass only where a
+# force acts on it.
 RELEASED_MASS_KG = 1e-6
 
 
@@ -25,63 +30,105 @@ class Hover:
     tensions: Array  # of the rods, (N,), N
 
 
-def hover(system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int, float] | None = None) -> Hover:
-    """Return the equilibrium with rod directions, (N, 3), payload frame, straight down by default: (18)-(19), (51).
+def hover(
+    system: System, rods_P: ArrayLike | None = None, thrusts: Mapping[int, float] | None = None
+) -> Hover:
+    """Return the equilibrium with rod directions, (N, 3), payload frame, straight down by default.
 
-    Rod tensions are of least norm; given thrusts, N, by 0-based numbers, fix those of vertical rods.
+    Rod tensions are of least norm; given thrusts, N, by 0-based numbers, fix those of vertical
+    rods.
     Raises: ParameterError: no rod tensions balance the payload, or a UAV would have to push down.
+    Source: docs/equations.md (18)-(19), (51).
     """
-    N = system.N
-    e = np.tile([0.0, 0.0, 1.0], (N, 1)) if rods_P is None else np.array(rods_P, dtype=np.float64)
-    rho = np.array([uav.rho for uav in system.uavs])
+    down = np.array([0.0, 0.0, 1.0])
+    e = np.tile(down, (system.N, 1)) if rods_P is None else np.array(rods_P, dtype=np.float64)
     weight = system.payload.mass * system.gravity
-    wrenches = np.concatenate([e, np.cross(rho, e)], axis=1).T
-    target = np.array([0.0, 0.0, weight, 0.0, 0.0, 0.0])
-    tensions = np.zeros(N)
-    given = dict(thrusts or {})
-    free = np.setdiff1d(np.arange(N), sorted(given))
-    for i, thrust in given.items():
-        tensions[i] = (thrust - system.uavs[i].mass * system.gravity) * e[i, 2]
-    carried = target - wrenches[:, sorted(given)] @ tensions[sorted(given)]
-    tensions[free] = np.linalg.lstsq(wrenches[:, free], carried, rcond=None)[0]
-    unbalanced = np.abs(wrenches @ tensions - target).max()
-    if unbalanced > _BALANCE_TOLERANCE * max(weight, 1.0):
-        raise ParameterError(
-            f"no hover equilibrium: rods at {rho.tolist()} m with directions {e.tolist()} leave "
-            f"{unbalanced:.3g} N or N m on the payload; its centre of mass must hang between the attachment points"
-        )
-    x, u = np.zeros(system.n), np.zeros(system.m)
+    rounding = _BALANCE_TOLERANCE * max(weight, 1.0)
+    tensions = _balancing(system, e, dict(thrusts or {}), rounding)
+
+    x = np.zeros(system.n)
+    u = np.zeros(system.m)
     for i, uav in enumerate(system.uavs):
-        force_I = -(uav.mass * system.gravity * np.array([0.0, 0.0, 1.0]) + tensions[i] * e[i])
+        # The UAV carries its weight and pulls the rod: f b3 = -(m g + t e).
+        force_I = -(uav.mass * system.gravity * down + tensions[i] * e[i])
         thrust = float(np.linalg.norm(force_I))
-        if thrust <= _BALANCE_TOLERANCE * max(weight, 1.0):
-            thrust = 0.0  # zero but for rounding
+        if thrust <= rounding:
+            thrust = 0.0
         if thrust > 0.0 and force_I[2] >= 0.0:
             problem = f"UAV{i + 1} would have to push down or sideways ({force_I[2]:.3g} N)"
             raise ParameterError(f"no hover equilibrium: {problem}")
+
         block = x[state.uav_slice(i)]
         block[state.E] = e[i]
         if thrust > 0.0:
-            # Zero yaw keeps b1 in the inertial x-z plane, so it is orthogonal to the inertial y axis.
-            b3 = -force_I / thrust
-            b1 = np.cross([0.0, 1.0, 0.0], b3)
-            b1 /= np.linalg.norm(b1)
-            block[state.THETA] = euler_angles(np.column_stack([b1, np.cross(b3, b1), b3]))
+            block[state.THETA] = _attitude(force_I, thrust)
         u[state.input_slice(i)][0] = thrust
     frozen(x, u, tensions)
     return Hover(x=x, u=u, tensions=tensions)
 
 
+def _balancing(system: System, e: Array, thrusts: Mapping[int, float], rounding: float) -> Array:
+    """Return the rod tensions that hold the payload level, (N,), N: sum [e, rho x e] t = [m0 g, 0].
+
+    Raises: ParameterError: none do, up to rounding, N and N m.
+    """
+    rho = np.array([uav.rho for uav in system.uavs])
+    wrenches = np.concatenate([e, np.cross(rho, e)], axis=1).T
+    load = np.zeros(6)
+    load[2] = system.payload.mass * system.gravity
+
+    tensions = np.zeros(system.N)
+    given = sorted(thrusts)
+    free = np.setdiff1d(np.arange(system.N), given)
+    for i in given:
+        own_weight = system.uavs[i].mass * system.gravity
+        tensions[i] = (thrusts[i] - own_weight) * e[i, 2]
+    carried = load - wrenches[:, given] @ tensions[given]
+    tensions[free] = np.linalg.lstsq(wrenches[:, free], carried, rcond=None)[0]
+
+    unbalanced = np.abs(wrenches @ tensions - load).max()
+    if unbalanced > rounding:
+        raise ParameterError(
+            f"no hover equilibrium: rods at {rho.tolist()} m with directions {e.tolist()} leave "
+            f"{unbalanced:.3g} N or N m on the payload; its centre of mass must hang between the "
+            "attachment points"
+        )
+    return tensions
+
+
+def _attitude(force_I: Array, thrust: float) -> Array:
+    """Return the Euler angles of a UAV whose thrust is a force, inertial frame, (3,).
+
+    Zero yaw keeps b1 in the inertial x-z plane, so it is orthogonal to the inertial y axis.
+    """
+    b3 = -force_I / thrust
+    b1 = np.cross([0.0, 1.0, 0.0], b3)
+    b1 /= np.linalg.norm(b1)
+    return euler_angles(np.column_stack([b1, np.cross(b3, b1), b3]))
+
+
 def with_released(system: System, released: Collection[int]) -> System:
-    """Return the system with bobs in place of released UAVs; they keep the inertia, which has no effect."""
-    uavs = [replace(uav, mass=RELEASED_MASS_KG) if i in released else uav for i, uav in enumerate(system.uavs)]
+    """Return the system with bobs in place of released UAVs.
+
+    They keep the inertia, which has no effect.
+    """
+    uavs = [
+        replace(uav, mass=RELEASED_MASS_KG) if i in released else uav
+        for i, uav in enumerate(system.uavs)
+    ]
     return replace(system, uavs=tuple(uavs))
 
 
 def failed_hover(
-    system: System, off: Collection[int], released: Collection[int], thrusts: Mapping[int, float] | None = None
+    system: System,
+    off: Collection[int],
+    released: Collection[int],
+    thrusts: Mapping[int, float] | None = None,
 ) -> Hover:
-    """Return the hover with UAVs off, upright, and given thrusts of others, N. Raises: ParameterError: none."""
+    """Return the hover with UAVs off, upright, and given thrusts of others, N.
+
+    Raises: ParameterError: none.
+    """
     rods = np.tile([0.0, 0.0, 1.0], (system.N, 1))
     rods[sorted(released)] *= -1.0
     given = {**(thrusts or {}), **dict.fromkeys(off, 0.0)}
@@ -89,7 +136,10 @@ def failed_hover(
 
 
 def motor_off_state(x: Array, uav: int) -> Array:
-    """Return the state with the rotation of a UAV stopped, (n,): undamped it would reach the singularity of (3)."""
+    """Return the state with the rotation of a UAV stopped, (n,).
+
+    Undamped it would reach the singularity of (3).
+    """
     x = x.copy()
     x[state.uav_slice(uav)][state.OMEGA] = 0.0
     return x

@@ -1,11 +1,14 @@
-"""Arithmetic of truncated Taylor series (jets): f^(j)(t) / j! along the first axis (Griewank, Walther 2008, 13)."""
+"""Arithmetic of truncated Taylor series (jets).
+
+F^(j)(t) / j! along the first axis (Griewank, Walther 2008, 13).
+"""
 
 from math import factorial
 from typing import Any
 
 import numpy as np
 
-from model.arrays import Array
+from transport.model.arrays import Array
 
 
 def derivative(a: Array) -> Array:
@@ -16,7 +19,9 @@ def derivative(a: Array) -> Array:
 
 def product(a: Array, b: Array) -> Array:
     """Return the jet of a product; the other axes broadcast."""
-    return np.array([sum(a[i] * b[k - i] for i in range(k + 1)) for k in range(min(len(a), len(b)))])
+    return np.array(
+        [sum(a[i] * b[k - i] for i in range(k + 1)) for k in range(min(len(a), len(b)))]
+    )
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -52,4 +57,6 @@ def sine(a: Array, lead: float = 0.0) -> Array:
 
 def of_polynomial(polynomial: Any, x: Array, orders: int) -> Array:
     """Return Taylor coefficients 0..orders-1 of a function with `deriv`, such as a NumPy polynomial, at x, (k,)."""
-    return np.array([(polynomial.deriv(j) if j else polynomial)(x) / factorial(j) for j in range(orders)])
+    return np.array(
+        [(polynomial.deriv(j) if j else polynomial)(x) / factorial(j) for j in range(orders)]
+    )

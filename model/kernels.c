@@ -365,7 +365,7 @@ void free_response(ptrdiff_t steps, ptrdiff_t n, const double *A, const double *
     }
 }
 
-/* States Z, (steps + 1, n), and inputs U, (steps, m), under u = at_x0 + K (x - x0) within bounds; see mpc/tracking.py.
+/* States Z, (steps + 1, n), and inputs U, (steps, m), under u = at_x0 + K (x - x0) within bounds; see mpc/rollout.py.
 
    advance: a CasADi function (x, u, p, F, h) -> (x, error); arg, res, iw, w: room for it, arg[2] to arg[4] are set. */
 void rollout(ptrdiff_t steps, ptrdiff_t n, ptrdiff_t m,
@@ -396,7 +396,7 @@ INLINE double answer(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t i, ptrdiff_t k, con
     return sum;
 }
 
-/* Plan from a solution by mixing corrections c to the shared control law with the previous ones; see mpc/program.py.
+/* Plan from a solution by mixing corrections c to the shared control law with the previous ones; see mpc/relaxation.py.
 
    own: (m,) of all inputs. z: scaled decision, (steps, m). uncorrected, previous, dU: (steps, all): inputs by the law at
    x0, corrections, K dX. feedback: (all, steps, m). w: of the new corrections, 0 for none.
@@ -436,7 +436,7 @@ static void relax(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t all, const ptrdiff_t *
         }
 }
 
-/* The problem of one step; see mpc/program.py. Three kinds of outputs: the model's, the user's terms, and the inputs of
+/* The problem of one step; see mpc/compiled_program.py. Three kinds of outputs: the model's, the user's terms, and the inputs of
    the other agents' UAVs. Sizes of arrays behind their names; D = steps * m. */
 typedef struct {
     ptrdiff_t steps, n, m, size;              /* horizon, states, owned inputs, decisions and slacks */
@@ -522,7 +522,7 @@ static void effects(const problem *c, const ptrdiff_t *every, double *L, double 
 /* Hessian, both triangles equal to the bit; `work` is that of `condense`.
 
    A prediction is block-Toeplitz: G(k) = [S(k-1) .. S(0) 0 .. 0], S(a) the effect of a decision on the outputs a + 1
-   steps later. So block (i, j) of the Hessian is a sum of S(a)' Q S(b) along a - b = j - i; see mpc/program.py. */
+   steps later. So block (i, j) of the Hessian is a sum of S(a)' Q S(b) along a - b = j - i; see mpc/condensing.py. */
 static void hessian(const problem *c, const ptrdiff_t *every, const double *flat, const double *reached, double *value,
                     double *work)
 {
@@ -636,7 +636,7 @@ static void toeplitz(ptrdiff_t steps, ptrdiff_t s, ptrdiff_t m, const double *im
         }
 }
 
-/* Distances of pairs of UAVs along their present direction; see mpc/rows.py.
+/* Distances of pairs of UAVs along their present direction; see mpc/constraints/separation.py.
 
    pairs: (count, 2). r: positions, (3 N). free_: the same at steps 1 .. steps, rows of length `outputs`. effect: of
    the decisions on them, (3 N, steps, m). by: (count, steps, m), effect on the distances; distance: (steps, count). */
@@ -664,7 +664,7 @@ void distances(ptrdiff_t steps, ptrdiff_t m, ptrdiff_t count, const ptrdiff_t *p
     }
 }
 
-/* The QP of a prediction: cost, bounds, and rows of limited distances and angles; see mpc/program.py. */
+/* The QP of a prediction: cost, bounds, and rows of limited distances and angles; see mpc/compiled_program.py. */
 void fill(const problem *p)
 {
     const ptrdiff_t steps = p->steps, m = p->m, D = steps * m;

@@ -7,33 +7,42 @@ from typing import Literal
 
 import numpy as np
 
-from model import jets, state
-from model.arrays import Array, ArrayLike, assign, checked
-from model.curves import ORDERS, Curve
-from model.hover import Hover
-from model.parameters import ParameterError, System
+from transport.model import jets, state
+from transport.model.arrays import Array, ArrayLike, assign, checked
+from transport.model.curves import ORDERS, Curve
+from transport.model.hover import Hover
+from transport.model.identity import digest
+from transport.model.parameters import ParameterError, System
 
 Profile = Literal["ramp", "min_jerk", "step", "smooth"]
 PhaseKind = Literal["move", "take_off", "land", "circle", "eight", "spline"]
 
-_ROUNDING = 1e-9  # by which ends of a computed table may differ from duration and displacement, s and m
+_ROUNDING = (
+    1e-9  # by which ends of a computed table may differ from duration and displacement, s and m
+)
 
-# Share of a take-off before the payload rises, and of a landing after it has sunk: its weight goes to or from the team.
+# Share of a take-off before the payload rises, and of a landing after it has sunk: its weight goes
+# to or from the team.
 HANDOVER = 0.25
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Phase:
-    """One piece of the payload's path, straight, along a table or a curve; take-off and landing: minimum jerk."""
+    """One piece of the payload's path, straight, along a table or a curve.
+
+    Take-off and landing: minimum jerk.
+    """
 
     name: str  # for figures and progress, e.g. "climb"
     duration_s: float  # > 0
     displacement_I: Array  # from start to end of the phase, (3,), inertial frame (z down), m
     kind: PhaseKind
-    # Times and positions since the start, s and m, (k, 4), at constant speed between rows. None: by the profile.
+    # Times and positions since the start, s and m, (k, 4), at constant speed between rows. None: by
+    # the profile.
     way: Array | None
     curve: Curve | None  # of the kinds circle, eight and spline, or of a smoothed table
-    # Shares of the duration, and length and width of the team from then on, as multiples of those at hover, (k, 3).
+    # Shares of the duration, and length and width of the team from then on, as multiples of those
+    # at hover, (k, 3).
     formation: Array | None
 
     def __init__(
@@ -41,27 +50,47 @@ class Phase:
         way: ArrayLike | None = None, curve: Curve | None = None, formation: ArrayLike | None = None,
     ) -> None:  # fmt: skip
         displacement_I = checked(f"phase {name!r} displacement", displacement_I, (3,))
-        assign(self, name=name, duration_s=float(duration_s), displacement_I=displacement_I, kind=kind, curve=curve)
+        assign(
+            self,
+            name=name,
+            duration_s=float(duration_s),
+            displacement_I=displacement_I,
+            kind=kind,
+            curve=curve,
+        )
         if way is not None:
             way = checked(f"phase {name!r} way", way, (None, 4))
             ends = np.array([np.zeros(4), [duration_s, *displacement_I]])
             if len(way) < 2 or np.abs(way[[0, -1]] - ends).max() > _ROUNDING:
-                raise ParameterError(f"phase {name!r} way: expected rows from {ends[0].tolist()} to {ends[1].tolist()}")
+                raise ParameterError(
+                    f"phase {name!r} way: expected rows from {ends[0].tolist()} to {ends[1].tolist()}"
+                )
             for row in np.flatnonzero(np.diff(way[:, 0]) <= 0.0):
-                problem = f"row {row + 2}: expected a time > {way[row, 0]:g} s, got {way[row + 1, 0]:g}"
+                problem = (
+                    f"row {row + 2}: expected a time > {way[row, 0]:g} s, got {way[row + 1, 0]:g}"
+                )
                 raise ParameterError(f"phase {name!r} way: {problem}")
         if formation is not None:
             formation = checked(f"phase {name!r} formation", formation, (None, 3))
             shares = np.array([0.0, *formation[:, 0]])
-            if not (np.diff(shares) > 0.0).all() or shares[-1] > 1.0 or not (formation[:, 1:] > 0.0).all():
+            if (
+                not (np.diff(shares) > 0.0).all()
+                or shares[-1] > 1.0
+                or not (formation[:, 1:] > 0.0).all()
+            ):
                 expected = "expected rows of shares of the duration, rising above 0 to 1 at most, and two numbers > 0"
-                raise ParameterError(f"phase {name!r} formation: {expected}, got {formation.tolist()}")
+                raise ParameterError(
+                    f"phase {name!r} formation: {expected}, got {formation.tolist()}"
+                )
         assign(self, way=way, formation=formation)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Target:
-    """A target given during the flight: the payload leaves its path for it, and may run through a curve from there."""
+    """A target given during the flight.
+
+    The payload leaves its path for it, and may run through a curve from there.
+    """
 
     since_s: float  # time from which on the path changes, s
     point_I: Array  # position of the target, (3,), inertial frame, m
@@ -84,8 +113,15 @@ class Target:
         return np.asarray(self.goal(np.array([self.ends_s]), 1)[0, 0])
 
     def goal(self, t_s: Array, orders: int) -> Array:
-        """Return the jets of the target, and of the curve after it, at times t_s, (k,): (orders, k, 3), SI."""
-        found = np.zeros((orders, len(t_s), 3)) if self.way is None else self.way.path(t_s - self.reached_s, orders)
+        """Return the jets of the target, and of the curve after it, at times t_s, (k,).
+
+        (orders, k, 3), SI.
+        """
+        found = (
+            np.zeros((orders, len(t_s), 3))
+            if self.way is None
+            else self.way.path(t_s - self.reached_s, orders)
+        )
         found[0] += self.point_I
         return found
 
@@ -105,7 +141,9 @@ class Maneuver:
     phases: tuple[Phase, ...]  # in this order; the end is held
     profile: Profile  # of straight phases: constant speed, minimum jerk, a step at the beginning, or as a `Curve`
     press_m: float  # how far below the ground the controllers' reference is while the ground carries the payload, m
-    targets: tuple[Target, ...]  # given during the flight, in this order: each leads away from the path before it
+    targets: tuple[
+        Target, ...
+    ]  # given during the flight, in this order: each leads away from the path before it
 
     def __init__(
         self, *, start_I: ArrayLike, phases: Sequence[Phase], profile: Profile = "ramp", press_m: float = 0.0,
@@ -113,11 +151,20 @@ class Maneuver:
     ) -> None:  # fmt: skip
         for phase, after in pairwise(phases):
             if phase.kind == "land" and after.kind == "move" and after.displacement_I.any():
-                raise ParameterError(f"phase {after.name!r}: expected a take-off, or no way, after a landing")
+                raise ParameterError(
+                    f"phase {after.name!r}: expected a take-off, or no way, after a landing"
+                )
         start_I = checked("maneuver start", start_I, (3,))
-        assign(self, start_I=start_I, phases=tuple(phases), profile=profile, press_m=press_m, targets=tuple(targets))
+        assign(
+            self,
+            start_I=start_I,
+            phases=tuple(phases),
+            profile=profile,
+            press_m=press_m,
+            targets=tuple(targets),
+        )
 
-    def headed(self, target: Target) -> "Maneuver":
+    def with_target(self, target: Target) -> "Maneuver":
         """Return the maneuver with a further target."""
         return replace(self, targets=(*self.targets, target))
 
@@ -129,21 +176,31 @@ class Maneuver:
     def stages(self) -> list[tuple[str, float, float]]:
         """Return name, begin and end, s, of the phases as far as they are flown, and of the ways to the targets."""
         ends_s = np.cumsum([0.0, *(phase.duration_s for phase in self.phases)]).tolist()
-        found = [(phase.name, *between) for phase, between in zip(self.phases, pairwise(ends_s), strict=True)]
+        found = [
+            (phase.name, *between)
+            for phase, between in zip(self.phases, pairwise(ends_s), strict=True)
+        ]
         for target in self.targets:
             since_s = target.since_s
-            found = [(name, begin, min(end, since_s)) for name, begin, end in found if begin < since_s]
+            found = [
+                (name, begin, min(end, since_s)) for name, begin, end in found if begin < since_s
+            ]
             found.append(("target", since_s, target.ends_s))
             if target.ends_s < ends_s[-1]:
                 found.append(("at target", target.ends_s, ends_s[-1]))
         return found
 
     def phase_at(self, t_s: float) -> Phase:
-        """Return the phase that a time belongs to: the first phase before the start, the last one after the end."""
+        """Return the phase that a time belongs to.
+
+        The first phase before the start, the last one after the end.
+        """
         for target in reversed(self.targets):
             if t_s >= target.since_s:
                 name = "target" if t_s < target.ends_s else "at target"
-                return Phase(name=name, duration_s=target.ends_s - target.since_s, displacement_I=np.zeros(3))
+                return Phase(
+                    name=name, duration_s=target.ends_s - target.since_s, displacement_I=np.zeros(3)
+                )
         end_s = 0.0
         for phase in self.phases:
             end_s += phase.duration_s
@@ -152,12 +209,18 @@ class Maneuver:
         return phase
 
     def path(self, t_s: Array) -> tuple[Array, Array]:
-        """Return r0 and r0' at times t_s, (k,): (k, 3) each, m and m/s, inertial; a step has no velocity: (20)."""
+        """Return r0 and r0' at times t_s, (k,).
+
+        (k, 3) each, m and m/s, inertial; a step has no velocity: (20).
+        """
         r, v = self._along(t_s, 2)
         return r, v
 
     def jets(self, t_s: Array) -> Array:
-        """Return jets of the path at t_s, (`ORDERS`, k, 3), 5 with formation: (65). Raises: ParameterError."""
+        """Return jets of the path at t_s, (`ORDERS`, k, 3), 5 with formation.
+
+        (65). Raises: ParameterError.
+        """
         for phase in self.phases:
             if self._curve(phase) is None and (phase.displacement_I.any() or phase.way is not None):
                 expected = "expected a smooth path, that of profile 'smooth'"
@@ -168,7 +231,10 @@ class Maneuver:
         return np.concatenate([found, self.formation(t_s)], axis=-1)
 
     def _along(self, t_s: Array, orders: int) -> Array:
-        """Return the jets of the path, (orders, k, 3); phases that are not smooth have position and velocity."""
+        """Return the jets of the path, (orders, k, 3).
+
+        Phases that are not smooth have position and velocity.
+        """
         found, begin = np.zeros((orders, len(t_s), 3)), 0.0
         found[0] = self.start_I
         for phase in self.phases:
@@ -178,7 +244,9 @@ class Maneuver:
             elif phase.way is not None:
                 found[:2] += np.stack(_by_table(phase.way, t_s - begin))
             else:
-                found[:2] += np.multiply.outer(np.stack(self._progress(phase, t_s - begin)), phase.displacement_I)
+                found[:2] += np.multiply.outer(
+                    np.stack(self._progress(phase, t_s - begin)), phase.displacement_I
+                )
             begin += phase.duration_s
         for target in self.targets:
             after = t_s >= target.since_s
@@ -194,17 +262,26 @@ class Maneuver:
             before = begin
             for share, *then in [] if phase.formation is None else phase.formation:
                 span = begin + share * phase.duration_s - before
-                change = Curve(kind=None, duration_s=span, ramp_s=span / 2.0).covered(t_s - before, ORDERS)
+                change = Curve(kind=None, duration_s=span, ramp_s=span / 2.0).covered(
+                    t_s - before, ORDERS
+                )
                 found += change[..., None] * (then - held)
                 before, held = before + span, np.array(then)
             begin += phase.duration_s
         return found
 
     def _curve(self, phase: Phase) -> Curve | None:
-        if phase.curve is not None or self.profile != "smooth" or phase.kind != "move" or phase.way is not None:
+        if (
+            phase.curve is not None
+            or self.profile != "smooth"
+            or phase.kind != "move"
+            or phase.way is not None
+        ):
             return phase.curve
         size_I = tuple(phase.displacement_I.tolist())
-        return Curve(kind=None, duration_s=phase.duration_s, ramp_s=phase.duration_s / 2.0, size_I=size_I)
+        return Curve(
+            kind=None, duration_s=phase.duration_s, ramp_s=phase.duration_s / 2.0, size_I=size_I
+        )
 
     def press(self, t_s: Array) -> tuple[Array, Array]:
         """Return how far below the payload's path the controllers' reference is, (k,), m, and its rate, m/s: (59)."""
@@ -216,7 +293,9 @@ class Maneuver:
         for phase in self.phases:
             span = HANDOVER * phase.duration_s
             if phase.kind != "move":
-                sign, first = (1.0, phase.duration_s - span) if phase.kind == "land" else (-1.0, 0.0)
+                sign, first = (
+                    (1.0, phase.duration_s - span) if phase.kind == "land" else (-1.0, 0.0)
+                )
                 s, s_dot = _profile("min_jerk", (t_s - begin - first) / span)
                 level, rate = level + sign * s, rate + sign / span * s_dot
             begin += phase.duration_s
@@ -239,7 +318,18 @@ class Reference:
         self.maneuver = maneuver
         self._system, self._hover = system, hover
         rods = state.StateView(hover.x).e_P
-        self._offsets = np.array([uav.rho - uav.rod_length * e for uav, e in zip(system.uavs, rods, strict=True)])
+        self._offsets = np.array(
+            [uav.rho - uav.rod_length * e for uav, e in zip(system.uavs, rods, strict=True)]
+        )
+
+    @property
+    def key(self) -> bytes:
+        """Digest of the numbers that the reference follows from."""
+        return digest("hover", self._system, self._hover, self.maneuver)
+
+    def with_maneuver(self, maneuver: Maneuver) -> "Reference":
+        """Return the reference of another maneuver of the team."""
+        return Reference(self._system, self._hover, maneuver)
 
     def followed(self, t_s: Array) -> tuple[Array, Array]:
         """Return outputs and states that controllers follow, lower while the payload is on the ground: (59)."""
@@ -252,7 +342,10 @@ class Reference:
         return y, x
 
     def outputs(self, t_s: Array) -> Array:
-        """Return y_ref at times t_s, (k,), s: level payload, no yaw rates, (k, 4 N + 9), SI: (14), (20)."""
+        """Return y_ref at times t_s, (k,), s.
+
+        Level payload, no yaw rates, (k, 4 N + 9), SI: (14), (20).
+        """
         r0, v0 = self.maneuver.path(t_s)
         N = self._system.N
         y = np.zeros((len(t_s), self._system.p))
@@ -261,7 +354,10 @@ class Reference:
         return y
 
     def states(self, t_s: Array) -> Array:
-        """Return x_ref at times t_s, (k,), s: hover at r0(t) with velocity r0'(t), (k, 12 + 12 N), SI."""
+        """Return x_ref at times t_s, (k,), s.
+
+        Hover at r0(t) with velocity r0'(t), (k, 12 + 12 N), SI.
+        """
         x = np.tile(self._hover.x, (len(t_s), 1))
         x[:, : state.V0.stop] += np.hstack(self.maneuver.path(t_s))
         return x
@@ -274,7 +370,9 @@ def _profile(profile: Profile, tau: Array) -> tuple[Array, Array]:
     if profile == "ramp":
         return c, np.where(inside, 1.0, 0.0)
     if profile == "min_jerk":
-        return c**3 * (10.0 + c * (6.0 * c - 15.0)), np.where(inside, 30.0 * (c * (1.0 - c)) ** 2, 0.0)
+        return c**3 * (10.0 + c * (6.0 * c - 15.0)), np.where(
+            inside, 30.0 * (c * (1.0 - c)) ** 2, 0.0
+        )
     return np.where(tau >= 0.0, 1.0, 0.0), np.zeros_like(tau)
 
 

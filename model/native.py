@@ -1,4 +1,7 @@
-"""The compiled loops of `kernels.c`; without a C compiler `AVAILABLE` is false, and Python functions are used."""
+"""The compiled loops of `kernels.c`.
+
+Without a C compiler `AVAILABLE` is false, and Python functions are used.
+"""
 
 import ctypes
 from collections.abc import Callable, Sequence
@@ -8,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model import compiler
-from model.arrays import Array
+from transport.model import compiler
+from transport.model.arrays import Array
 
 Places = npt.NDArray[np.intp]
 
@@ -18,7 +21,10 @@ _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 _address, _number, _double = ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_double
 _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "zero_order_hold_work": (_number, [_number] * 3),
-    "zero_order_hold": (_double, [_number] * 3 + [_address] * 4 + [_double] * 4 + [ctypes.c_int] + [_address] * 4),
+    "zero_order_hold": (
+        _double,
+        [_number] * 3 + [_address] * 4 + [_double] * 4 + [ctypes.c_int] + [_address] * 4,
+    ),
     "predict_work": (_number, [_number] * 3),
     "respond": (None, [_address]),
     "free_response": (None, [_number] * 2 + [_address] * 3),
@@ -27,23 +33,76 @@ _SIGNATURES: dict[str, tuple[Any, Sequence[Any]]] = {
     "fill": (None, [_address]),
     "conclude": (None, [_address] * 2 + [_double] + [_address] * 2),
     "within_bounds_work": (_number, [_number] * 2),
-    "solve_within_bounds": (ctypes.c_int, [_number] * 2 + [_address] * 7 + [ctypes.c_int] + [_address] * 4),
+    "solve_within_bounds": (
+        ctypes.c_int,
+        [_number] * 2 + [_address] * 7 + [ctypes.c_int] + [_address] * 4,
+    ),
     "residuals": (None, [_number] * 2 + [_address] * 12),
 }
 
 
 class Problem(ctypes.Structure):
-    """The struct `problem` of the kernels; arrays by their addresses (`at`), which do not keep them alive."""
+    """The struct `problem` of the kernels.
+
+    Arrays by their addresses (`at`), which do not keep them alive.
+    """
 
     _fields_ = (
         *((name, _number) for name in ("steps", "n", "m", "size", "outputs", "terms", "inputs")),
-        *((name, _number) for name in ("model_outputs", "all_inputs", "rank", "pairs", "angles", "known")),
+        *(
+            (name, _number)
+            for name in ("model_outputs", "all_inputs", "rank", "pairs", "angles", "known")
+        ),
         *((name, _double) for name in ("terminal", "separation", "tilt")),
-        *((name, _address) for name in ("begin", "index", "value", "chosen", "answering", "own", "pair", "angle")),
-        *((name, _address) for name in ("A", "B", "f_d", "K", "x0", "u0", "uncorrected", "announced", "y", "y_ref")),
-        *((name, _address) for name in ("slope", "at_x0", "u_target", "Q", "scale", "effort", "low", "high", "rate")),
-        *((name, _address) for name in ("root", "error", "end_slope", "penalties", "effect", "feedback", "dX", "dU")),
-        *((name, _address) for name in ("U", "U_free", "H", "g", "lower", "upper", "rows", "row_lower", "row_upper")),
+        *(
+            (name, _address)
+            for name in ("begin", "index", "value", "chosen", "answering", "own", "pair", "angle")
+        ),
+        *(
+            (name, _address)
+            for name in ("A", "B", "f_d", "K", "x0", "u0", "uncorrected", "announced", "y", "y_ref")
+        ),
+        *(
+            (name, _address)
+            for name in (
+                "slope",
+                "at_x0",
+                "u_target",
+                "Q",
+                "scale",
+                "effort",
+                "low",
+                "high",
+                "rate",
+            )
+        ),
+        *(
+            (name, _address)
+            for name in (
+                "root",
+                "error",
+                "end_slope",
+                "penalties",
+                "effect",
+                "feedback",
+                "dX",
+                "dU",
+            )
+        ),
+        *(
+            (name, _address)
+            for name in (
+                "U",
+                "U_free",
+                "H",
+                "g",
+                "lower",
+                "upper",
+                "rows",
+                "row_lower",
+                "row_upper",
+            )
+        ),
         *((name, _address) for name in ("S", "free", "signals", "kept", "work")),
     )
 
@@ -62,15 +121,24 @@ def at(array: npt.NDArray[Any]) -> int:
         return int(array.__array_interface__["data"][0])
 
 
-_KINDS: dict[str, Callable[[Any], Any]] = {"d": _double.from_buffer, np.dtype(np.intp).char: _number.from_buffer}
+_KINDS: dict[str, Callable[[Any], Any]] = {
+    "d": _double.from_buffer,
+    np.dtype(np.intp).char: _number.from_buffer,
+}
 
 
 def work(which: str, size: int) -> int:
-    """Return the address of a work space of that size, shared by all its calls: kernels hold the interpreter lock."""
+    """Return the address of a work space of that size, shared by all its calls.
+
+    Kernels hold the interpreter lock.
+    """
     found = _WORK.get((which, size))
     if found is None:
         space = np.zeros(size + 8)
-        found = _WORK[which, size] = space, at(space) + -at(space) % 64  # aligned to the widest vectors
+        found = _WORK[which, size] = (
+            space,
+            at(space) + -at(space) % 64,
+        )  # aligned to the widest vectors
     return found[1]
 
 

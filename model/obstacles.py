@@ -5,12 +5,15 @@ from itertools import product
 
 import numpy as np
 
-from model import state
-from model.arrays import Array
-from model.parameters import System, payload_half_size
-from model.rotations import rotation
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.parameters import System, payload_half_size
+from transport.model.rotations import rotation
 
-_FAR_M, _HALVINGS = 1e6, 64  # half size for an infinite one, m, and halvings of a segment: to rounding of it
+_FAR_M, _HALVINGS = (
+    1e6,
+    64,
+)  # half size for an infinite one, m, and halvings of a segment: to rounding of it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,25 +31,39 @@ class Solid:
         return np.asarray(rotation(np.array([0.0, 0.0, self.heading_rad])))
 
     def from_points(self, r_I: Array) -> tuple[Array, Array]:
-        """Return distances of points, (..., 3), negative inside, m, and their gradients, (..., 3): (69a)."""
+        """Return distances of points, (..., 3), negative inside, m, and their gradients, (..., 3).
+
+        (69a).
+        """
         q = (r_I - self.centre_I) @ self.R
         beyond = q - np.clip(q, -self.half, self.half)
         outside, depth = np.linalg.norm(beyond, axis=-1), self.half - np.abs(q)
         nearest = np.eye(3)[np.argmin(depth, axis=-1)] * np.where(q < 0.0, -1.0, 1.0)
         within = outside == 0.0
-        normal = np.where(within[..., None], nearest, beyond / np.where(within, 1.0, outside)[..., None])
+        normal = np.where(
+            within[..., None], nearest, beyond / np.where(within, 1.0, outside)[..., None]
+        )
         return np.where(within, -depth.min(axis=-1), outside) - self.radius, normal @ self.R.T
 
     def from_segments(self, a_I: Array, b_I: Array) -> Array:
         """Return the distances of segments between points, (..., 3) each, at least minus the radius, (...,), m."""
-        return _apart((a_I - self.centre_I) @ self.R, (b_I - self.centre_I) @ self.R, self.half) - self.radius
+        return (
+            _apart((a_I - self.centre_I) @ self.R, (b_I - self.centre_I) @ self.R, self.half)
+            - self.radius
+        )
 
     def from_boxes(self, r_I: Array, R: Array, half: Array) -> Array:
-        """Return the distances of boxes, (k,), at least minus the radius, m: of centres, rotations and half sizes."""
+        """Return the distances of boxes, (k,), at least minus the radius, m.
+
+        Of centres, rotations and half sizes.
+        """
         ends = np.einsum("kij,epj->kepi", R, _edges(half)) + r_I[:, None, None]
         own = _edges(self.half) @ self.R.T + self.centre_I
         seen = np.einsum("kij,kepi->kepj", R, own - r_I[:, None, None])
-        theirs, ours = self.from_segments(ends[:, :, 0], ends[:, :, 1]), _apart(seen[:, :, 0], seen[:, :, 1], half)
+        theirs, ours = (
+            self.from_segments(ends[:, :, 0], ends[:, :, 1]),
+            _apart(seen[:, :, 0], seen[:, :, 1], half),
+        )
         return np.asarray(np.minimum(theirs.min(axis=1), ours.min(axis=1) - self.radius))
 
 
@@ -62,7 +79,9 @@ class Obstacle:
 
     def from_points(self, r_I: Array) -> tuple[Array, Array]:
         """Return distances of points, (..., 3), from the nearest solid, (...,), m, and their gradients, (..., 3)."""
-        distances, normals = (np.array(part) for part in zip(*(s.from_points(r_I) for s in self.solids), strict=True))
+        distances, normals = (
+            np.array(part) for part in zip(*(s.from_points(r_I) for s in self.solids), strict=True)
+        )
         nearest = np.argmin(distances, axis=0)[None]
         return distances.min(axis=0), np.take_along_axis(normals, nearest[..., None], axis=0)[0]
 
@@ -77,21 +96,31 @@ def bodies(N: int) -> list[str]:
 
 
 def clearances(system: System, obstacle: Obstacle, x: Array) -> Array:
-    """Return distances of UAV centres, rods and payload from an obstacle at states, (k, n): (k, 2 N + 1), m: (69a)."""
+    """Return distances of UAV centres, rods and payload from an obstacle at states, (k, n).
+
+    (k, 2 N + 1), m: (69a).
+    """
     view, R = state.StateView(x), np.array([rotation(Theta) for Theta in x[:, state.THETA0]])
-    rho, lengths = (np.array([getattr(uav, key) for uav in system.uavs]) for key in ("rho", "rod_length"))
+    rho, lengths = (
+        np.array([getattr(uav, key) for uav in system.uavs]) for key in ("rho", "rod_length")
+    )
     low = view.r0_I[:, None] + np.einsum("kij,nj->kni", R, rho)
     high = low - lengths[:, None] * np.einsum("kij,knj->kni", R, view.e_P)
     half = payload_half_size(system)
     found = [
-        np.column_stack([s.from_points(high)[0], s.from_segments(low, high), s.from_boxes(view.r0_I, R, half)])
+        np.column_stack(
+            [s.from_points(high)[0], s.from_segments(low, high), s.from_boxes(view.r0_I, R, half)]
+        )
         for s in obstacle.solids
     ]
     return np.asarray(np.min(found, axis=0))
 
 
 def _apart(a: Array, b: Array, half: Array) -> Array:
-    """Return the distances of segments from a box about the origin: zeros of the slope of a convex function."""
+    """Return the distances of segments from a box about the origin.
+
+    Zeros of the slope of a convex function.
+    """
     along, low, high = b - a, np.zeros(a.shape[:-1]), np.ones(a.shape[:-1])
     for _ in range(_HALVINGS):
         s = (low + high) / 2.0
@@ -105,6 +134,8 @@ def _apart(a: Array, b: Array, half: Array) -> Array:
 def _edges(half: Array) -> Array:
     """Return the ends of all edges of a box about the origin, (edges, 2, 3)."""
     signs = np.array(list(product((-1.0, 1.0), repeat=3)))
-    pairs = [(a, b) for a in signs for b in signs if np.abs(a - b).sum() == 2.0 and a.sum() < b.sum()]
+    pairs = [
+        (a, b) for a in signs for b in signs if np.abs(a - b).sum() == 2.0 and a.sum() < b.sum()
+    ]
     ends = np.minimum(half, _FAR_M) * np.array(pairs)
     return np.unique(ends.reshape(len(ends), 6) + 0.0, axis=0).reshape(-1, 2, 3)

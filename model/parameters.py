@@ -5,12 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from model import state
-from model.arrays import Array, ArrayLike, ShapeError, assign, checked, frozen
+from transport.model import state
+from transport.model.arrays import Array, ArrayLike, ShapeError, assign, checked, frozen
 
 GRAVITY = 9.81  # m/s^2; the paper gives none
 
-_INERTIA_SLACK = 1e-9  # of the triangle inequality of the principal moments: exact flat bodies are allowed
+_INERTIA_SLACK = (
+    1e-9  # of the triangle inequality of the principal moments: exact flat bodies are allowed
+)
 _LEAST_HALF_M = 0.05  # half length of each edge of the payload's box, m
 
 
@@ -38,9 +40,17 @@ class Uav:
     rho: Array  # attachment point in the payload frame, (3,), m
     rod_length: float  # m
 
-    def __init__(self, *, mass: float, inertia: ArrayLike, rho: ArrayLike, rod_length: float) -> None:
+    def __init__(
+        self, *, mass: float, inertia: ArrayLike, rho: ArrayLike, rod_length: float
+    ) -> None:
         J = _inertia("UAV inertia", inertia)
-        assign(self, mass=float(mass), inertia=J, rho=checked("rho", rho, (3,)), rod_length=float(rod_length))
+        assign(
+            self,
+            mass=float(mass),
+            inertia=J,
+            rho=checked("rho", rho, (3,)),
+            rod_length=float(rod_length),
+        )
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -50,12 +60,17 @@ class System:
     payload: Payload
     uavs: tuple[Uav, ...]
     gravity: float
-    # K of the UAVs' inner loops about each body axis, (3,), 1/s: the inputs are then thrust and commanded body rates;
-    # None: thrust and moments.
+    # K of the UAVs' inner loops about each body axis, (3,), 1/s: the inputs are then thrust and
+    # commanded body rates; None: thrust and moments.
     rate_gains: Array | None
 
     def __init__(
-        self, *, payload: Payload, uavs: Sequence[Uav], gravity: float = GRAVITY, rate_gains: ArrayLike | None = None
+        self,
+        *,
+        payload: Payload,
+        uavs: Sequence[Uav],
+        gravity: float = GRAVITY,
+        rate_gains: ArrayLike | None = None,
     ) -> None:
         gains = None if rate_gains is None else checked("rate gains", rate_gains, (3,))
         assign(self, payload=payload, uavs=tuple(uavs), gravity=float(gravity), rate_gains=gains)
@@ -102,11 +117,17 @@ class System:
 
 
 def table_1() -> System:
-    """Return the system of the paper's Table I: a 3 kg payload under four 1.5 kg UAVs on 3.2 m rods."""
+    """Return the system of the paper's Table I.
+
+    A 3 kg payload under four 1.5 kg UAVs on 3.2 m rods.
+    """
     corners = [(0.25, 0.25), (0.25, -0.25), (-0.25, -0.25), (-0.25, 0.25)]
     return System(
         payload=Payload(mass=3.0, inertia=[0.556, 0.556, 0.556]),
-        uavs=[Uav(mass=1.5, inertia=[0.029, 0.029, 0.055], rho=[x, y, -0.125], rod_length=3.2) for x, y in corners],
+        uavs=[
+            Uav(mass=1.5, inertia=[0.029, 0.029, 0.055], rho=[x, y, -0.125], rod_length=3.2)
+            for x, y in corners
+        ],
     )
 
 
@@ -121,7 +142,9 @@ def _inertia(name: str, value: ArrayLike) -> Array:
         raise ParameterError(f"{name}: expected a symmetric matrix, got {J.tolist()}")
     moments = np.linalg.eigvalsh(J)
     if moments[0] <= 0.0:
-        raise ParameterError(f"{name}: expected positive principal moments, got {moments.tolist()} kg m^2")
+        raise ParameterError(
+            f"{name}: expected positive principal moments, got {moments.tolist()} kg m^2"
+        )
     if moments[2] > (moments[0] + moments[1]) * (1.0 + _INERTIA_SLACK):
         problem = f"no body has principal moments {moments.tolist()} kg m^2"
         raise ParameterError(f"{name}: {problem}: the largest exceeds the sum of the other two")
@@ -130,7 +153,10 @@ def _inertia(name: str, value: ArrayLike) -> Array:
 
 
 def payload_half_size(system: System) -> Array:
-    """Return half the edges of the payload's box, (3,), payload frame, m: as far as its attachment points."""
+    """Return half the edges of the payload's box, (3,), payload frame, m.
+
+    As far as its attachment points.
+    """
     rho = np.array([uav.rho for uav in system.uavs])
     return np.asarray(np.maximum(np.abs(rho).max(axis=0), _LEAST_HALF_M))
 

@@ -5,7 +5,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from model.arrays import Array
+from transport.model.arrays import Array
 
 
 def rotation(Theta: Any) -> Any:
@@ -21,7 +21,10 @@ def rotation(Theta: Any) -> Any:
 
 
 def euler_rates(Theta: Any) -> Any:
-    """Return E, (3, 3), with Theta' = E omega for body rates omega; singular at pitch = +-90 deg: equations.md (3)."""
+    """Return E, (3, 3), with Theta' = E omega for body rates omega.
+
+    Singular at pitch = +-90 deg: equations.md (3).
+    """
     cos, sin, matrix = _functions(Theta)
     cr, cp = cos(Theta[0]), cos(Theta[1])
     sr, sp = sin(Theta[0]), sin(Theta[1])
@@ -30,11 +33,15 @@ def euler_rates(Theta: Any) -> Any:
 
 
 def euler_angles(R: Array) -> Array:
-    """Return roll, pitch, yaw, (..., 3), rad, of matrices, (..., 3, 3): the inverse of `rotation`, pitch in +-pi/2."""
+    """Return roll, pitch, yaw, (..., 3), rad, of matrices, (..., 3, 3).
+
+    The inverse of `rotation`, pitch in +-pi/2.
+    """
     roll = np.arctan2(R[..., 2, 1], R[..., 2, 2])
     pitch = -np.arcsin(np.clip(R[..., 2, 0], -1.0, 1.0))
     yaw = np.arctan2(R[..., 1, 0], R[..., 0, 0])
-    # At exactly 90 deg of pitch only yaw -+ roll is defined and these entries vanish: roll is set to zero.
+    # At exactly 90 deg of pitch only yaw -+ roll is defined and these entries vanish: roll is set
+    # to zero.
     locked = (R[..., 2, 1] == 0.0) & (R[..., 2, 2] == 0.0)
     roll = np.where(locked, 0.0, roll)
     yaw = np.where(locked, np.arctan2(-R[..., 0, 1], R[..., 1, 1]), yaw)
@@ -42,4 +49,8 @@ def euler_angles(R: Array) -> Array:
 
 
 def _functions(like: Any) -> tuple[Any, Any, Any]:
-    return (ca.cos, ca.sin, ca.blockcat) if isinstance(like, ca.SX | ca.MX | ca.DM) else (np.cos, np.sin, np.array)
+    return (
+        (ca.cos, ca.sin, ca.blockcat)
+        if isinstance(like, ca.SX | ca.MX | ca.DM)
+        else (np.cos, np.sin, np.array)
+    )

@@ -1,4 +1,6 @@
-"""The layout of the state and input vectors; indices are 0-based, the ids UAV1..UAVN in scenarios 1-based.
+"""The layout of the state and input vectors.
+
+Indices are 0-based, the ids UAV1..UAVN in scenarios 1-based.
 
 x = [r0, v0, Theta0, omega0, (e_i, Omega_i, Theta_i, omega_i) for i = 1..N],   12 + 12 N
 u = [(thrust_i, tau_i) for i = 1..N],  or three commanded body rates,          4 N
@@ -9,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from model.arrays import Array
+from transport.model.arrays import Array
 
 PAYLOAD = 12  # states of the payload
 PER_UAV = 12  # states of each UAV with its rod
@@ -31,10 +33,12 @@ SENSED = 15
 POSITION = slice(0, 3)  # inertial frame, m
 VELOCITY = slice(3, 6)  # inertial frame, m/s
 SPECIFIC_FORCE = slice(12, 15)  # acceleration minus gravity, UAV body frame, m/s^2
-# In a plan, of each of the last ticks, the newest first: 1 if it is known, else 0; measurements; inputs until then.
+# In a plan, of each of the last ticks, the newest first: 1 if it is known, else 0; measurements;
+# inputs until then.
 REPORTED, REPORTS = 1 + SENSED + INPUTS, 4
 
-# Largest plausible state, input or correction, SI; results computed from such numbers stay far below the float64 range.
+# Largest plausible state, input or correction, SI; results computed from such numbers stay far
+# below the float64 range.
 LARGEST = 1e6
 
 
@@ -64,6 +68,10 @@ class StateView:
         self.omega0_P = x[..., OMEGA0]  # payload angular velocity, (..., 3), payload frame, rad/s
         self.uavs = x[..., PAYLOAD:].reshape(*x.shape[:-1], -1, PER_UAV)  # UAV blocks, (..., N, 12)
         self.e_P = self.uavs[..., E]  # rod directions, (..., N, 3), payload frame, unit
-        self.Omega_P = self.uavs[..., ROD_RATE]  # rod angular velocities, (..., N, 3), payload frame, rad/s
+        self.Omega_P = self.uavs[
+            ..., ROD_RATE
+        ]  # rod angular velocities, (..., N, 3), payload frame, rad/s
         self.Theta = self.uavs[..., THETA]  # UAV roll, pitch, yaw, (..., N, 3), rad
-        self.omega_B = self.uavs[..., OMEGA]  # UAV angular velocities, (..., N, 3), UAV body frames, rad/s
+        self.omega_B = self.uavs[
+            ..., OMEGA
+        ]  # UAV angular velocities, (..., N, 3), UAV body frames, rad/s

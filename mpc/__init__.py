@@ -1,1 +1,4 @@
-"""The controller: prediction, cost, constraints, the quadratic program and its solvers. Pure functions of arrays."""
+"""The controller: prediction, cost, constraints, the quadratic program and its solvers.
+
+Pure functions of arrays.
+"""

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from model import state
-from model.arrays import Array
-from model.flat import Track
-from model.parameters import System
-from model.rotations import rotation
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.parameters import System
+from transport.model.rotations import rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,8 +24,8 @@ class AloneGains:
     position: float = 6.0  # 1/s^2
     velocity: float = 5.0  # 1/s; as stiff as the attitude loop allows at 20 Hz
     integral: float = 2.5  # 1/s^3
-    # Time in which the integral forgets, s: UAVs on a rigid body could otherwise hold any force against each other, which
-    # biases of their sensors would let grow.
+    # Time in which the integral forgets, s: UAVs on a rigid body could otherwise hold any force
+    # against each other, which biases of their sensors would let grow.
     forgets_s: float = 20.0
     swing: float = 0.5  # acceleration per velocity of the rod's lower end relative to the UAV, 1/s
     steepest_rad: float = 0.5  # largest change of the attitude that a deviation asks for
@@ -39,7 +38,9 @@ GAINS = AloneGains()
 _FREQUENCY_RAD_S, _DAMPING = 6.0, 0.8
 # Around an inner loop on body rates, as a share of its gain and at most, 1/s: damping ratio 0.7.
 _INNER_SHARE, _LARGEST_GAIN = 0.5, 10.0
-_HEADING = 0.08  # stiffness of the heading over that of roll and pitch: it returns within some seconds
+_HEADING = (
+    0.08  # stiffness of the heading over that of roll and pitch: it returns within some seconds
+)
 # Observer of the rod from the specific force: fast enough for the pendulum of a rod, slow enough for the noise.
 _OBSERVER_RAD_S, _OBSERVER_DAMPING = 3.0, 0.7
 _VERTICAL = np.array([0.0, 0.0, 1.0])
@@ -57,7 +58,9 @@ class Motion:
     swing_I: Array  # its velocity, (3,)
 
 
-def ahead(motion: Motion, tick: int, start: int, course: Callable[[int], Motion], period_s: float) -> Motion:
+def ahead(
+    motion: Motion, tick: int, start: int, course: Callable[[int], Motion], period_s: float
+) -> Motion:
     """Return a motion at a later tick, if its deviation from the course goes on at its rates. Source: (31e)."""
     if start == tick:
         return motion
@@ -105,7 +108,9 @@ def motion_of(system: System, uav: int, x: Array) -> Motion:
 def course_of(system: System, uav: int, x_ref: Array, u_ref: Array) -> Course:
     """Return the course of a UAV, 0-based, from a reference state, (n,), and its inputs, (m,)."""
     motion, inputs = motion_of(system, uav, x_ref), u_ref[state.input_slice(uav)]
-    return Course(motion=motion, force_I=-inputs[0] * rotation(motion.Theta)[:, 2], turning=inputs[1:])
+    return Course(
+        motion=motion, force_I=-inputs[0] * rotation(motion.Theta)[:, 2], turning=inputs[1:]
+    )
 
 
 class AloneLaw:
@@ -118,7 +123,9 @@ class AloneLaw:
         self._masses = np.array([mass, mass, hover_N / system.gravity])
         weights = np.diag([1.0, 1.0, _HEADING])
         if system.rate_gains is not None:
-            self._stiffness = np.diag(np.minimum(_INNER_SHARE * system.rate_gains, _LARGEST_GAIN)) @ weights
+            self._stiffness = (
+                np.diag(np.minimum(_INNER_SHARE * system.rate_gains, _LARGEST_GAIN)) @ weights
+            )
             self._damping = np.zeros((3, 3))
         else:
             self._stiffness = _FREQUENCY_RAD_S**2 * inertia @ weights
@@ -221,22 +228,12 @@ class AloneLaw:
         return position + ahead_s * velocity, velocity, swing
 
 
-def course_at(  # fmt: skip
-    system: System, uav: int, X_ref: Array, u_hover: Array, track: Track | None, tick: int
-) -> Course:
-    """Return the course of a UAV, 0-based, at a tick of a reference, (K, n), or of a flat track; the last is held."""
-    x_ref = X_ref[min(tick, len(X_ref) - 1)]
-    if track is None:
-        return course_of(system, uav, x_ref, u_hover)
-    row = min(max(tick - track.first, 0), len(track.U) - 1)
-    return course_of(system, uav, track.X[row], track.U[row])
-
-
 class OwnSensors:
     """Motion of one UAV, 0-based, from its own sensors alone, tick by tick.
 
-    The specific force times the mass is the force of thrust and rod, and has the rod's direction: an observer follows its
-    deviation from the reference, (31d). Late sensors and later inputs: deviations go on at their rates, (31e).
+    The specific force times the mass is the force of thrust and rod, which has the rod's direction:
+    an observer follows its deviation from the reference, (31d). Late sensors and later inputs:
+    deviations go on at their rates, (31e).
 
     Args:
         ages: Sampling periods from position, velocity, attitude, body rates and specific force to their measurements.
@@ -248,12 +245,16 @@ class OwnSensors:
         self._offset_I = np.zeros(3)  # of the rod's lower end from the reference, m
         self._rate_I = np.zeros(3)  # its derivative, m/s
 
-    def motion(self, sensed: Array, thrust_N: float, tick: int, start: int, course: Callable[[int], Motion]) -> Motion:
+    def motion(
+        self, sensed: Array, thrust_N: float, tick: int, start: int, course: Callable[[int], Motion]
+    ) -> Motion:
         """Return the motion at tick `start` from measurements, (15,), of a tick, with the thrust until it.
 
         `course` is the reference at a tick.
         """
-        of_position, of_velocity, of_attitude, of_rates, of_force = (course(max(tick - age, 0)) for age in self._ages)
+        of_position, of_velocity, of_attitude, of_rates, of_force = (
+            course(max(tick - age, 0)) for age in self._ages
+        )
         there = course(start)
         self._observe(sensed, thrust_N, of_force)
 
@@ -298,4 +299,6 @@ def _attitude(force_I: Array, yaw: float) -> tuple[float, float]:
 
 def _cross(a: Array, b: Array) -> Array:
     """Return a x b, at a fifth of the time that numpy.cross takes for single vectors."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from model import state
-from model.arrays import Array
-from model.hover import hover
-from model.parameters import System
-from mpc.alone import AloneLaw
-from mpc.feedback import tangent
-from mpc.margins import Mismatch, SampledLoop, held_plant
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.hover import hover
+from transport.model.parameters import System
+from transport.mpc.alone import AloneLaw
+from transport.mpc.manifold import tangent
+from transport.mpc.margins import Mismatch, SampledLoop, continuous, held
 
 
 class AloneLoop(SampledLoop):
@@ -39,15 +39,20 @@ class AloneLoop(SampledLoop):
 
     def matrix(self, plant: Mismatch) -> Array:
         """Return the step of motion, integrals and inputs that have not arrived. Raises: ParameterError: no hover."""
-        earlier, later, late = held_plant(self._system, self._T, plant, self.period_s)
+        periods, part_s = divmod(plant.delay_s, self.period_s)
+        late = round(periods)
+        F, G = continuous(self._system, self._T, plant)
+        before = held(F, G, part_s)
+        after = held(F, G, self.period_s - part_s)
         kept = self._ahead + late + 1
-        sizes = [len(earlier[0]), 3 * self._system.N, *[self._system.m] * kept]
+        sizes = [len(F), 3 * self._system.N, *[self._system.m] * kept]
         blocks = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
-        motion, held, commands = blocks[0], blocks[1], blocks[2:]
+        motion, integrals, commands = blocks[0], blocks[1], blocks[2:]
         deviation = motion[: self._T.shape[1]]
 
-        issued = self._by_motion @ deviation + self._by_held @ held
+        issued = self._by_motion @ deviation + self._by_held @ integrals
         acting = [issued, *commands][self._ahead :]
-        moved = later[0] @ (earlier[0] @ motion + earlier[1] @ acting[late + 1]) + later[1] @ acting[late]
-        integrated = self._kept * held + self.period_s * (self._integrals @ deviation)
+        halfway = before.A @ motion + before.B @ acting[late + 1]
+        moved = after.A @ halfway + after.B @ acting[late]
+        integrated = self._kept * integrals + self.period_s * (self._integrals @ deviation)
         return np.vstack([moved, integrated, issued, *commands[:-1]])

@@ -9,15 +9,15 @@ from collections.abc import Collection
 
 import numpy as np
 
-from model import state
-from model.arrays import Array, rows
-from model.flat import Track
-from model.hover import Hover
-from model.linearisation import Model
-from mpc.alone import AloneLaw, Course, course_of, motion_of
-from mpc.fail_safe import FailSafe
-from mpc.regulation import Regulation
-from mpc.settings import ControllerSettings
+from transport.model import state
+from transport.model.arrays import Array, rows
+from transport.model.flat import Track
+from transport.model.hover import Hover
+from transport.model.linearisation import Model
+from transport.mpc.alone import AloneLaw, Course, course_of, motion_of
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.regulation import Regulation
+from transport.mpc.settings import ControllerSettings
 
 # Time before the first tick that is asked for, at which the motion starts from the reference: its start has decayed, s.
 _LEAD_S = 10.0
@@ -28,8 +28,19 @@ _STEPS = 2  # of the integration in a sampling period
 class AloneTeam:
     """Control laws and courses of the UAVs of a team, alone, along a reference, (K, n), or a flat track."""
 
-    def __init__(self, model: Model, hover: Hover, settings: ControllerSettings, regulation: Regulation | None) -> None:
-        self._model, self._hover, self._settings, self._regulation = model, hover, settings, regulation
+    def __init__(
+        self,
+        model: Model,
+        hover: Hover,
+        settings: ControllerSettings,
+        regulation: Regulation | None,
+    ) -> None:
+        self._model, self._hover, self._settings, self._regulation = (
+            model,
+            hover,
+            settings,
+            regulation,
+        )
         system, thrusts_N = model.system, hover.u[:: state.INPUTS]
         self._laws = [AloneLaw(system, uav, float(thrusts_N[uav])) for uav in range(system.N)]
         self._bounds = settings.lower(system.N), settings.upper(system.N)
@@ -40,7 +51,9 @@ class AloneTeam:
         self._first = 0
         self._courses: dict[tuple[int, int], Course] = {}
         self._off, self._released = frozenset[int](), frozenset[int]()
-        self._left: FailSafe | None = None  # after failures of UAVs: those left follow the reference itself
+        self._left: FailSafe | None = (
+            None  # after failures of UAVs: those left follow the reference itself
+        )
 
     def follow(self, X_ref: Array, track: Track | None) -> None:
         """Follow a reference, of states at instants 0..K-1, (K, n), or a flat track."""
@@ -75,7 +88,9 @@ class AloneTeam:
 
     def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
         """Return the inputs of a UAV, 0-based, alone at a state, (n,), before limits, (4,)."""
-        return self.law(uav).inputs(motion_of(self._model.system, uav, x), self.course(uav, tick), held_I)
+        return self.law(uav).inputs(
+            motion_of(self._model.system, uav, x), self.course(uav, tick), held_I
+        )
 
     def _forget(self) -> None:
         self._motion.clear()
@@ -86,7 +101,11 @@ class AloneTeam:
         if self._track is not None:
             row = rows(tick - self._track.first, 1, len(self._track.U))
             return self._track.X[row][0], self._track.U[row][0]
-        if self._regulation is None or self._settings.prediction != "closed_loop" or self._settings.motor_lag_s > 0.0:
+        if (
+            self._regulation is None
+            or self._settings.prediction != "closed_loop"
+            or self._settings.motor_lag_s > 0.0
+        ):
             return self._reference(tick), self._hover.u
         if not self._motion or tick < self._first:
             lead = round(_LEAD_S / self._settings.sampling_period_s)
@@ -111,7 +130,11 @@ class AloneTeam:
 
     def _inputs(self, x: Array, tick: int) -> Array:
         """Return the inputs of the team at a state, (n,), within limits, (m,)."""
-        u = None if self._regulation is None else self._regulation.inputs(x, self._reference(tick), None, tick)
+        u = (
+            None
+            if self._regulation is None
+            else self._regulation.inputs(x, self._reference(tick), None, tick)
+        )
         return self._hover.u if u is None else np.clip(u, *self._bounds)
 
     def _reference(self, tick: int) -> Array:

@@ -1,30 +1,37 @@
-"""One controller for any set of owned UAVs: one is the paper's distributed controller, all the centralized one."""
+"""One controller for any set of owned UAVs.
+
+One is the paper's distributed controller, all the centralized one.
+"""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from model import state
-from model.arrays import Array
-from model.discretisation import Discrete, euler, zero_order_hold
-from model.flat import Track
-from model.hover import Hover
-from model.linearisation import Linearisation, Model
-from model.motors import lagged
-from model.native import Places
-from model.obstacles import Obstacle
-from model.state import LARGEST
-from mpc.feedback import FeedbackLaw
-from mpc.prediction import Linear, Prediction, convolve, free_response
-from mpc.program import Program
-from mpc.qp import QP, Solution, solve, unsolved
-from mpc.regulation import CostToGo, Regulation
-from mpc.rows import Decision
-from mpc.settings import ControllerSettings
-from mpc.tracking import Along, Course, rollout
+from transport.model import state
+from transport.model.arrays import Array, frozen
+from transport.model.discretisation import Discrete, euler, zero_order_hold
+from transport.model.hover import Hover
+from transport.model.linearisation import Linearisation, Model
+from transport.model.motors import lagged
+from transport.model.native import Places
+from transport.model.obstacles import Obstacle
+from transport.model.state import LARGEST
+from transport.mpc.constraints.own import OwnInputs
+from transport.mpc.cost import Cost, CostToGo
+from transport.mpc.course import Course, CourseProgram
+from transport.mpc.decision import Decision
+from transport.mpc.feedback import FeedbackLaw
+from transport.mpc.prediction import Linear, Prediction, convolve, free_response
+from transport.mpc.program import Program
+from transport.mpc.qp import QP, Solution, solve, unsolved
+from transport.mpc.reference import Sampled
+from transport.mpc.regulation import Regulation
+from transport.mpc.rollout import Rollout, rollout
+from transport.mpc.settings import ControllerSettings
 
-# A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become singular.
+# A trajectory beyond these angles of payload or UAVs, rad, is not followed: Euler angles become
+# singular.
 _STEEPEST = 1.3
 
 
@@ -32,51 +39,104 @@ _STEEPEST = 1.3
 class StepResult:
     """Plan of one step."""
 
-    U: Array  # inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve the previous plan
-    c: Array  # their corrections to the shared control law, (N_p, 4 owned); (0, 4 owned) without that law
+    # Inputs of the owned UAVs to announce and apply, (N_p, 4 owned); after a failed solve the
+    # previous plan.
+    U: Array
+    # Their corrections to the shared control law, (N_p, 4 owned); (0, 4 owned) without that law.
+    c: Array
     solution: Solution  # of the QP, solved or not
 
 
 class Controller:
     """Model predictive control of the owned UAVs, given the announced inputs of the others.
 
-    The preview follows X_ref, (K, n), the control law a flat track, clear of obstacles. Raises: SettingsError.
+    The control law follows the reference; along a flat one the team keeps clear of obstacles.
+    Raises: SettingsError, FeedbackError.
     """
 
     def __init__(
-        self, model: Model, hover: Hover, settings: ControllerSettings, owned: Sequence[int],
-        X_ref: Array | None = None, track: Track | None = None, obstacles: Sequence[Obstacle] = (),
-    ) -> None:  # fmt: skip
-        self.model = self._whole = model  # with motor failures reported to `fail`, and without
-        self._gone = self._off = self._released = frozenset[int]()
+        self,
+        model: Model,
+        hover: Hover,
+        settings: ControllerSettings,
+        owned: Sequence[int],
+        reference: Sampled | None = None,
+        obstacles: Sequence[Obstacle] = (),
+    ) -> None:
         self.settings = settings
+        self.regulation = Regulation(model, hover, settings, reference)
         self._decision = Decision(model.system, settings, owned)
-        self.owned, self.own = self._decision.uavs, self._decision.own  # UAVs, and positions of their inputs in u
-        self.regulation = Regulation(model, hover, settings, X_ref, track)
-        self.law, self.end = self.regulation.law, self.regulation.cost_to_go
-        self.cost = self.regulation.cost
         self._program = Program(self._decision, self.cost, self.regulation.user_costs)
-        self._along = Along(self._decision, obstacles)
-        self._relaxation = self._relaxed(others_obstruct=self._program.shares_rows)
+        self._along = CourseProgram(self._decision, obstacles)
+
+        # The model with the motor failures reported to `fail`, and without.
+        self.model = model
+        self._whole = model
+        self._gone = frozenset[int]()  # UAVs without an agent
+        self._off = frozenset[int]()  # UAVs without motors
+        self._released = frozenset[int]()
+        # Whether several agents keep the same of the user's constraints on inputs.
+        self._shares_rows = bool(settings.constraint) and OwnInputs(self._decision).is_shared
+        self._relaxation = self._relaxed(others_obstruct=self._shares_rows)
+
         self._at_hover: Linearisation | None = None
-        # Derivatives and difference equation of the newest step.
-        self._held: tuple[Array | None, Discrete | None] = None, None
-        self._curvature: Array | None = None  # outputs along a trajectory beyond their linearisation, (N_p + 1, p)
+        # Derivatives of the newest step and their difference equation, that of hover every time.
+        self._discretised: tuple[Array, Discrete] | None = None
+        # Outputs along a trajectory beyond their linearisation, (N_p + 1, p).
+        self._curvature: Array | None = None
+
+    @property
+    def owned(self) -> tuple[int, ...]:
+        """Owned UAVs, 0-based."""
+        return self._decision.uavs
+
+    @property
+    def own(self) -> Places:
+        """Positions of their inputs in u, (m_own,)."""
+        return self._decision.own
+
+    @property
+    def cost(self) -> Cost:
+        """The cost of the present team."""
+        return self.regulation.current.cost
+
+    def law(
+        self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0
+    ) -> FeedbackLaw | None:
+        """Return the shared control law over a horizon, as `TeamLaw.over`."""
+        return self.regulation.current.over(x0, x_ref, c, forces, start)
+
+    def end(
+        self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0
+    ) -> CostToGo | None:
+        """Return the cost after the horizon, as `TeamLaw.cost_to_go`."""
+        return self.regulation.current.cost_to_go(x0, x_ref, forces, instant)
 
     def step(
-        self, x0: Array, u0: Array, U: Array, y_ref: Array, law: FeedbackLaw | None = None,
-        forces: Array | None = None, ticks_since_start: int | None = None, end: CostToGo | None = None,
-    ) -> StepResult:  # fmt: skip
+        self,
+        x0: Array,
+        u0: Array,
+        U: Array,
+        y_ref: Array,
+        law: FeedbackLaw | None = None,
+        forces: Array | None = None,
+        ticks_since_start: int | None = None,
+        end: CostToGo | None = None,
+    ) -> StepResult:
         """Return the plan of one step; never raises for a problem without solution.
 
         Args:
-            x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n + m,).
-            u0: Inputs in force just before it, all UAVs, (m,): linearisation point and origin of the rates.
-            U: Announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan, shifted.
+            x0: State at the first step of the horizon, (n,); with motor lag [x, actual inputs], (n
+                + m,).
+            u0: Inputs in force just before it, all UAVs, (m,): linearisation point and origin of
+                the rates.
+            U: Announced inputs of all UAVs, (N_p, m); the owned columns hold the previous plan,
+                shifted.
             y_ref: Reference outputs at steps 0..N_p, (N_p + 1, p).
             law: Shared control law over the horizon, with closed-loop prediction.
             end: The cost after the horizon, with terminal "riccati".
-            forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without estimate.
+            forces: Estimated external forces, inertial frame, N, and mass (`Model`); None without
+                estimate.
             ticks_since_start: Since this controller began; soon after it w is larger in `conclude`.
         """
         linear = self.linearise(x0, u0, forces)
@@ -85,56 +145,98 @@ class Controller:
         return self.conclude(self.solve(qp), prediction, U, law, ticks_since_start)
 
     def linearise(self, x0: Array, u0: Array, forces: Array | None = None) -> Linear:
-        """Linearise about x0, (n,), or [x, actual inputs], (n + m,), and u0, (m,), SI: (15), (37), (40), (55)."""
-        u_target = self.cost.u_target
-        if forces is not None and self.settings.weights.penalised_input == "deviation":
-            u_target = u_target + self.regulation.target.M_u @ self.model.at_rest(forces)
-        lag_s, n, settings = self.settings.motor_lag_s, self.model.system.n, self.settings
-        x, actual = x0[:n], x0[n:] if lag_s > 0.0 else u0
+        """Linearise about x0, (n,), or [x, actual inputs], (n + m,), and u0, (m,), SI.
+
+        Along the control law with the derivatives at hover.
+        Source: docs/equations.md (15), (35a), (37), (40), (55).
+        """
+        law = self.regulation.current
+        settings = self.settings
+        has_lag = settings.motor_lag_s > 0.0
+        x = x0[: self.model.system.n]
+        actual = x0[len(x) :] if has_lag else u0
+
+        # u_target = u_hover + M_u F
+        u_target = law.cost.u_target
+        if forces is not None and settings.weights.penalised_input == "deviation":
+            u_target = u_target + law.target.M_u @ self.model.at_rest(forces)
+
         if settings.linearisation == "present" or settings.prediction == "open_loop":
-            model = self.model.linearise(x, actual, forces=forces)
-        else:  # along the control law, with the derivatives at hover
-            at_rest = self.regulation.hover
-            self._at_hover = self._at_hover or self.model.linearise(at_rest.x, at_rest.u)
+            expansion = self.model.linearise(x, actual, forces=forces)
+        else:
+            if self._at_hover is None:
+                self._at_hover = self.model.linearise(law.hover.x, law.hover.u)
+                frozen(self._at_hover.values)
             f = self.model.derivative(x, actual, forces=forces)
-            model = replace(self._at_hover, f=f, y=self.model.outputs(x))
-        if lag_s > 0.0:
-            model = lagged(model, actual, u0, lag_s, self.model.system.commands_rates)
-        return Linear(x0=x, z0=x0, u0=u0, model=model, u_target=u_target, forces=forces)
+            expansion = replace(self._at_hover, f=f, y=self.model.outputs(x))
+        if has_lag:
+            by_rates = self.model.system.commands_rates
+            expansion = lagged(expansion, actual, u0, settings.motor_lag_s, by_rates)
+        return Linear(x0=x, z0=x0, u0=u0, model=expansion, u_target=u_target, forces=forces)
 
     def discretise(self, linear: Linear) -> Discrete:
-        """Return the difference equation over the sampling period. Source: docs/equations.md (16)-(17)."""
-        model, period_s = linear.model, self.settings.sampling_period_s
+        """Return the difference equation over the sampling period: docs/equations.md (16)-(17)."""
+        period_s = self.settings.sampling_period_s
         if self.settings.discretisation == "euler":
-            return euler(model, period_s)
-        values, known = self._held
-        found = zero_order_hold(model, period_s, known if values is model.values else None)
-        self._held = model.values, found
-        return found
+            return euler(linear.model, period_s)
 
-    def predict(self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None) -> Prediction | Course:
-        """Predict the team; valid until the next prediction, as is its QP: equations.md (22)-(24), (35)-(36), (73)."""
+        # Derivatives at hover are the same read-only array at every step, with the same A and B.
+        values = linear.model.values
+        before = None
+        if self._discretised is not None and not values.flags.writeable:
+            values_before, discrete_before = self._discretised
+            before = discrete_before if values is values_before else None
+        discrete = zero_order_hold(linear.model, period_s, before)
+        frozen(discrete.A, discrete.B)
+        self._discretised = values, discrete
+        return discrete
+
+    def predict(
+        self, linear: Linear, discrete: Discrete, U: Array, law: FeedbackLaw | None
+    ) -> Prediction | Course:
+        """Predict the team; valid until the next prediction, as is its QP.
+
+        Source: docs/equations.md (22)-(24), (35)-(36), (73).
+        """
         if law is not None and law.along is not None:
             return self._along.course(self.model, linear, law, law.along)
-        found, self._curvature = None, None
-        if law is not None and self.settings.linearisation == "along":  # (35a)
-            Z, inputs = rollout(self.model, self.settings, linear.z0, law, linear.forces)
-            X = Z[:, : self.model.system.n]
-            view = state.StateView(X)
-            angles = np.concatenate([view.Theta0[:, None, :2], view.Theta[..., :2]], axis=1)
-            if np.abs(angles).max() < _STEEPEST and np.isfinite(Z).all():
-                found = Z, inputs
-                at = linear.model
-                self._curvature = self.model.outputs_along(X) - at.y - (Z - linear.z0) @ at.C.T
-        return self._program.predict(linear, discrete, U, law, found)
+
+        along = None
+        self._curvature = None
+        if law is not None and self.settings.linearisation == "along":
+            along = self._followed(linear, law)
+        if along is not None:
+            # h(x_bar) - y0 - C (x_bar - x0), (35a)
+            C = linear.model.C
+            outputs = self.model.outputs_along(along.Z[:, : self.model.system.n])
+            self._curvature = outputs - linear.model.y - (along.Z - linear.z0) @ C.T
+        return self._program.predict(linear, discrete, U, law, along)
+
+    def _followed(self, linear: Linear, law: FeedbackLaw) -> Rollout | None:
+        """Return the trajectory of the nonlinear model under the law, unless it tilts too far."""
+        along = rollout(self.model, self.settings, linear.z0, law, linear.forces)
+        view = state.StateView(along.Z[:, : self.model.system.n])
+        payload = view.Theta0[:, None, :2]
+        uavs = view.Theta[..., :2]
+        tilt = np.abs(np.concatenate([payload, uavs], axis=1)).max()
+        if tilt < _STEEPEST and np.isfinite(along.Z).all():
+            return along
+        return None
 
     def condense(
-        self, linear: Linear, prediction: Prediction | Course, y_ref: Array, law: FeedbackLaw | None = None,
+        self,
+        linear: Linear,
+        prediction: Prediction | Course,
+        y_ref: Array,
+        law: FeedbackLaw | None = None,
         end: CostToGo | None = None,
-    ) -> QP:  # fmt: skip
-        """Return the QP in the scaled decision and the slacks; arguments as those of `step`: (22)-(30), (48)."""
+    ) -> QP:
+        """Return the QP in the scaled decision and the slacks; arguments as those of `step`.
+
+        Source: docs/equations.md (22)-(30), (48), (74).
+        """
         if isinstance(prediction, Course):
-            return self._along.program(self.model, prediction)
+            return self._along.program(prediction)
         if self._curvature is not None:
             y_ref = y_ref - self._curvature
         return self._program.condense(linear, prediction, y_ref, law, end)
@@ -144,77 +246,111 @@ class Controller:
         return solve(qp, self.settings.solver)
 
     def conclude(
-        self, solution: Solution, prediction: Prediction | Course, U: Array, law: FeedbackLaw | None,
+        self,
+        solution: Solution,
+        prediction: Prediction | Course,
+        U: Array,
+        law: FeedbackLaw | None,
         ticks_since_start: int | None = None,
-    ) -> StepResult:  # fmt: skip
+    ) -> StepResult:
         """Return w U* + (1 - w) U_previous; after a failure the previous plan: (30a), (36a).
 
-        With a shared control law only the corrections are mixed. Soon after the start of an agent w is larger.
+        With a shared control law only the corrections are mixed. Soon after the start of an agent w
+        is larger: 1 / (ticks + 1).
         """
-        w, decision, solved = self._relaxation, self._decision, solution.status == "solved"
+        is_solved = solution.status == "solved"
+        w = self._relaxation
         if ticks_since_start is not None:
             w = max(w, 1.0 / (ticks_since_start + 1))
-        z = solution.z[: decision.size] if solved else np.zeros(decision.size)
+        w = w if is_solved else 0.0
+        z = np.zeros(self._decision.size)
+        if is_solved:
+            z = solution.z[: self._decision.size]
+
         if isinstance(prediction, Course):
             announced = prediction.law if law is None else law
-            inputs, c = self._along.planned(self.model, prediction, announced, z, w if solved else 0.0)
-        elif law is None:
-            inputs, c = U[:, self.own], np.zeros((0, len(self.own)))
-            if solved:
-                # The solver meets the bounds to its tolerance; the plant's actuators have them exactly.
-                best = decision.clip(prediction.U_free + decision.inputs(z))
-                inputs = decision.clip(w * best + (1.0 - w) * inputs)
+            inputs, c = self._along.planned(self.model, prediction, announced, z, w)
+        elif law is not None:
+            inputs, c = self._program.relaxed(prediction, law, z, w)
         else:
-            inputs, c = self._program.relaxed(prediction, law, z, w if solved else 0.0)
+            inputs = U[:, self.own]
+            c = np.zeros((0, len(self.own)))
+            if is_solved:
+                # The solver meets the bounds to its tolerance; the plant's actuators have them
+                # exactly.
+                best = self._decision.clip(prediction.U_free + self._decision.inputs(z))
+                inputs = self._decision.clip(w * best + (1.0 - w) * inputs)
         if np.isfinite(inputs).all() and np.abs(c).max(initial=0.0) <= LARGEST:
             return StepResult(U=inputs, c=c, solution=solution)
         return self.give_up(U, law, solution)
 
-    def give_up(self, U: Array, law: FeedbackLaw | None, solution: Solution | None = None) -> StepResult:
-        """Return the previous plan within bounds, where numbers are out of range; no solution: so are those of a QP."""
+    def give_up(
+        self, U: Array, law: FeedbackLaw | None, solution: Solution | None = None
+    ) -> StepResult:
+        """Return the shifted previous plan, clipped; used when a prediction or a QP overflows.
+
+        Without a solution the result reports a QP whose numbers are out of range.
+        """
         c = np.zeros((0, len(self.own))) if law is None else law.c[:, self.own]
         solution = solution or unsolved(0, 0, self.settings.solver)
         return StepResult(U=self._decision.clip(U[:, self.own]), c=c, solution=solution)
 
     def foreseen(self, prediction: Prediction | Course, inputs: Array) -> Array:
-        """Return the inputs of all UAVs that this controller expects with given owned ones, within bounds, (N_p, m)."""
+        """Return the inputs of all UAVs that follow given owned ones, within bounds, (N_p, m)."""
         U: Array = prediction.U_all.copy()
         if isinstance(prediction, Prediction):
             U += convolve(prediction.feedback, inputs - prediction.U_free)
-        U[:, self.own], N = inputs, self.model.system.N
+        U[:, self.own] = inputs
+        N = self.model.system.N
         return np.clip(U, self.settings.lower(N), self.settings.upper(N))
 
-    def adapted(self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, columns: Places) -> FeedbackLaw:
-        """Return the law whose corrections, in some columns of u, reproduce U announced under another: (46)."""
+    def adapted(
+        self, law: FeedbackLaw, linear: Linear, discrete: Discrete, U: Array, columns: Places
+    ) -> FeedbackLaw:
+        """Return the law with corrections that reproduce U, announced under another law: (46).
+
+        c(k) = u(k) - u_law(x0) - K dx(k) in some columns of u, with dx the response to U alone.
+        """
         c = law.c.copy()
-        if law.along is not None:
-            open_loop = replace(law, K=np.zeros_like(law.K), u_rest=U, feedforward=np.zeros_like(U), c=np.zeros_like(U))
-            dX = rollout(self.model, self.settings, linear.x0, open_loop, linear.forces)[0] - linear.x0
-            c[:, columns] = (U - law.uncorrected - np.einsum("kmn,kn->km", law.K, dX[:-1]))[:, columns]
+        if law.along is None:
+            W = discrete.f_d + (U - linear.u0) @ discrete.B.T
+            dX = free_response(discrete.A, W)
+            fed_back = dX[:-1] @ law.K[columns].T
+            c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - fed_back
             return replace(law, c=c)
-        dX = free_response(discrete.A, discrete.f_d + (U - linear.u0) @ discrete.B.T)
-        c[:, columns] = U[:, columns] - law.uncorrected[:, columns] - dX[:-1] @ law.K[columns].T
+
+        none = np.zeros_like(U)
+        open_loop = replace(law, K=np.zeros_like(law.K), u_rest=U, feedforward=none, c=none)
+        Z = rollout(self.model, self.settings, linear.x0, open_loop, linear.forces).Z
+        fed_back = np.einsum("kmn,kn->km", law.K, (Z - linear.x0)[:-1])
+        c[:, columns] = (U - law.uncorrected - fed_back)[:, columns]
         return replace(law, c=c)
 
     def without(self, uavs: Collection[int], since: int | None = None) -> None:
-        """Set the UAVs without an agent, 0-based: they follow the fail-safe; `since` as in `Regulation.form`."""
+        """Set the UAVs without an agent, 0-based; `since` as in `Regulation.form`."""
         self._gone = frozenset(uavs)
-        # UAVs without agents obstruct the others: several agents correct the same distances, each its share of them.
-        self._relaxation = self._relaxed(others_obstruct=bool(uavs) or self._program.shares_rows)
+        # UAVs without agents obstruct the others: several agents correct the same distances, each
+        # its share of them.
+        self._relaxation = self._relaxed(others_obstruct=bool(uavs) or self._shares_rows)
         self._form(since)
 
     def _relaxed(self, *, others_obstruct: bool) -> float:
-        """Return the relaxation of corrections; at most the share of the owned UAVs where all correct the same."""
-        is_shared = others_obstruct and self.settings.prediction == "closed_loop"
-        return min(self.settings.relaxation, len(self.owned) / self._whole.system.N if is_shared else 1.0)
+        """Return the relaxation: at most the share of owned UAVs where all correct the same."""
+        if not others_obstruct or self.settings.prediction != "closed_loop":
+            return self.settings.relaxation
+        return min(self.settings.relaxation, len(self.owned) / self._whole.system.N)
 
-    def fail(self, off: Collection[int], released: Collection[int], since: int | None = None) -> None:
-        """Set the UAVs without motors, 0-based, and those of them that are released from their rods: (50), (51)."""
-        self._off, self._released = frozenset(off), frozenset(released)
+    def fail(
+        self, off: Collection[int], released: Collection[int], since: int | None = None
+    ) -> None:
+        """Set the UAVs without motors, 0-based, and of them the released ones: (50), (51)."""
+        self._off = frozenset(off)
+        self._released = frozenset(released)
         self.model = Model(self._whole.system, off, released) if off else self._whole
         self._form(since)
 
     def _form(self, since: int | None) -> None:
+        """Take the law and the cost of the present team."""
         self.regulation.form(self._gone, self._off, self._released, since=since)
-        self.cost, self._at_hover = self.regulation.cost, None
+        self._at_hover = None
         self._program.form(self.cost, self._gone)

@@ -1,20 +1,29 @@
 """The cost that every agent minimises and that measures every run."""
 
 from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 
-from model.arrays import Array
-from model.hover import Hover
-from model.parameters import System
-from mpc.settings import Weights
+from transport.model.arrays import Array
+from transport.model.hover import Hover
+from transport.model.parameters import System
+from transport.mpc.settings import Weights
 
 
 class Cost:
-    """Quadratic cost of the team; yaw rates of UAVs that are `off`, and outputs of `released` ones, have no weight."""
+    """Quadratic cost of the team.
+
+    Yaw rates of UAVs that are `off`, and outputs of `released` ones, have no weight.
+    """
 
     def __init__(
-        self, weights: Weights, system: System, hover: Hover, off: Collection[int] = (), released: Collection[int] = ()
+        self,
+        weights: Weights,
+        system: System,
+        hover: Hover,
+        off: Collection[int] = (),
+        released: Collection[int] = (),
     ) -> None:
         N = system.N
         Q = weights.Q(N)
@@ -22,11 +31,27 @@ class Cost:
             Q[3 * uav : 3 * uav + 3] = 0.0
         for uav in off:
             Q[3 * N + 3 + uav] = 0.0
-        self.Q, self.R = Q, weights.R(system)  # stage weights on the output error, (p,), and on the inputs, (m,)
+        self.Q = Q  # stage weights on the output error, (p,)
+        self.R = weights.R(system)  # on the inputs, (m,)
+
         # Input without cost: hover, or zero, (m,).
-        self.u_target = hover.u if weights.penalised_input == "deviation" else np.zeros_like(hover.u)
+        is_deviation = weights.penalised_input == "deviation"
+        self.u_target = hover.u if is_deviation else np.zeros_like(hover.u)
 
     def stage(self, y: Array, y_ref: Array, u: Array) -> float:
-        """Return the cost of y and y_ref, (p,), and u, (m,), SI, at one instant: equations.md (21); paper (17)."""
-        error, effort = y - y_ref, u - self.u_target
+        """Return |y - y_ref|^2_Q + |u - u_target|^2_R at one instant; y, y_ref (p,), u (m,), SI.
+
+        Source: docs/equations.md (21); paper (17).
+        """
+        error = y - y_ref
+        effort = u - self.u_target
         return float(error @ (self.Q * error) + effort @ (self.R * effort))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CostToGo:
+    """The cost after the horizon: |root (error + dx)|^2 + 2 slope' dx + constant, (36d)."""
+
+    root: Array  # square root of the Riccati solution, (rank, n)
+    error: Array  # x0 - x_ref at step N_p, x_ref shifted by external forces, (n,)
+    slope: Array  # effect of reference and forces, (n,)

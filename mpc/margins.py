@@ -1,26 +1,32 @@
-"""Linear analysis of the sampled loop about hover: exact plant, actuators, estimators and control laws of a team."""
+"""Linear analysis of the sampled loop about hover.
+
+Exact plant, actuators, estimators and control laws of a team.
+"""
 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from model import state
-from model.arrays import Array
-from model.discretisation import zero_order_hold
-from model.hover import hover
-from model.linearisation import Linearisation, Model
-from model.motors import lagged
-from model.parameters import ParameterError, System
-from mpc.controller import Controller
-from mpc.feedback import tangent
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.discretisation import Discrete, zero_order_hold
+from transport.model.hover import hover
+from transport.model.linearisation import Linearisation, Model
+from transport.model.motors import lagged
+from transport.model.parameters import ParameterError, System
+from transport.mpc.controller import Controller
+from transport.mpc.manifold import tangent
 
-GROWTH = 0.02  # fastest that counts as stable, 1/s; headings neither grow nor decay, and rounding moves them
-_DECAY = 1e-3  # slowest that is one, 1/s: undamped modes have zero, and rounding moves them
-_COARSE, _FINE = 1.4, 0.005  # steps of the search: until the first unstable plant, then by bisection
-FARTHEST, FARTHEST_S = 10.0, 0.6  # factors, and lag and delay, s
+# Fastest growth that counts as stable, 1/s: headings neither grow nor decay but by rounding.
+GROWTH = 0.02
+_DECAY = 1e-3  # slowest decay that is one, 1/s: undamped modes have zero, and rounding moves them
+_COARSE = 1.4  # factor of the search until the first unstable plant
+_FINE = 0.005  # relative accuracy of the bisection after it
+FARTHEST = 10.0  # largest factor that is tried
+FARTHEST_S = 0.6  # largest lag and delay that are tried, s
 _FIRST_S = 1e-3  # shortest lag and delay that are tried, s
 
 
@@ -39,11 +45,21 @@ class Mismatch:
 
     def system(self, known: System) -> System:
         """Return the actual bodies."""
-        body, uavs = known.payload, []
+        uavs = []
         for uav in known.uavs:
-            changed = replace(uav, mass=uav.mass * self.uav_mass, rod_length=uav.rod_length * self.rod_length)
-            uavs.append(replace(changed, inertia=uav.inertia * self.uav_inertia))
-        payload = replace(body, mass=body.mass * self.payload_mass, inertia=body.inertia * self.payload_inertia)
+            uavs.append(
+                replace(
+                    uav,
+                    mass=uav.mass * self.uav_mass,
+                    inertia=uav.inertia * self.uav_inertia,
+                    rod_length=uav.rod_length * self.rod_length,
+                )
+            )
+        payload = replace(
+            known.payload,
+            mass=known.payload.mass * self.payload_mass,
+            inertia=known.payload.inertia * self.payload_inertia,
+        )
         return System(payload=payload, uavs=uavs, gravity=known.gravity)
 
 
@@ -56,10 +72,16 @@ class SampledLoop(ABC):
 
     @abstractmethod
     def matrix(self, plant: Mismatch) -> Array:
-        """Return the step from one sampling instant to the next. Raises: ParameterError: the bodies have no hover."""
+        """Return the step from one sampling instant to the next.
+
+        Raises: ParameterError: the bodies have no hover.
+        """
 
     def growth(self, plant: Mismatch) -> float:
-        """Return the growth rate of the fastest growing mode, 1/s; infinite where the bodies have no hover."""
+        """Return the growth rate of the fastest growing mode, 1/s.
+
+        Infinite where the bodies have no hover.
+        """
         try:
             step = self.matrix(plant)
         except ParameterError:
@@ -67,138 +89,223 @@ class SampledLoop(ABC):
         return math.log(float(np.abs(np.linalg.eigvals(step)).max())) / self.period_s
 
     def settling_s(self, plant: Mismatch) -> float | None:
-        """Return the time in which the slowest deviation decays by e, headings of UAVs apart; None if one does not."""
+        """Return the time in which the slowest deviation decays by e, headings of UAVs apart.
+
+        None if one does not.
+        """
         eigenvalues = np.linalg.eigvals(self.matrix(plant))
-        others = eigenvalues[np.argsort(np.abs(eigenvalues - 1.0))[self._headings :]]
+        by_distance = np.argsort(np.abs(eigenvalues - 1.0))
+        others = eigenvalues[by_distance[self._headings :]]
         decay = -math.log(float(np.abs(others).max())) / self.period_s
         return 1.0 / decay if decay > _DECAY else None
 
 
 class Loop(SampledLoop):
-    """The sampled loop of a team about hover, as a function of the plant, with a controller per agent.
+    """The sampled loop of a team about hover as a function of the plant, by its controllers.
 
-    With `next_tick` inputs act one sampling period after the measurement; `age` are the periods until an agent knows
-    another agent's state, >= 1. UAVs without an agent, by 0-based numbers, follow a fail-safe, (4, n), unmeasured.
+    With `next_tick` inputs act one sampling period after the measurement; `age` are the periods
+    until an agent knows another agent's state, >= 1. UAVs without an agent, by 0-based numbers,
+    follow a fail-safe, (4, n), unmeasured.
     """
 
     def __init__(
-        self, controllers: Sequence[Controller], *, next_tick: bool, age: int = 1,
+        self,
+        controllers: Sequence[Controller],
+        *,
+        next_tick: bool,
+        age: int = 1,
         uncontrolled: Mapping[int, Array] | None = None,
-    ) -> None:  # fmt: skip
-        self._controllers, self._next_tick, self._age = tuple(controllers), next_tick, age
+    ) -> None:
+        self._controllers = tuple(controllers)
+        self._delay = int(next_tick)  # periods between the measurement and its inputs
+        self._age = age
+
         first = controllers[0]
-        self._system, at_rest = first.model.system, first.regulation.hover
-        self._headings = self._system.N
-        self.period_s, self.known_lag_s = first.settings.sampling_period_s, first.settings.motor_lag_s
-        model = first.model.linearise(at_rest.x, at_rest.u)
-        self._T = T = tangent(at_rest.x, motors=self.known_lag_s > 0.0)
-        self._r = self._system.n - 2 * self._system.N  # coordinates of the motion; those of the actual inputs follow
+        system = first.model.system
+        hovering = first.regulation.hover
+        self._system = system
+        self._headings = system.N
+        self.period_s = first.settings.sampling_period_s
+        self.known_lag_s = first.settings.motor_lag_s
+
+        # The controllers' model in coordinates xi of the manifold, actual inputs behind them.
+        linear = first.model.linearise(hovering.x, hovering.u)
+        T = tangent(hovering.x, motors=self.known_lag_s > 0.0)
         if self.known_lag_s > 0.0:
-            model = lagged(model, at_rest.u, at_rest.u, self.known_lag_s, self._system.commands_rates)
-        discrete = zero_order_hold(model, self.period_s)
-        self._A, self._B = T.T @ discrete.A @ T, T.T @ discrete.B
-        # Projections of states in tangent coordinates on what the agents measure at once.
-        seen = [np.r_[(slice(0, state.PAYLOAD), *map(state.uav_slice, each.owned))] for each in controllers]
-        self._measured = [T[rows].T @ T[rows] for rows in seen]
+            linear = lagged(linear, hovering.u, hovering.u, self.known_lag_s, system.commands_rates)
+        discrete = zero_order_hold(linear, self.period_s)
+        self._T = T
+        self._r = system.n - 2 * system.N  # coordinates of the motion alone
+        self._A = T.T @ discrete.A @ T
+        self._B = T.T @ discrete.B
         self._law = first.regulation.gain(0) @ T
-        lost = np.zeros(len(self._T), dtype=bool)
+
+        # Projections of states on what the agents measure at once: payload and own UAVs.
+        self._measured = []
+        for controller in controllers:
+            seen = [slice(0, state.PAYLOAD), *map(state.uav_slice, controller.owned)]
+            rows = T[np.r_[tuple(seen)]]
+            self._measured.append(rows.T @ rows)
+        self._set_uncontrolled(uncontrolled or {})
+
+    def _set_uncontrolled(self, uncontrolled: Mapping[int, Array]) -> None:
+        """Set the fail-safe of UAVs without agents, and the coordinates that nobody measures."""
         m = self._system.m
-        self._gone, self._fail_safe = np.zeros((m, 1), dtype=bool), np.zeros((m, len(self._A)))
-        for uav, gain in (uncontrolled or {}).items():
-            lost[state.uav_slice(uav)], self._gone[state.input_slice(uav)] = True, True
-            lost[state.uav_slice(uav)][state.THETA][2] = False  # its heading matters to no other state
-            self._fail_safe[state.input_slice(uav)] = gain @ self._T[: gain.shape[1]]
-        self._lost = np.flatnonzero((self._T[lost] != 0.0).any(axis=0))  # their coordinates
+        self._gone = np.zeros((m, 1), dtype=bool)  # their inputs
+        self._fail_safe = np.zeros((m, len(self._A)))
+        lost = np.zeros(len(self._T), dtype=bool)
+        for uav, gain in uncontrolled.items():
+            own = state.input_slice(uav)
+            self._gone[own] = True
+            self._fail_safe[own] = gain @ self._T[: gain.shape[1]]
+            lost[state.uav_slice(uav)] = True
+            # Its heading matters to no other state.
+            lost[state.uav_slice(uav)][state.THETA][2] = False
+        self._lost = np.flatnonzero((self._T[lost] != 0.0).any(axis=0))
 
     def matrix(self, plant: Mismatch) -> Array:
-        """Return the step from one sampling instant to the next. Raises: ParameterError: the bodies have no hover."""
-        period_s, m, r = self.period_s, self._system.m, self._r
-        earlier, later, late = held_plant(self._system, self._T[: self._system.n, :r], plant, period_s)
-        ahead, age = int(self._next_tick), self._age
-        kept = ahead + max(age, late + 1)
-        guessed = [len(self._lost)] * len(self._controllers)
-        sizes = [len(earlier[0]), len(self._A) - r, *[len(self._A)] * age, *[m] * kept, *guessed]
-        blocks = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
-        motion, known_inputs, past = blocks[0], blocks[1], blocks[2 : 2 + age]
-        commands, guesses = blocks[2 + age : 2 + age + kept], blocks[2 + age + kept :]
-        now = np.vstack([motion[:r], known_inputs])
-        issued = np.empty((m, now.shape[1]))
-        issued[self._gone[:, 0]] = self._fail_safe[self._gone[:, 0]] @ now
+        """Return the step from one sampling instant to the next.
+
+        The state is [motion of the plant, actual inputs that the controllers expect, past states,
+        past commands, guesses of unmeasured coordinates].
+        Raises: ParameterError: the bodies have no hover.
+        """
+        periods, part_s = divmod(plant.delay_s, self.period_s)
+        late = round(periods)
+        F, G = continuous(self._system, self._T[: self._system.n, : self._r], plant)
+        # The plant's steps before and after the arrival of a delayed command.
+        before = held(F, G, part_s)
+        after = held(F, G, self.period_s - part_s)
+
+        whole = self._blocks(len(F), late)
+        now = np.vstack([whole.motion[: self._r], whole.expected])
+        issued = np.empty((self._system.m, now.shape[1]))
+        gone = self._gone[:, 0]
+        issued[gone] = self._fail_safe[gone] @ now
+        guesses = []
         for agent, controller in enumerate(self._controllers):
-            x, guesses[agent] = self._estimate(agent, [now, *past], commands, guesses[agent])
+            past = [now, *whole.past]
+            x, guess = self._estimate(agent, past, whole.commands, whole.guesses[agent])
             issued[controller.own] = self._law[controller.own] @ x
-        inputs = [issued, *commands]  # newest first
-        # In force, now and before; the fail-safe needs no time for computing.
-        acting = [np.where(self._gone, *pair) for pair in zip(inputs, inputs[ahead:], strict=False)]
-        moved = later[0] @ (earlier[0] @ motion + earlier[1] @ acting[late + 1]) + later[1] @ acting[late]
-        known_inputs = self._A[r:] @ now + self._B[r:] @ acting[0]
-        return np.vstack([moved, known_inputs, now, *past[:-1], *inputs[:-1], *guesses])
+            guesses.append(guess)
+
+        # Commands in force, now and before; the fail-safe needs no time for computing.
+        commands = [issued, *whole.commands]  # newest first
+        acting = []
+        for newest, delayed in zip(commands, commands[self._delay :], strict=False):
+            acting.append(np.where(self._gone, newest, delayed))
+
+        halfway = before.A @ whole.motion + before.B @ acting[late + 1]
+        moved = after.A @ halfway + after.B @ acting[late]
+        expected = self._A[self._r :] @ now + self._B[self._r :] @ acting[0]
+        return np.vstack([moved, expected, now, *whole.past[:-1], *commands[:-1], *guesses])
+
+    def _blocks(self, motion: int, late: int) -> "_Blocks":
+        """Return the parts of the whole state, as rows of the identity."""
+        size = len(self._A)
+        kept = self._delay + max(self._age, late + 1)
+        sizes = [motion, size - self._r, *[size] * self._age, *[self._system.m] * kept]
+        sizes += [len(self._lost)] * len(self._controllers)
+        parts = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
+        first_command = 2 + self._age
+        first_guess = first_command + kept
+        return _Blocks(
+            motion=parts[0],
+            expected=parts[1],
+            past=parts[2:first_command],
+            commands=parts[first_command:first_guess],
+            guesses=parts[first_guess:],
+        )
 
     def _estimate(
         self, agent: int, known: Sequence[Array], commands: Sequence[Array], guess: Array
     ) -> tuple[Array, Array]:
-        """Return an agent's estimate of the state of its plan, and of UAVs without agents, from states and commands."""
-        own, age, ahead = self._controllers[agent].own, self._age, int(self._next_tick)
-        x, offset = known[age].copy(), np.zeros(0)
+        """Return an agent's estimate of the state of its plan, and of UAVs without agents.
+
+        From states of all UAVs `age` periods old, its own measurements since, and the commands.
+        """
+        own = self._controllers[agent].own
+        x = known[self._age].copy()
         x[self._lost] = guess
-        for step in range(age + ahead):
-            u = commands[age + ahead - 1 - step]
-            if step > ahead:
-                # Later plans of the others have not been received: the shared control law replaces them.
-                u = np.where(np.isin(np.arange(len(u)), own)[:, None], u, self._law @ x + offset)
-            elif step == ahead:
+        offset = np.zeros(0)
+        for step in range(self._age + self._delay):
+            u = commands[self._age + self._delay - 1 - step]
+            if step > self._delay:
+                # Later plans of the others have not been received: the shared control law replaces
+                # them.
+                is_own = np.isin(np.arange(len(u)), own)[:, None]
+                u = np.where(is_own, u, self._law @ x + offset)
+            elif step == self._delay:
                 offset = u - self._law @ x
             u = np.where(self._gone, self._fail_safe @ x, u)
             x = self._A @ x + self._B @ u
-            if step < age:
-                x = x + self._measured[agent] @ (known[age - 1 - step] - x)
+            if step < self._age:
+                x = x + self._measured[agent] @ (known[self._age - 1 - step] - x)
             if step == 0:
                 guess = x[self._lost]
         return x, guess
 
 
-def held_plant(
-    known: System, T: Array, plant: Mismatch, period_s: float
-) -> tuple[tuple[Array, Array], tuple[Array, Array], int]:
-    """Return the plant's steps before and after the arrival of a delayed command, and whole periods of that delay.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Blocks:
+    """Parts of the state of a loop, as rows of the identity of the whole."""
 
-    They map the motion in coordinates of T, (n, r), with motor lag and the actual inputs, and held commands.
+    motion: Array  # of the plant, with the actual inputs of its motors
+    expected: Array  # actual inputs that the controllers expect
+    past: Sequence[Array]  # states one, two, .. periods ago
+    commands: Sequence[Array]  # newest first
+    guesses: Sequence[Array]  # of unmeasured coordinates, by agent
+
+
+def continuous(system: System, T: Array, plant: Mismatch) -> tuple[Array, Array]:
+    """Return x' = F x + G u of the actual bodies, with inner loop and lag of their motors.
+
+    Motion in coordinates of T, (n, r), with motor lag the actual inputs behind it.
     Raises: ParameterError: the bodies have no hover.
     """
-    actual = hover(plant.system(known))
-    linear = Model(plant.system(known)).linearise(actual.x, actual.u)
-    m, r = known.m, T.shape[1]
-    F, G = T.T @ linear.A_c @ T, plant.gain * (T.T @ linear.B_c)
-    # Thrust and moments by state and by command, (57).
-    by_state, by_command = np.zeros((m, known.n)), np.eye(m)
-    if known.rate_gains is not None:
-        for i, uav in enumerate(known.uavs):
-            moments, gains = state.input_slice(i), uav.inertia * known.rate_gains
+    bodies = plant.system(system)
+    actual = hover(bodies)
+    linear = Model(bodies).linearise(actual.x, actual.u)
+    F = T.T @ linear.A_c @ T
+    G = plant.gain * (T.T @ linear.B_c)
+
+    # Thrust and moments by state and by command: J K (rate command - rate), (57).
+    by_state = np.zeros((system.m, system.n))
+    by_command = np.eye(system.m)
+    if system.rate_gains is not None:
+        for i, uav in enumerate(system.uavs):
+            moments = state.input_slice(i)
+            gains = uav.inertia * system.rate_gains
             by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
             by_command[moments, moments][1:, 1:] = gains
     by_state = by_state @ T
     if plant.lag_s == 0.0:
-        F, G = F + G @ by_state, G @ by_command
-    else:
-        # Actual inputs in units of their effect: moments of small vehicles are tiny in N m.
-        unit = 1.0 / np.abs(G).max(axis=0)
-        F = np.block([[F, G * unit], [by_state / (unit * plant.lag_s)[:, None], -np.eye(m) / plant.lag_s]])
-        G = np.vstack([np.zeros((r, m)), by_command / (unit * plant.lag_s)[:, None]])
-    periods, part_s = divmod(plant.delay_s, period_s)
-    return _held(F, G, part_s), _held(F, G, period_s - part_s), round(periods)
+        return F + G @ by_state, G @ by_command
+
+    # Actual inputs as states, in units of their effect: moments of small vehicles are tiny.
+    unit = 1.0 / np.abs(G).max(axis=0)
+    own_decay = -np.eye(system.m) / plant.lag_s
+    to_motors = by_state / (unit * plant.lag_s)[:, None]
+    with_motors = np.block([[F, G * unit], [to_motors, own_decay]])
+    commanded = by_command / (unit * plant.lag_s)[:, None]
+    return with_motors, np.vstack([np.zeros((T.shape[1], system.m)), commanded])
 
 
-def _held(F: Array, G: Array, duration_s: float) -> tuple[Array, Array]:
+def held(F: Array, G: Array, duration_s: float) -> Discrete:
+    """Return the zero-order hold of x' = F x + G u; of no duration the identity."""
+    none = np.zeros(len(F))
     if duration_s == 0.0:
-        return np.eye(len(F)), np.zeros_like(G)
-    none = np.zeros(0)
-    discrete = zero_order_hold(Linearisation.of(np.zeros(len(F)), F, G, none, np.zeros((0, len(F)))), duration_s)
-    return discrete.A, discrete.B
+        return Discrete(A=np.eye(len(F)), B=np.zeros_like(G), f_d=none)
+    no_outputs = np.zeros((0, len(F)))
+    return zero_order_hold(Linearisation.of(none, F, G, np.zeros(0), no_outputs), duration_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Margin:
-    """Range of one property of the plant within which the hover is stable; None beyond the range that is searched."""
+    """Range of one property of the plant within which the hover is stable.
+
+    None beyond the range that is searched.
+    """
 
     nominal: float
     lower: float | None
@@ -206,35 +313,52 @@ class Margin:
 
 
 def margins(loop: SampledLoop) -> dict[str, Margin]:
-    """Return the margin to each property of `Mismatch`, the others as known; none if the loop is unstable as known."""
+    """Return the margin to each property of `Mismatch`, the others as known.
+
+    Empty if the loop is unstable as known.
+    """
     nominal = Mismatch(lag_s=loop.known_lag_s)
     if loop.growth(nominal) > GROWTH:
         return {}
-    found = {}
-    for name in Mismatch.__dataclass_fields__:
-        value = getattr(nominal, name)
-
-        def stable(changed: float, name: str = name) -> bool:
-            return loop.growth(replace(nominal, **{name: changed})) <= GROWTH
-
-        if name.endswith("_s"):
-            begin = max(value, _FIRST_S)
-            upper = _limit(stable, begin, FARTHEST_S) if stable(begin) else begin
-            lower = _limit(stable, value, _FIRST_S) if value > 0.0 else None
-        else:
-            upper, lower = _limit(stable, value, FARTHEST), _limit(stable, value, 1.0 / FARTHEST)
-        found[name] = Margin(nominal=value, lower=lower, upper=upper)
-    return found
+    return {field.name: _margin(loop, nominal, field.name) for field in fields(Mismatch)}
 
 
-def _limit(stable: Callable[[float], bool], inside: float, farthest: float) -> float | None:
+def _margin(loop: SampledLoop, nominal: Mismatch, name: str) -> Margin:
+    """Return the margin to one property."""
+    value = getattr(nominal, name)
+
+    def is_stable(changed: float) -> bool:
+        return loop.growth(replace(nominal, **{name: changed})) <= GROWTH
+
+    if not name.endswith("_s"):
+        lower = _limit(is_stable, value, 1.0 / FARTHEST)
+        upper = _limit(is_stable, value, FARTHEST)
+        return Margin(nominal=value, lower=lower, upper=upper)
+
+    # Lags and delays begin at zero, from which no factor leads on.
+    begin = max(value, _FIRST_S)
+    upper_s = _limit(is_stable, begin, FARTHEST_S) if is_stable(begin) else begin
+    lower_s = _limit(is_stable, value, _FIRST_S) if value > 0.0 else None
+    return Margin(nominal=value, lower=lower_s, upper=upper_s)
+
+
+def _limit(is_stable: Callable[[float], bool], inside: float, farthest: float) -> float | None:
     """Return the last stable value from `inside` towards `farthest`; None if all are stable."""
-    step = _COARSE if farthest > inside else 1.0 / _COARSE
-    while stable(outside := (min if step > 1.0 else max)(inside * step, farthest)):
+    grows = farthest > inside
+    while True:
+        outside = (
+            min(inside * _COARSE, farthest) if grows else max(inside * (1.0 / _COARSE), farthest)
+        )
+        if not is_stable(outside):
+            break
         if outside == farthest:
             return None
         inside = outside
+
     while abs(math.log(outside / inside)) > _FINE:
         middle = math.sqrt(inside * outside)
-        inside, outside = (middle, outside) if stable(middle) else (inside, middle)
+        if is_stable(middle):
+            inside = middle
+        else:
+            outside = middle
     return inside

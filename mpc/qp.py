@@ -1,4 +1,4 @@
-"""The quadratic program, its solvers (DAQP, Clarabel), and the optimality check that every solution must pass.
+"""The quadratic program, its solvers, and the check that every solution must pass.
 
 minimise 1/2 z' H z + g' z   subject to   lower <= z <= upper,   row_lower <= A z <= row_upper
 """
@@ -11,28 +11,39 @@ from typing import Literal
 import clarabel
 import daqp
 import numpy as np
+import numpy.typing as npt
 
-from model import native
-from model.arrays import Array
-from mpc.settings import SolverName
+from transport.model import native
+from transport.model.arrays import Array
+from transport.mpc.settings import SolverName
 
 Status = Literal["solved", "infeasible", "limit", "numerical"]
 
-# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to 1e-6.
+# Largest residual of a solved QP, relative to its data: solvers then agree in the stage cost to
+# 1e-6.
 RESIDUAL_TOLERANCE = 1e-6
 # A usual QP needs one guess of its active bounds, others two or three; the limit ends a cycle.
 MOST_GUESSES = 8
 _ITERATIONS = 2000  # DAQP needs about as many as active constraints; the limit ends a cycle
+_TOLERANCE = 1e-9  # of DAQP, primal and dual
+_INTERIOR_TOLERANCE = 1e-11  # of Clarabel
 _INFINITY = 1e30  # DAQP's own
+_EQUALITY = 5  # DAQP's sense of a row that is active and stays so
 _DAQP: dict[int, Status] = {-1: "infeasible", -4: "limit"}
 _CLARABEL: dict[str, Status] = {
-    "Solved": "solved", "PrimalInfeasible": "infeasible", "MaxIterations": "limit", "MaxTime": "limit"
-}  # fmt: skip
+    "Solved": "solved",
+    "PrimalInfeasible": "infeasible",
+    "MaxIterations": "limit",
+    "MaxTime": "limit",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class QP:
-    """The data of one program, row-major; equalities are rows with equal bounds, missing bounds are infinite."""
+    """The data of one program, row-major.
+
+    Equalities are rows with equal bounds, missing bounds are infinite.
+    """
 
     H: Array  # positive definite, (n, n)
     g: Array  # (n,)
@@ -63,7 +74,8 @@ class Residuals:
 
     stationarity: float  # |H z + g + multipliers| relative to 1 + |g|
     primal: float  # largest violation of a bound or row, relative to 1 + |z|
-    complementarity: float  # largest multiplier times distance to its bound, relative to 1 + |objective|
+    # Largest multiplier times distance to its bound, relative to 1 + |objective|.
+    complementarity: float
 
     @property
     def worst(self) -> float:
@@ -90,17 +102,21 @@ class Solution:
 
 
 def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array) -> Residuals:
-    """Return the Karush-Kuhn-Tucker residuals; arguments as in `Solution`. Source: docs/equations.md (28)."""
+    """Return the Karush-Kuhn-Tucker residuals of a solution, arguments as in `Solution`.
+
+    H z + g + m + A' m_rows = 0,   lower <= z <= upper,   m (distance to its bound) = 0
+    Source: docs/equations.md (28).
+    """
     if native.AVAILABLE:
-        (rows, n), found, answer = qp.A.shape, np.empty(3), map(native.at, (z, bound_multipliers, row_multipliers))
-        native.KERNELS.residuals(n, rows, *qp.addresses, *answer, native.at(found), native.work("residuals", n))
-        return Residuals(*found.tolist())
+        return _compiled_residuals(qp, z, bound_multipliers, row_multipliers)
     values = np.concatenate([z, qp.A @ z])
     multipliers = np.concatenate([bound_multipliers, row_multipliers])
     lower = np.concatenate([qp.lower, qp.row_lower])
     upper = np.concatenate([qp.upper, qp.row_upper])
+
     slope = qp.H @ z + qp.g + bound_multipliers + row_multipliers @ qp.A
     outside = np.maximum(np.maximum(lower - values, values - upper), 0.0)
+
     # A multiplier at an infinite bound must be zero, so its own size is the violation.
     to_upper = np.where(np.isfinite(upper), upper - values, 1.0)
     to_lower = np.where(np.isfinite(lower), values - lower, 1.0)
@@ -112,96 +128,233 @@ def residuals(qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array
     )
 
 
+def _compiled_residuals(
+    qp: QP, z: Array, bound_multipliers: Array, row_multipliers: Array
+) -> Residuals:
+    """Return the residuals by the compiled kernel."""
+    rows, n = qp.A.shape
+    values = np.empty(3)
+    solution = map(native.at, (z, bound_multipliers, row_multipliers))
+    work = native.work("residuals", n)
+    native.KERNELS.residuals(n, rows, *qp.addresses, *solution, native.at(values), work)
+    return Residuals(*values.tolist())
+
+
 def solve(qp: QP, solver: SolverName) -> Solution:
-    """Solve by the chosen solver, check the residuals, and use Clarabel as fallback; return the last failure else."""
-    first = within_bounds(qp) if solver == "daqp" else None
-    if first is not None:
-        return first
+    """Solve by the chosen solver, check the residuals, and use Clarabel as fallback.
+
+    With DAQP the program with bounds alone is tried first. If all fail, return the last failure.
+    """
+    if solver == "daqp":
+        by_bounds = within_bounds(qp)
+        if by_bounds is not None:
+            return by_bounds
     if not (np.isfinite(qp.g).all() and np.isfinite(qp.H).all()):
         return unsolved(len(qp.g), len(qp.A), solver)
     if solver == "clarabel":
         return solve_clarabel(qp)
-    first = solve_daqp(qp)
-    return first if first.status == "solved" else replace(solve_clarabel(qp), fallback=True)
+
+    solution = solve_daqp(qp)
+    if solution.status == "solved":
+        return solution
+    return replace(solve_clarabel(qp), fallback=True)
 
 
 def unsolved(n: int, rows: int, solver: str) -> Solution:
     """Return the failure of a QP that is not solved because its numbers are out of range."""
     return Solution(
-        status="numerical", z=np.zeros(n), bound_multipliers=np.zeros(n), row_multipliers=np.zeros(rows),
-        residuals=_NO_RESIDUALS, iterations=0, solver=solver,
-    )  # fmt: skip
+        status="numerical",
+        z=np.zeros(n),
+        bound_multipliers=np.zeros(n),
+        row_multipliers=np.zeros(rows),
+        residuals=_NO_RESIDUALS,
+        iterations=0,
+        solver=solver,
+    )
 
 
 def within_bounds(qp: QP) -> Solution | None:
-    """Return the solution of a QP in which no row is active, else None (Hintermueller, Ito, Kunisch 2003)."""
+    """Return the solution of a QP in which no row is active, else None.
+
+    Primal-dual active-set method (Hintermueller, Ito, Kunisch 2003), by the compiled kernel.
+    """
     if not native.AVAILABLE:
         return None
-    (rows, n), z, multipliers, found = qp.A.shape, np.empty_like(qp.g), np.empty_like(qp.g), np.empty(3)
+    rows, n = qp.A.shape
+    z = np.empty_like(qp.g)
+    multipliers = np.empty_like(qp.g)
+    values = np.empty(3)
     work = native.work("within_bounds", native.KERNELS.within_bounds_work(n, rows))
-    answer = map(native.at, (z, multipliers, found))
-    guesses = native.KERNELS.solve_within_bounds(n, rows, *qp.addresses, MOST_GUESSES, *answer, work)
-    if guesses <= 0 or (passed := Residuals(*found.tolist())).worst > RESIDUAL_TOLERANCE:
+    answer = map(native.at, (z, multipliers, values))
+    guesses = native.KERNELS.solve_within_bounds(
+        n, rows, *qp.addresses, MOST_GUESSES, *answer, work
+    )
+    if guesses <= 0:
+        return None
+
+    found = Residuals(*values.tolist())
+    if found.worst > RESIDUAL_TOLERANCE:
         return None
     return Solution(
-        status="solved", z=z, bound_multipliers=multipliers, row_multipliers=np.zeros(len(qp.A)),
-        residuals=passed, iterations=guesses, solver="active_set",
-    )  # fmt: skip
+        status="solved",
+        z=z,
+        bound_multipliers=multipliers,
+        row_multipliers=np.zeros(rows),
+        residuals=found,
+        iterations=guesses,
+        solver="active_set",
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Answer:
+    """What a solver returns."""
+
+    status: Status
+    z: Array
+    bounds: Array  # multipliers of the bounds
+    rows: Array  # multipliers of the rows
+    iterations: int
+    solver: SolverName
 
 
 def solve_daqp(qp: QP) -> Solution:
-    """Dual active-set method (Arnstrom, Bemporad, Axehill 2022)."""
+    """Solve by the dual active-set method of Arnstrom, Bemporad, Axehill 2022."""
     lower = np.maximum(np.concatenate([qp.lower, qp.row_lower]), -_INFINITY)
     upper = np.minimum(np.concatenate([qp.upper, qp.row_upper]), _INFINITY)
-    sense = np.where(lower == upper, 5, 0).astype(np.int32)
+    sense = np.where(lower == upper, _EQUALITY, 0).astype(np.int32)
     z, _, flag, info = daqp.solve(
-        np.ascontiguousarray(qp.H), qp.g, np.ascontiguousarray(qp.A), upper, lower, sense,
-        iter_limit=_ITERATIONS, primal_tol=1e-9, dual_tol=1e-9,
-    )  # fmt: skip
+        np.ascontiguousarray(qp.H),
+        qp.g,
+        np.ascontiguousarray(qp.A),
+        upper,
+        lower,
+        sense,
+        iter_limit=_ITERATIONS,
+        primal_tol=_TOLERANCE,
+        dual_tol=_TOLERANCE,
+    )
     status: Status = "solved" if flag > 0 else _DAQP.get(flag, "numerical")
     bounds, rows = np.split(np.asarray(info["lam"], dtype=np.float64), [len(qp.g)])
-    return _checked(qp, np.asarray(z), bounds, rows, status, int(info["iterations"]), "daqp")
+    iterations = int(info["iterations"])
+    return _checked(
+        qp,
+        _Answer(
+            status=status,
+            z=np.asarray(z),
+            bounds=bounds,
+            rows=rows,
+            iterations=iterations,
+            solver="daqp",
+        ),
+    )
 
 
 def solve_clarabel(qp: QP) -> Solution:
-    """Interior-point method (Goulart, Chen 2024), single-threaded so that equal data give equal bits."""
+    """Solve by the interior-point method of Goulart, Chen 2024.
+
+    Single-threaded, so that equal data give equal bits.
+    """
     from scipy import sparse  # 0.3 s at start, and only this solver needs it
 
     n = len(qp.g)
-    equal = qp.row_lower == qp.row_upper
-    has_upper, has_lower = np.isfinite(qp.row_upper) & ~equal, np.isfinite(qp.row_lower) & ~equal
-    bound_upper, bound_lower = np.isfinite(qp.upper), np.isfinite(qp.lower)
+    sides = _Sides.of(qp)
     identity = np.eye(n)
-    G = np.concatenate([qp.A[equal], identity[bound_upper], -identity[bound_lower], qp.A[has_upper], -qp.A[has_lower]])
-    parts = qp.row_upper[equal], qp.upper[bound_upper], -qp.lower[bound_lower], qp.row_upper[has_upper]
-    h = np.concatenate([*parts, -qp.row_lower[has_lower]])
-    equalities = int(equal.sum())
+    # G z + s = h, s = 0 for the equalities, then s >= 0.
+    G = np.concatenate(
+        [
+            qp.A[sides.equal],
+            identity[sides.upper],
+            -identity[sides.lower],
+            qp.A[sides.row_upper],
+            -qp.A[sides.row_lower],
+        ]
+    )
+    parts = [
+        qp.row_upper[sides.equal],
+        qp.upper[sides.upper],
+        -qp.lower[sides.lower],
+        qp.row_upper[sides.row_upper],
+        -qp.row_lower[sides.row_lower],
+    ]
+    h = np.concatenate(parts)
+    equalities = len(parts[0])
+    cones = [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(len(h) - equalities)]
+    H = sparse.triu(sparse.csc_matrix(qp.H), format="csc")
+
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.direct_solve_method = "qdldl"
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
-    cones = [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(len(h) - equalities)]
-    H = sparse.triu(sparse.csc_matrix(qp.H), format="csc")
+    settings.tol_gap_abs = _INTERIOR_TOLERANCE
+    settings.tol_gap_rel = _INTERIOR_TOLERANCE
+    settings.tol_feas = _INTERIOR_TOLERANCE
     answer = clarabel.DefaultSolver(H, qp.g, sparse.csc_matrix(G), h, cones, settings).solve()
-    status = _CLARABEL.get(str(answer.status).removeprefix("Almost"), "numerical")
-    duals = np.split(np.asarray(answer.z), np.cumsum([len(part) for part in parts]))
-    bounds, rows = np.zeros(n), np.zeros(len(qp.A))
-    rows[equal] = duals[0]
-    bounds[bound_upper] += duals[1]
-    bounds[bound_lower] -= duals[2]
-    rows[has_upper] += duals[3]
-    rows[has_lower] -= duals[4]
-    return _checked(qp, np.asarray(answer.x), bounds, rows, status, int(answer.iterations), "clarabel")
+
+    ends = np.cumsum([len(part) for part in parts[:-1]])
+    bounds, rows = sides.multipliers(np.split(np.asarray(answer.z), ends))
+    return _checked(
+        qp,
+        _Answer(
+            status=_CLARABEL.get(str(answer.status).removeprefix("Almost"), "numerical"),
+            z=np.asarray(answer.x),
+            bounds=bounds,
+            rows=rows,
+            iterations=int(answer.iterations),
+            solver="clarabel",
+        ),
+    )
 
 
-def _checked(qp: QP, z: Array, bounds: Array, rows: Array, status: Status, iterations: int, solver: str) -> Solution:
-    """Return the solution with multipliers of bounds and rows, with status "solved" only if the residuals pass."""
-    found = _NO_RESIDUALS
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Sides:
+    """Places of the bounds and rows of a QP that have an equality, an upper or a lower side."""
+
+    equal: npt.NDArray[np.bool_]  # (r,)
+    upper: npt.NDArray[np.bool_]  # (n,)
+    lower: npt.NDArray[np.bool_]  # (n,)
+    row_upper: npt.NDArray[np.bool_]  # (r,)
+    row_lower: npt.NDArray[np.bool_]  # (r,)
+
+    @staticmethod
+    def of(qp: QP) -> "_Sides":
+        """Return the places of a QP."""
+        equal = qp.row_lower == qp.row_upper
+        return _Sides(
+            equal=equal,
+            upper=np.isfinite(qp.upper),
+            lower=np.isfinite(qp.lower),
+            row_upper=np.isfinite(qp.row_upper) & ~equal,
+            row_lower=np.isfinite(qp.row_lower) & ~equal,
+        )
+
+    def multipliers(self, duals: list[Array]) -> tuple[Array, Array]:
+        """Return multipliers of bounds and rows, positive at upper sides, from all sides'."""
+        of_equal, of_upper, of_lower, of_row_upper, of_row_lower = duals
+        bounds = np.zeros(len(self.upper))
+        bounds[self.upper] += of_upper
+        bounds[self.lower] -= of_lower
+
+        rows = np.zeros(len(self.equal))
+        rows[self.equal] = of_equal
+        rows[self.row_upper] += of_row_upper
+        rows[self.row_lower] -= of_row_lower
+        return bounds, rows
+
+
+def _checked(qp: QP, answer: _Answer) -> Solution:
+    """Return the solution, with status "solved" only if the residuals pass."""
+    status = answer.status
+    conditions = _NO_RESIDUALS
     if status == "solved":
-        found = residuals(qp, z, bounds, rows)
-        if found.worst > RESIDUAL_TOLERANCE:
+        conditions = residuals(qp, answer.z, answer.bounds, answer.rows)
+        if conditions.worst > RESIDUAL_TOLERANCE:
             status = "numerical"
     return Solution(
-        status=status, z=z, bound_multipliers=bounds, row_multipliers=rows,
-        residuals=found, iterations=iterations, solver=solver,
-    )  # fmt: skip
+        status=status,
+        z=answer.z,
+        bound_multipliers=answer.bounds,
+        row_multipliers=answer.rows,
+        residuals=conditions,
+        iterations=answer.iterations,
+        solver=answer.solver,
+    )

@@ -8,8 +8,8 @@ from annotated_types import Interval, Len
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
 from pydantic_core import PydanticCustomError
 
-from model.arrays import Array
-from model.parameters import System
+from transport.model.arrays import Array
+from transport.model.parameters import System
 
 SolverName = Literal["daqp", "clarabel"]
 PredictionName = Literal["open_loop", "closed_loop"]
@@ -24,8 +24,12 @@ class SettingsError(ValueError):
 class Key:
     """Properties of a key beside type and range, in the annotation of its field."""
 
-    unit: str | None = None  # in SI; None where the ending of the name tells (`protocol.scenario.keys.UNITS`)
-    within: tuple[float, float] | None = None  # smallest magnitude apart from zero, and largest; None: by the ending
+    unit: str | None = (
+        None  # in SI; None where the ending of the name tells (`protocol.scenario.keys.UNITS`)
+    )
+    within: tuple[float, float] | None = (
+        None  # smallest magnitude apart from zero, and largest; None: by the ending
+    )
     label: str = ""  # name on the axis of a figure; empty: the words of the key
     shown: str = ""  # unit in figures, where it is not `unit`
     short: str = ""  # name as a keyword argument in Python, if it has one
@@ -58,9 +62,15 @@ def _growing(value: tuple[float, ...]) -> tuple[float, ...]:
 Positive = Annotated[float, Interval(gt=0.0)]
 NotNegative = Annotated[float, Interval(ge=0.0)]
 Vector = Annotated[tuple[float, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)]
-PositiveVector = Annotated[tuple[Positive, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)]
-NotNegativeVector = Annotated[tuple[NotNegative, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)]
-Range = Annotated[tuple[NotNegative, ...], BeforeValidator(_as_tuple), Len(2, 2), AfterValidator(_growing)]
+PositiveVector = Annotated[
+    tuple[Positive, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)
+]
+NotNegativeVector = Annotated[
+    tuple[NotNegative, ...], BeforeValidator(_as_tuple), AfterValidator(_three_numbers)
+]
+Range = Annotated[
+    tuple[NotNegative, ...], BeforeValidator(_as_tuple), Len(2, 2), AfterValidator(_growing)
+]
 
 
 def _weight(unit: str | None = None, label: str = "") -> Key:
@@ -85,12 +95,22 @@ class Weights(Section):
     """Q_f as a multiple of Q; no effect with `controller.terminal=riccati`"""
     thrust: Annotated[Positive, _weight("1/N²", "weight on thrust")] = 1e-3
     """weight on each thrust"""
-    moments: Annotated[PositiveVector, _weight("1/(N m)²", "weight on moments")] = (1e-2, 1e-2, 1e-2)
+    moments: Annotated[PositiveVector, _weight("1/(N m)²", "weight on moments")] = (
+        1e-2,
+        1e-2,
+        1e-2,
+    )
     """weight on each moment, per body axis"""
-    rates: Annotated[PositiveVector, _weight("s²/rad²", "weight on commanded body rates")] = (0.1, 0.1, 0.1)
+    rates: Annotated[PositiveVector, _weight("s²/rad²", "weight on commanded body rates")] = (
+        0.1,
+        0.1,
+        0.1,
+    )
     """weight on each commanded body rate, per body axis; only with `controller.inputs=rates`, in place of `moments` and
     `angular_acceleration`, for vehicles of any size"""
-    acceleration: Annotated[Positive | None, _weight("s⁴/m²", "weight on acceleration by thrust")] = None
+    acceleration: Annotated[
+        Positive | None, _weight("s⁴/m²", "weight on acceleration by thrust")
+    ] = None
     """weight on each thrust over the mass that the UAV lifts, its own and an equal share of the payload's; replaces
     `thrust`, so that one value serves vehicles of any size"""
     angular_acceleration: Annotated[
@@ -105,7 +125,13 @@ class Weights(Section):
 
     def Q(self, N: int) -> Array:
         """Return the diagonal of Q for N UAVs, (4 N + 9,)."""
-        weights = (self.position, self.attitude, self.yaw_rate, self.payload_position, self.payload_velocity)
+        weights = (
+            self.position,
+            self.attitude,
+            self.yaw_rate,
+            self.payload_position,
+            self.payload_velocity,
+        )
         return np.repeat(weights, [3 * N, 3, N, 3, 3])
 
     def R(self, system: System) -> Array:
@@ -122,7 +148,9 @@ class Weights(Section):
 
     def terms(self, N: int) -> tuple["CostTerm", ...]:
         """Return the weights of N UAVs that are not on outputs of the model, as terms of the cost."""
-        rates = [f"omega{uav}[{axis}]" for uav in range(1, N + 1) for axis in (0, 1) if self.tilt_rate]
+        rates = [
+            f"omega{uav}[{axis}]" for uav in range(1, N + 1) for axis in (0, 1) if self.tilt_rate
+        ]
         return tuple(CostTerm(expression=rate, weight=self.tilt_rate) for rate in rates)
 
 
@@ -179,8 +207,9 @@ class Constraint(Section):
     soft: bool = True
     """true: a state inequality may be violated at a penalty; equalities and input constraints are always hard"""
     penalty: Annotated[Positive | None, _weight("1 over the unit of the expression")] = None
-    """penalty on the largest violation over the horizon. If omitted: the slope of the team's tracking cost at an error of
-    1 m, [equations.md](equations.md) (30d). A much steeper one lets agents with late plans correct each other"""
+    """penalty on the largest violation over the horizon. If omitted: the slope of the team's tracking
+    cost at an error of 1 m, [equations.md](equations.md) (30d). A much
+    steeper one lets agents with late plans correct each other"""
 
 
 class CostTerm(Section):
@@ -197,10 +226,13 @@ class ControllerSettings(Section):
     """All settings of one controller."""
 
     sampling_period_s: Annotated[
-        Positive, Key(within=(1e-5, 10.0), label="sampling period", shown="ms", short="sampling_period_s")
+        Positive,
+        Key(within=(1e-5, 10.0), label="sampling period", shown="ms", short="sampling_period_s"),
     ] = 0.05
     """sampling period T_s"""
-    horizon: Annotated[int, Interval(ge=1), Key(label="horizon", shown="steps", short="horizon")] = 20
+    horizon: Annotated[
+        int, Interval(ge=1), Key(label="horizon", shown="steps", short="horizon")
+    ] = 20
     """prediction horizon N_p, in sampling periods"""
     prediction: Annotated[PredictionName, Key(short="prediction")] = "open_loop"
     """prediction of the others: their announced inputs (the paper), or the shared control law plus announced
@@ -256,5 +288,9 @@ class ControllerSettings(Section):
 
     def step(self, uavs: int) -> Array:
         """Return the largest change of the inputs over one sampling period, (4 uavs,)."""
-        turning = self.limits.rate_slopes_rads2 if self.inputs == "rates" else self.limits.moment_rates_Nm_s
+        turning = (
+            self.limits.rate_slopes_rads2
+            if self.inputs == "rates"
+            else self.limits.moment_rates_Nm_s
+        )
         return np.array([self.limits.thrust_rate_N_s, *turning] * uavs) * self.sampling_period_s

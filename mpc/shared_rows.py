@@ -3,9 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
-from model import state
-from model.arrays import Array
-from mpc.settings import Weights
+from transport.model import state
+from transport.model.arrays import Array
+from transport.mpc.settings import Weights
 
 # Tracking error whose cost a violation by one unit may cause, m: as far as UAVs are from each other.
 _ERROR_M = 1.0
@@ -22,7 +22,9 @@ def share(depends: npt.NDArray[np.bool_], own: npt.NDArray[np.intp]) -> Array:
         own: Positions of the owned inputs, (m_own,).
     Source: docs/equations.md (30c).
     """
-    by_uav = depends.reshape(len(depends), depends.shape[1] // state.INPUTS, state.INPUTS).any(axis=2)
+    by_uav = depends.reshape(len(depends), depends.shape[1] // state.INPUTS, state.INPUTS).any(
+        axis=2
+    )
     owned = np.unique(own // state.INPUTS)
     return np.asarray(by_uav.sum(axis=1) / np.maximum(by_uav[:, owned].sum(axis=1), 1))
 

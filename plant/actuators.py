@@ -1,10 +1,13 @@
-"""Actuators of the plant: the schedule of the plans, inner loops, and motors, for any physics engine.
+"""Actuators of the plant.
 
-Each UAV follows the newest plan that has started, and a fail-safe after its end. From commanded body rates an inner
-loop makes thrust and moments. Motors round the command's thrust to its steps; distribute thrust and moments to the four
-rotors, limit them there, and sum them up again; follow with a first-order lag, or each rotor with a lag for rising and
-one for falling thrust; and multiply what arrives by the efficiency of the UAV's motors. A stage that a scenario does
-not name is left out.
+The schedule of the plans, inner loops, and motors, for any physics engine.
+
+Each UAV follows the newest plan that has started, and a fail-safe after its end. From commanded
+body rates an inner loop makes thrust and moments. Motors round the command's thrust to its steps;
+distribute thrust and moments to the four rotors, limit them there, and sum them up again; follow
+with a first-order lag, or each rotor with a lag for rising and one for falling thrust; and multiply
+what arrives by the efficiency of the UAV's motors. A stage that a scenario does not name is left
+out.
 """
 
 import importlib
@@ -13,33 +16,41 @@ from typing import Protocol
 
 import numpy as np
 
-from model import motors, state
-from model.arrays import Array
-from model.parameters import System
-from mpc.fail_safe import FailSafe
-from mpc.settings import ControllerSettings
-from protocol.scenario.plant_sections import MotorsSection, RotorsSection
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Plan
+from transport.model import motors, state
+from transport.model.arrays import Array
+from transport.model.parameters import System
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.settings import ControllerSettings
+from transport.protocol.scenario.plant_sections import MotorsSection, RotorsSection
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Plan
 
 # Sources of an input that is not from a plan (`PlantState.plan_ticks`).
 BEFORE_ANY_PLAN, FAIL_SAFE, MOTOR_OFF = -1, -2, -3
 # Starts processes, so it is imported by runs with a firmware only.
-_FIRMWARE = "plant.firmware.betaflight"
+_FIRMWARE = "transport.plant.firmware.betaflight"
 # Longest time between two evaluations of an inner loop, s.
 INNER_STEP_S = 1e-3
 
 
 class ActuatorSchedule:
-    """Inputs of all actuators, tick by tick: hover, (4 N,), before any plan, a fail-safe after the end of one."""
+    """Inputs of all actuators, tick by tick.
+
+    Hover, (4 N,), before any plan, a fail-safe after the end of one.
+    """
 
     def __init__(self, u_hover: Array, fail_safe: FailSafe, settings: ControllerSettings) -> None:
         self._u_hover = u_hover
         self.fail_safe = fail_safe
-        self._lower, self._upper, self._step = settings.lower(1), settings.upper(1), settings.step(1)
+        self._lower, self._upper, self._step = (
+            settings.lower(1),
+            settings.upper(1),
+            settings.step(1),
+        )
         self._plans: list[list[Plan]] = [[] for _ in range(len(u_hover) // state.INPUTS)]
         self._period_s = settings.sampling_period_s
-        self._held_I: dict[int, Array] = {}  # force of the integral of each UAV on a fail-safe that follows, N
+        # Force of the integral of each UAV on a fail-safe that follows, N.
+        self._held_I: dict[int, Array] = {}
 
     def add(self, plan: Plan) -> None:
         """Add a plan to the schedule of its UAVs, in any order of arrival."""
@@ -51,10 +62,11 @@ class ActuatorSchedule:
     def inputs(self, tick: int, x: Array, u_before: Array) -> tuple[Array, tuple[int, ...]]:
         """Return the inputs over [t_k, t_{k+1}) and their sources; forget plans before tick k.
 
-        The fail-safe takes the state x at t_k, (n,), and changes the inputs until t_k, (4 N,), at the actuators' rate
-        at most.
+        The fail-safe takes the state x at t_k, (n,), and changes the inputs until t_k, (4 N,), at
+        the actuators' rate at most.
 
-        Returns: Inputs, (4 N,), and for each UAV the tick at which its plan was made, or another source.
+        Returns: Inputs, (4 N,), and for each UAV the tick at which its plan was made, or another
+            source.
         """
         u, sources = self._u_hover.copy(), [BEFORE_ANY_PLAN] * len(self._plans)
         for i, plans in enumerate(self._plans):
@@ -65,23 +77,30 @@ class ActuatorSchedule:
             self._plans[i] = [newest, *(plan for plan in plans if plan.start_tick > tick)]
             step = tick - newest.start_tick
             if step < len(newest.inputs):
-                u[own], sources[i] = newest.inputs[step, state.input_slice(newest.uavs.index(i + 1))], newest.tick
+                u[own], sources[i] = (
+                    newest.inputs[step, state.input_slice(newest.uavs.index(i + 1))],
+                    newest.tick,
+                )
                 self._held_I.pop(i, None)
             else:
                 u[own], sources[i] = self._safe(i, tick, x, u_before[own]), FAIL_SAFE
         return u, tuple(sources)
 
     def _safe(self, uav: int, tick: int, x: Array, before: Array) -> Array:
-        """Return the inputs of a UAV, 0-based, on the fail-safe, (4,), within rates from those before, and limits."""
+        """Return the inputs of a UAV, 0-based, on the fail-safe, within rates and limits, (4,)."""
         held_I = self._held_I.get(uav, np.zeros(3))
         safe = self.fail_safe.inputs(uav, x, tick, held_I)
         self._held_I[uav] = self.fail_safe.held(uav, x, tick, held_I, self._period_s)
+
         safe = np.clip(safe, before - self._step, before + self._step)
         return np.clip(safe, self._lower, self._upper)
 
 
 class InnerLoop(Protocol):
-    """The inner loops of all UAVs, with their state; evaluated in equal steps of at most `INNER_STEP_S`."""
+    """The inner loops of all UAVs, with their state.
+
+    Evaluated in equal steps of at most `INNER_STEP_S`.
+    """
 
     failure: str  # why the run ends, as an inner loop has failed; empty while all work
 
@@ -91,12 +110,16 @@ class InnerLoop(Protocol):
     def moments(self, command: Array, x: Array) -> Array:
         """Return the inputs of the motors until the next call, (N, 4), N and N m.
 
-        Given are thrust and body rates of each UAV, (N, 4), N and rad/s, and the plant state, (12 + 12 N,).
+        Given are thrust and body rates of each UAV, (N, 4), N and rad/s, and the plant state, (12 +
+        12 N,).
         """
 
 
 class RateLoop:
-    """The inner loop that the controllers predict with, in steps, with limits, (3,). Source: docs/equations.md (57)."""
+    """The inner loop that the controllers predict with, in steps, with limits, (3,).
+
+    Source: docs/equations.md (57).
+    """
 
     failure = ""
 
@@ -109,9 +132,14 @@ class RateLoop:
 
     def moments(self, command: Array, x: Array) -> Array:
         """Return thrust and moments for commanded body rates, (N, 4), N and N m."""
-        omega, inputs = x[state.PAYLOAD :].reshape(-1, state.PER_UAV)[:, state.OMEGA], command.copy()
+        omega, inputs = (
+            x[state.PAYLOAD :].reshape(-1, state.PER_UAV)[:, state.OMEGA],
+            command.copy(),
+        )
         momentum = np.matmul(self._inertia, omega[:, :, None])[:, :, 0]
-        wanted = np.matmul(self._inertia, (self._gains * (command[:, 1:] - omega))[:, :, None])[:, :, 0]
+        wanted = np.matmul(self._inertia, (self._gains * (command[:, 1:] - omega))[:, :, None])[
+            :, :, 0
+        ]
         # The cross product, at a fifth of the time that numpy.cross takes for a few vectors.
         after, last = [1, 2, 0], [2, 0, 1]
         wanted += omega[:, after] * momentum[:, last] - omega[:, last] * momentum[:, after]
@@ -120,7 +148,10 @@ class RateLoop:
 
 
 def inner_loop(setup: Setup, step_s: float) -> InnerLoop | None:
-    """Return the inner loop of a run, if any, called every `step_s`. Raises: ScenarioError: no firmware starts."""
+    """Return the inner loop of a run, if any, called every `step_s`.
+
+    Raises: ScenarioError: no firmware starts.
+    """
     if setup.settings.inputs == "moments":
         return None
     if setup.scenario.plant.inner_loop != "betaflight":
@@ -130,18 +161,25 @@ def inner_loop(setup: Setup, step_s: float) -> InnerLoop | None:
 
 
 def checked_firmware(setup: Setup) -> str:
-    """Return name and version of the firmware of a run, if any. Raises: ScenarioError: it is not usable."""
+    """Return name and version of the firmware of a run, if any.
+
+    Raises: ScenarioError: it is not usable.
+    """
     is_used = setup.scenario.plant.inner_loop == "betaflight"
     return str(importlib.import_module(_FIRMWARE).version(setup)) if is_used else ""
 
 
-# Signs of thrust, arm along -y, arm along x, and drag moment: front right, rear left (both turning counterclockwise
-# seen from above), front left, rear right (clockwise); arms at 45 deg to the axes, x forward, z down.
+# Signs of thrust, arm along -y, arm along x, and drag moment: front right, rear left (both turning
+# counterclockwise seen from above), front left, rear right (clockwise); arms at 45 deg to the axes,
+# x forward, z down.
 _SIGNS = np.array([[1, 1, 1, 1], [-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1]])
 
 
 class Rotors:
-    """Four equal rotors of a UAV; `mixing` has (thrust, moments) per rotor thrust, (4, 4), the moments in m."""
+    """Four equal rotors of a UAV.
+
+    `mixing` has (thrust, moments) per rotor thrust, (4, 4), the moments in m.
+    """
 
     def __init__(self, section: RotorsSection) -> None:
         arm = section.arm_m / np.sqrt(2.0)
@@ -155,15 +193,23 @@ class Rotors:
         return np.asarray(inputs @ self._back.T)
 
     def limited(self, inputs: Array) -> Array:
-        """Return the inputs that limited rotors make of commands, (N, 4). Source: docs/equations.md (56)."""
+        """Return the inputs that limited rotors make of commands, (N, 4).
+
+        Source: docs/equations.md (56).
+        """
         thrusts = self.thrusts(inputs)
-        # The difference alone is mixed back, so that commands within the limits pass without rounding.
-        limited: Array = inputs + (np.clip(thrusts, self._least, self._most) - thrusts) @ self.mixing.T
+        # The difference alone is mixed back, so that commands within the limits pass without
+        # rounding.
+        limited: Array = (
+            inputs + (np.clip(thrusts, self._least, self._most) - thrusts) @ self.mixing.T
+        )
         return limited
 
 
 class Motors:
-    """Motors of all UAVs, with their state: hover at first, (4 N,). `fails` tells that an efficiency will change.
+    """Motors of all UAVs, with their state.
+
+    Hover at first, (4 N,). `fails` tells that an efficiency will change.
 
     Without any stage they are `ideal`: actual inputs are the commands.
     """
@@ -176,14 +222,20 @@ class Motors:
         self._efficiency = np.ones(len(u_hover))
 
     def degrade(self, uav: int, efficiency: float) -> None:
-        """Set the share of the inputs that a UAV's motors, 0-based, give from now on; 0 with the motors off."""
+        """Set the share of the inputs that a UAV's motors, 0-based, give from now on.
+
+        0 with the motors off.
+        """
         self._efficiency[state.input_slice(uav)] = efficiency
 
     def inputs(self, u: Array, period_s: float, steps: int) -> Iterator[tuple[Array, float]]:
-        """Yield the actual inputs over a period, (4 N,), and how long each is held, s; the state advances with them.
+        """Yield the actual inputs over a period, (4 N,), and how long each is held, s.
 
-        Given are the command, held, (4 N,), and the number of integration steps. Without lag this is one input for the
-        period; with lag two for each integration step. Source: docs/equations.md (53), (54).
+        The state advances with them.
+
+        Given are the command, held, (4 N,), and the number of integration steps. Without lag this
+        is one input for the period; with lag two for each integration step. Source:
+        docs/equations.md (53), (54).
         """
         if self.ideal:
             yield u, period_s
@@ -198,7 +250,10 @@ class Motors:
                 yield self._efficiency * half, period_s / steps / 2.0
 
     def _lagged(self, command: Array, step_s: float) -> tuple[tuple[Array, Array], Array]:
-        """Return two inputs for half a step each, and those at its end, (4 N,). Source: equations.md (54), (56a)."""
+        """Return two inputs for half a step each, and those at its end, (4 N,).
+
+        Source: equations.md (54), (56a).
+        """
         rising, rotors = motors.held(self._a, command, self._section.lag_s, step_s), self._rotors
         if rotors is None or self._section.falling_lag_s is None:
             return rising
@@ -211,7 +266,9 @@ class Motors:
             return np.asarray(up + (np.where(falls, change, 0.0) @ rotors.mixing.T).reshape(-1))
 
         (first, second), end = rising
-        return (chosen(first, falling[0][0]), chosen(second, falling[0][1])), chosen(end, falling[1])
+        return (chosen(first, falling[0][0]), chosen(second, falling[0][1])), chosen(
+            end, falling[1]
+        )
 
     def _limited(self, u: Array) -> Array:
         """Return commands in steps of the thrust and within the limits of the rotors, (4 N,)."""

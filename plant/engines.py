@@ -1,4 +1,7 @@
-"""Engines of the plant: their interface, rods, and the one that a scenario names, checked in all it returns."""
+"""Engines of the plant.
+
+Their interface, rods, and the one that a scenario names, checked in all it returns.
+"""
 
 import importlib
 import math
@@ -10,20 +13,30 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from model.arrays import Array
-from model.linearisation import Model
-from model.parameters import System
-from model.state import StateView
-from plant.actuators import checked_firmware
-from plant.environment import Environment
-from protocol.scenario.errors import ScenarioError
-from protocol.scenario.own_class import OwnClassError, made, own_class, real_array, told, version_of
-from protocol.scenario.plant_sections import PlantSection
-from protocol.scenario.setup import Setup
+from transport.model.arrays import Array
+from transport.model.linearisation import Model
+from transport.model.parameters import System
+from transport.model.state import StateView
+from transport.plant.actuators import checked_firmware
+from transport.plant.environment import Environment
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.own_class import (
+    OwnClassError,
+    made,
+    own_class,
+    real_array,
+    told,
+    version_of,
+)
+from transport.protocol.scenario.plant_sections import PlantSection
+from transport.protocol.scenario.setup import Setup
 
 
 class Rods:
-    """Massless rigid rods, no ground; steps halved where their local error is large: docs/equations.md (4)-(13)."""
+    """Massless rigid rods, no ground.
+
+    Steps halved where their local error is large: docs/equations.md (4)-(13).
+    """
 
     version = metadata.version("payload-transport")
 
@@ -37,9 +50,14 @@ class Rods:
         self._x = x
 
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> float:
-        """Integrate an interval under held inputs, (4 N,), and forces, (3 + 3 N,); return the local error estimate."""
+        """Integrate an interval under held inputs, (4 N,), and forces, (3 + 3 N,).
+
+        Return the local error estimate.
+        """
         steps = math.ceil(duration_s / self._step_s - 1e-9)
-        self._x, error = self._model.integrate(self._x, u, duration_s, steps, forces=forces, tolerance=self._tolerance)
+        self._x, error = self._model.integrate(
+            self._x, u, duration_s, steps, forces=forces, tolerance=self._tolerance
+        )
         return error
 
     def state(self) -> Array:
@@ -48,21 +66,30 @@ class Rods:
 
 
 class Physics(Protocol):
-    """Integration of the ground truth: N UAVs, one payload, in the layout and the signs of `model.state`, SI.
+    """Integration of the ground truth.
 
-    An engine is made of the plant's actual `System` and its section of the scenario. Wind, drag, noise, mass errors and
-    failures are the plant's. `version`, if there is one, is recorded, else a hash of its file; `tensions`, of one with
-    cables, are their least tensions in the last interval, (N,), N. A run ends with the text of any exception.
+    N UAVs, one payload, in the layout and the signs of `model.state`, SI.
+
+    An engine is made of the plant's actual `System` and its section of the scenario. Wind, drag,
+    noise, mass errors and failures are the plant's. `version`, if there is one, is recorded, else a
+    hash of its file; `tensions`, of one with cables, are their least tensions in the last interval,
+    (N,), N. A run ends with the text of any exception.
     """
 
     def reset(self, x: Array) -> None:
-        """Continue from a state, (12 + 12 N,); called before the first interval and after the failure of a UAV."""
+        """Continue from a state, (12 + 12 N,).
+
+        Called before the first interval and after the failure of a UAV.
+        """
 
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> float | None:
-        """Integrate a sampling period or a part of one; return the largest local error of a component, if known.
+        """Integrate a sampling period or a part of one.
 
-        Held are thrust and moments of each UAV, (4 N,), N and N m, in its body frame, with thrust >= 0 along -b3, and
-        external forces on the centres of mass of payload and UAVs, (3 + 3 N,), inertial frame, N, or None.
+        Return the largest local error of a component, if known.
+
+        Held are thrust and moments of each UAV, (4 N,), N and N m, in its body frame, with thrust
+        >= 0 along -b3, and external forces on the centres of mass of payload and UAVs, (3 + 3 N,),
+        inertial frame, N, or None.
         """
 
     def state(self) -> Array:
@@ -71,13 +98,16 @@ class Physics(Protocol):
 
 # How far the state that an engine reads out after `reset` may be from the given one, SI.
 _SAME_STATE = 1e-6
-# How far the length of a rod direction may be from 1: beyond rounding, below any error of a real rod.
+# How far the length of a rod direction may be from 1: beyond rounding, below any error of a real
+# rod.
 _UNIT = 1e-3
 UNKNOWN_ERROR = -1.0
 
 
 class Engine:
-    """The engine of a plant with the actual bodies; its failure is data: `failure` says why the run ends.
+    """The engine of a plant with the actual bodies.
+
+    Its failure is data: `failure` says why the run ends.
 
     Raises: ScenarioError: no such engine, or it does not take the initial state.
     """
@@ -93,7 +123,10 @@ class Engine:
             raise ScenarioError(setup.scenario.name, "plant.engine", str(error)) from error
 
     def warm_up(self, setup: Setup) -> None:
-        """Integrate a period and go back to the initial state: the first period may compile what others use."""
+        """Integrate a period and go back to the initial state.
+
+        The first period may compile what others use.
+        """
         self.advance(setup.hover.u, None, setup.settings.sampling_period_s)
         self.restart(setup.initial_state(), self._system)
 
@@ -109,7 +142,8 @@ class Engine:
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> tuple[Array, float]:
         """Integrate an interval under held inputs, (4 N,), and forces, (3 + 3 N,), or none.
 
-        Returns: State at its end, (n,), the last one if the engine has failed; the local error, -1 if it is unknown.
+        Returns: State at its end, (n,), the last one if the engine has failed; the local error, -1
+            if it is unknown.
         """
         if type(self._physics) is Rods:  # not checked: that takes longer than its steps
             error = self._physics.advance(u, forces, duration_s)
@@ -126,12 +160,17 @@ class Engine:
 
     @property
     def tensions(self) -> Array:
-        """Least tension of each cable in the last interval, (N,), N; (0,) where the engine tells none."""
+        """Least tension of each cable in the last interval, (N,), N.
+
+        (0,) where the engine tells none.
+        """
         return np.asarray(getattr(self._physics, "tensions", ()), dtype=np.float64)
 
     def _build(self, system: System) -> None:
         self._system = system
-        self._physics: Physics = made(self._make, ("reset", "advance", "state"), system, self._section)
+        self._physics: Physics = made(
+            self._make, ("reset", "advance", "state"), system, self._section
+        )
         self._reset()
 
     def _reset(self) -> None:
@@ -177,14 +216,22 @@ def checked_engine(setup: Setup) -> str:
 
 
 def engine_version(name: str) -> str:
-    """Return the version of an engine, or a hash of its file. Raises: OwnClassError: it is not found."""
+    """Return the version of an engine, or a hash of its file.
+
+    Raises: OwnClassError: it is not found.
+    """
     return version_of(_engine_class(name))
 
 
 def _engine_class(name: str) -> Any:
-    """Return the class of an engine, or another callable that makes one. Raises: OwnClassError: it is not found."""
+    """Return the class of an engine, or another callable that makes one.
+
+    Raises: OwnClassError: it is not found.
+    """
     if name == "mujoco" and find_spec("mujoco") is None:
-        raise OwnClassError("expected the package mujoco, got none; pip install 'payload-transport[mujoco]'")
+        raise OwnClassError(
+            "expected the package mujoco, got none; pip install 'payload-transport[mujoco]'"
+        )
     if name == "mujoco":
-        return importlib.import_module("plant.mujoco_engine").MujocoEngine
+        return importlib.import_module("transport.plant.mujoco_engine").MujocoEngine
     return Rods if name == "rods" else own_class(name)

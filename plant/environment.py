@@ -1,7 +1,7 @@
 """Effects that the controller does not model: mass errors, wind, measurement noise.
 
-Random numbers are drawn from counters (Philox) keyed by seed and purpose, with the tick as counter: those of a tick do
-not depend on the order of calls.
+Random numbers are drawn from counters (Philox) keyed by seed and purpose, with the tick as counter:
+those of a tick do not depend on the order of calls.
 """
 
 import math
@@ -10,14 +10,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from model.arrays import Array
-from model.hover import with_released
-from model.linearisation import Model
-from model.parameters import Payload, System, Uav
-from model.state import SENSED, StateView
-from protocol.scenario.links import draw_key, generator
-from protocol.scenario.setup import Setup
-from protocol.wire.names import PLANT
+from transport.model.arrays import Array
+from transport.model.hover import with_released
+from transport.model.linearisation import Model
+from transport.model.parameters import Payload, System, Uav
+from transport.model.state import SENSED, StateView
+from transport.protocol.scenario.links import draw_key, generator
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.names import PLANT
 
 # Gusts are drawn at these intervals, so that the wind is the same at any sampling period.
 GUST_STEP_S = 0.05
@@ -30,7 +30,10 @@ def drawn(seed: int, purpose: str, tick: int, count: int) -> Array:
 
 
 class Environment:
-    """Wind, drag, sensors and actual masses of the plant: the `system` of bodies, and its equations of motion."""
+    """Wind, drag, sensors and actual masses of the plant.
+
+    The `system` of bodies, and its equations of motion.
+    """
 
     def __init__(self, setup: Setup) -> None:
         section, N = setup.scenario.plant, setup.system.N
@@ -50,13 +53,19 @@ class Environment:
         self._deviations = np.repeat([*payload, *uav * N], 3)
 
     def release(self, uav: int) -> None:
-        """Replace a UAV, 0-based, by a bob of negligible mass and drag. Source: docs/equations.md (50)."""
+        """Replace a UAV, 0-based, by a bob of negligible mass and drag.
+
+        Source: docs/equations.md (50).
+        """
         self.system = with_released(self.system, [uav])
         self.model = Model(self.system)
         self._drag[1 + uav] = 0.0
 
     def wind(self, tick: int) -> Array:
-        """Return the velocity of the air, (3,), inertial frame, m/s. Source: docs/equations.md (43)."""
+        """Return the velocity of the air, (3,), inertial frame, m/s.
+
+        Source: docs/equations.md (43).
+        """
         at = tick * self._gusts_per_tick
         # Rounding must not put the beginning of an interval into the one before.
         before = round(at) if abs(at - round(at)) < _SAME else math.floor(at)
@@ -70,30 +79,39 @@ class Environment:
         """Return the gust at the beginning of an interval, (3,), in units of its standard deviation."""
         while len(self._gusts) <= interval:
             new, decay = drawn(self._seed, "wind", len(self._gusts), 3), self._gust_decay
-            self._gusts.append(decay * self._gusts[-1] + math.sqrt(1.0 - decay**2) * new if self._gusts else new)
+            self._gusts.append(
+                decay * self._gusts[-1] + math.sqrt(1.0 - decay**2) * new if self._gusts else new
+            )
         return self._gusts[interval]
 
     def forces(self, tick: int, x: Array) -> Array | None:
-        """Return the drag of the bodies over [t_k, t_{k+1}) at a state x(t_k), (n,); None without wind.
+        """Return the drag of the bodies over [t_k, t_{k+1}) at a state x(t_k), (n,).
 
-        Returns: Forces on payload and UAVs, (3 + 3 N,), inertial frame, N. Source: docs/equations.md (42).
+        None without wind.
+
+        Returns: Forces on payload and UAVs, (3 + 3 N,), inertial frame, N. Source:
+            docs/equations.md (42).
         """
         if not self._is_windy:
             return None
-        forces: Array = (self._drag[:, None] * (self.wind(tick) - self.model.velocities(x))).reshape(-1)
+        forces: Array = (
+            self._drag[:, None] * (self.wind(tick) - self.model.velocities(x))
+        ).reshape(-1)
         return forces
 
     def measured(self, tick: int, agent: int, x: Array) -> Array:
         """Return a state x(t_k), (n,), as measured by the sensors of an agent, 1-based, with independent normal errors.
 
-        Returns: (n,), with |e| = 1 and e . Omega = 0; x itself without noise. Source: docs/equations.md (44).
+        Returns: (n,), with |e| = 1 and e . Omega = 0; x itself without noise. Source:
+            docs/equations.md (44).
         """
         if not self._deviations.any():
             return x
         noise = self._deviations * drawn(self._seed, f"noise/{agent}", tick, len(x))
         measured = x + noise
         true, error, rods = StateView(x), StateView(noise), StateView(measured)
-        # A rod direction errs by a small rotation about each axis; the one along the rod has no effect.
+        # A rod direction errs by a small rotation about each axis; the one along the rod has no
+        # effect.
         turned = true.e_P + np.cross(error.e_P, true.e_P)
         rods.e_P[:] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
         rods.Omega_P[:] -= rods.e_P * (rods.e_P * rods.Omega_P).sum(axis=1, keepdims=True)
@@ -101,14 +119,19 @@ class Environment:
 
 
 class Sensors:
-    """Sensors of the autopilots: position, velocity, attitude, body rates and specific force of each UAV.
+    """Sensors of the autopilots.
 
-    A measurement errs by white noise and a constant bias, and shows its quantity as it was some periods before.
+    Position, velocity, attitude, body rates and specific force of each UAV.
+
+    A measurement errs by white noise and a constant bias, and shows its quantity as it was some
+    periods before.
     """
 
     def __init__(self, setup: Setup) -> None:
         self._seed, sheet = setup.scenario.seed, setup.sensors
-        self._noise, bias, self._ages = (np.repeat(of, 3) for of in (sheet.noise, sheet.bias, sheet.ages))
+        self._noise, bias, self._ages = (
+            np.repeat(of, 3) for of in (sheet.noise, sheet.bias, sheet.ages)
+        )
         uavs = range(1, setup.system.N + 1)
         self._bias = np.array([bias * drawn(self._seed, f"bias/{uav}", 0, SENSED) for uav in uavs])
         # True values at the newest ticks, (N, 15) each, the newest first.
@@ -119,16 +142,30 @@ class Sensors:
         self._true.appendleft(model.sense(x, u, forces=forces)[0].reshape(-1, SENSED))
 
     def measured(self, tick: int, uavs: Sequence[int]) -> Array:
-        """Return the measurements of UAVs, 0-based, at the newest tick, (UAVs, 15). Source: docs/equations.md (61)."""
+        """Return the measurements of UAVs, 0-based, at the newest tick, (UAVs, 15).
+
+        Source: docs/equations.md (61).
+        """
         ages = np.minimum(self._ages, len(self._true) - 1)
         true = np.array(self._true)[ages, :, np.arange(SENSED)].T
-        noise = np.array([self._noise * drawn(self._seed, f"sensors/{uav + 1}", tick, SENSED) for uav in uavs])
+        noise = np.array(
+            [self._noise * drawn(self._seed, f"sensors/{uav + 1}", tick, SENSED) for uav in uavs]
+        )
         found: Array = true[list(uavs)] + self._bias[list(uavs)] + noise
         return found
 
 
 def _scaled(system: System, payload: float, uavs: float) -> System:
-    """Return the bodies with masses and inertias of payload and UAVs multiplied by factors; inputs are moments."""
-    body, of = Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia), system.uavs
-    scaled = [Uav(mass=uavs * u.mass, inertia=uavs * u.inertia, rho=u.rho, rod_length=u.rod_length) for u in of]
+    """Return the bodies with masses and inertias of payload and UAVs multiplied by factors.
+
+    Inputs are moments.
+    """
+    body, of = (
+        Payload(mass=payload * system.payload.mass, inertia=payload * system.payload.inertia),
+        system.uavs,
+    )
+    scaled = [
+        Uav(mass=uavs * u.mass, inertia=uavs * u.inertia, rho=u.rho, rod_length=u.rod_length)
+        for u in of
+    ]
     return System(payload=body, uavs=scaled, gravity=system.gravity)

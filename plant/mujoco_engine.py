@@ -7,24 +7,28 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from model.arrays import Array
-from model.hover import RELEASED_MASS_KG
-from model.parameters import System, payload_half_size
-from model.rotations import euler_angles, rotation
-from model.state import StateView
-from protocol.scenario.plant_sections import PlantSection
+from transport.model.arrays import Array
+from transport.model.hover import RELEASED_MASS_KG
+from transport.model.parameters import System, payload_half_size
+from transport.model.rotations import euler_angles, rotation
+from transport.model.state import StateView
+from transport.protocol.scenario.plant_sections import PlantSection
 
 # Radius of the sphere with which a UAV touches the ground, m.
 _UAV_RADIUS_M = 0.1
 # Contact pairs: the ground meets payload and UAVs; these do not meet each other.
 _GROUND, _MEETS_GROUND = {"contype": 1, "conaffinity": 0}, {"contype": 0, "conaffinity": 1}
-# Time constant, s, and damping ratio of the limit on the length of a cable, and its share of a rigid one: a cable of
-# the paper's team is less than 0.1 mm longer under load.
-_CABLE: dict[str, Any] = {"solref_limit": [0.01, 1.0], "solimp_limit": [0.99, 0.999, 0.001, 0.5, 2.0]}
+# Time constant, s, and damping ratio of the limit on the length of a cable, and its share of a
+# rigid one: a cable of the paper's team is less than 0.1 mm longer under load.
+_CABLE: dict[str, Any] = {
+    "solref_limit": [0.01, 1.0],
+    "solimp_limit": [0.99, 0.999, 0.001, 0.5, 2.0],
+}
 # Inputs of a UAV as forces and moments in its frame: thrust along -b3, three moments.
 _GEARS = np.vstack([[0, 0, -1, 0, 0, 0], np.eye(3, 6, k=3)])
 
-# MuJoCo would write its warnings into a file in the current folder; a run that becomes unstable ends as diverged.
+# MuJoCo would write its warnings into a file in the current folder; a run that becomes unstable
+# ends as diverged.
 mujoco.set_mju_user_warning(lambda _: None)
 
 
@@ -32,7 +36,8 @@ class MujocoEngine:
     """MuJoCo, by Runge-Kutta steps of order 4 of at most `plant.mujoco.step_s`.
 
     Attributes:
-        tensions: Least tension of each cable in the last interval, (N,), N, 0 while it is slack; (0,) with rods.
+        tensions: Least tension of each cable in the last interval, (N,), N, 0 while it is slack;
+            (0,) with rods.
     """
 
     version = mujoco.__version__
@@ -43,16 +48,27 @@ class MujocoEngine:
         self._model = _specification(system, section).compile()
         self._data = mujoco.MjData(self._model)
         self.tensions = np.zeros(system.N if self._cables else 0)
-        self._turns = np.zeros((1 + system.N, 3))  # attitudes of the last state, of payload and UAVs
+        self._turns = np.zeros(
+            (1 + system.N, 3)
+        )  # attitudes of the last state, of payload and UAVs
 
     def reset(self, x: Array) -> None:
         """Continue from a state, (n,): without memory of earlier contacts and solutions."""
         view, system, data = StateView(x), self._system, self._data
         mujoco.mj_resetData(self._model, data)
         R0 = rotation(view.Theta0)
-        _set(data.joint("payload"), [*view.r0_I, *_quaternion(R0)], [*(R0 @ view.v0_P), *view.omega0_P])
+        _set(
+            data.joint("payload"),
+            [*view.r0_I, *_quaternion(R0)],
+            [*(R0 @ view.v0_P), *view.omega0_P],
+        )
         for i, uav in enumerate(system.uavs):
-            e_P, Omega_P, omega_B, R = view.e_P[i], view.Omega_P[i], view.omega_B[i], rotation(view.Theta[i])
+            e_P, Omega_P, omega_B, R = (
+                view.e_P[i],
+                view.Omega_P[i],
+                view.omega_B[i],
+                rotation(view.Theta[i]),
+            )
             if self._cables:
                 r_I = view.r0_I + R0 @ (uav.rho - uav.rod_length * e_P)
                 swing_P = uav.rod_length * np.cross(Omega_P, e_P)
@@ -64,7 +80,11 @@ class MujocoEngine:
                 first = first / np.linalg.norm(first)
                 rod_P = np.column_stack([first, np.cross(e_P, first), e_P])
                 _set(data.joint(f"rod{i}"), _quaternion(rod_P), rod_P.T @ (Omega_P - view.omega0_P))
-                _set(data.joint(f"uav{i}"), _quaternion((R0 @ rod_P).T @ R), omega_B - R.T @ R0 @ Omega_P)
+                _set(
+                    data.joint(f"uav{i}"),
+                    _quaternion((R0 @ rod_P).T @ R),
+                    omega_B - R.T @ R0 @ Omega_P,
+                )
         self._turns = np.vstack([view.Theta0[None], view.Theta])
 
     def advance(self, u: Array, forces: Array | None, duration_s: float) -> None:
@@ -84,7 +104,10 @@ class MujocoEngine:
         self.tensions = np.full(self._system.N, np.inf)
         for _ in range(steps):
             mujoco.mj_step(model, data)
-            pulling, pulls = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON, np.zeros(self._system.N)
+            pulling, pulls = (
+                data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON,
+                np.zeros(self._system.N),
+            )
             pulls[data.efc_id[pulling]] = data.efc_force[pulling]
             self.tensions = np.minimum(self.tensions, pulls)
 
@@ -147,8 +170,9 @@ def _cross(a: Array, b: Array) -> Array:
 def _specification(system: System, section: PlantSection) -> Any:
     """Return the team as a model of MuJoCo, world frame = inertial frame with z down.
 
-    A rod is a body on a ball joint at the payload, the UAV a body on a ball joint at the rod's other end, in its centre
-    of mass. A cable is a tendon, which pulls at its full length and never pushes, between the payload and a free UAV.
+    A rod is a body on a ball joint at the payload, the UAV a body on a ball joint at the rod's
+    other end, in its centre of mass. A cable is a tendon, which pulls at its full length and never
+    pushes, between the payload and a free UAV.
     """
     spec, ball, geom = mujoco.MjSpec(), mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtGeom
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
@@ -159,7 +183,9 @@ def _specification(system: System, section: PlantSection) -> Any:
         # Half a turn about x: the normal points up, along -z.
         place = {"pos": [0.0, 0.0, section.ground_m], "quat": [0.0, 1.0, 0.0, 0.0]}
         spec.worldbody.add_geom(type=geom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **place, **_GROUND)
-    payload = spec.worldbody.add_body(name="payload", **_inertial(system.payload.mass, system.payload.inertia))
+    payload = spec.worldbody.add_body(
+        name="payload", **_inertial(system.payload.mass, system.payload.inertia)
+    )
     payload.add_freejoint(name="payload")
     payload.add_geom(type=geom.mjGEOM_BOX, size=payload_half_size(system), **_MEETS_GROUND)
     for i, uav in enumerate(system.uavs):
@@ -168,19 +194,27 @@ def _specification(system: System, section: PlantSection) -> Any:
             body = spec.worldbody.add_body(name=f"uav{i}", **inertial)
             body.add_freejoint(name=f"uav{i}")
             payload.add_site(name=f"attachment{i}", pos=uav.rho)
-            cable = spec.add_tendon(name=f"cable{i}", limited=True, range=[0.0, uav.rod_length], **_CABLE)
+            cable = spec.add_tendon(
+                name=f"cable{i}", limited=True, range=[0.0, uav.rod_length], **_CABLE
+            )
             cable.wrap_site(f"attachment{i}")
             cable.wrap_site(f"uav{i}")
         else:
-            # A homogeneous thin rod. Its inertia about its own axis has no effect, as the ball joints leave it without
-            # spin; the same value about all axes is well conditioned.
+            # A homogeneous thin rod. Its inertia about its own axis has no effect, as the ball
+            # joints leave it without spin; the same value about all axes is well conditioned.
             mass, end = section.mujoco.rod_mass_kg, np.array([0.0, 0.0, -uav.rod_length])
-            thin = {"mass": mass, "inertia": [mass * uav.rod_length**2 / 12.0] * 3, "ipos": end / 2.0}
+            thin = {
+                "mass": mass,
+                "inertia": [mass * uav.rod_length**2 / 12.0] * 3,
+                "ipos": end / 2.0,
+            }
             rod = payload.add_body(name=f"rod{i}", pos=uav.rho, explicitinertial=True, **thin)
             rod.add_joint(name=f"rod{i}", type=ball)
             body = rod.add_body(name=f"uav{i}", pos=end, **inertial)
             body.add_joint(name=f"uav{i}", type=ball)
-        if uav.mass > RELEASED_MASS_KG:  # a released UAV is a bob below the payload, which may lie on the ground
+        if (
+            uav.mass > RELEASED_MASS_KG
+        ):  # a released UAV is a bob below the payload, which may lie on the ground
             body.add_geom(type=geom.mjGEOM_SPHERE, size=[_UAV_RADIUS_M, 0.0, 0.0], **_MEETS_GROUND)
         body.add_site(name=f"uav{i}")
         for gear in _GEARS:

@@ -1,8 +1,9 @@
 """The plant as a state machine: measures at each tick, integrates to the next.
 
-At tick k it publishes the measurements of x_k. Once the inputs of [t_k, t_{k+1}) are decided it integrates that
-interval: with actuation "immediate" from the plans of tick k, with "next_tick" from those of k - 1, so that plant and
-agents compute at the same time.
+At tick k it publishes the measurements of x_k. Once the inputs of [t_k, t_{k+1}) are decided it
+integrates that
+interval: with actuation "immediate" from the plans of tick k, with "next_tick" from those of k - 1,
+so that plant and agents compute at the same time.
 """
 
 import math
@@ -11,17 +12,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from model import state
-from model.arrays import Array
-from model.hover import motor_off_state, no_inputs, released_state
-from plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
-from plant.engines import UNKNOWN_ERROR, Engine
-from plant.environment import Environment, Sensors
-from protocol.admission.participant import Participant
-from protocol.scenario.faults import OF_UAVS
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import ActualInputs, Measurement, Message, PlantState, Target, Tick
-from protocol.wire.names import PLANT
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.hover import motor_off_state, no_inputs, released_state
+from transport.plant.actuators import INNER_STEP_S, MOTOR_OFF, ActuatorSchedule, Motors, inner_loop
+from transport.plant.engines import UNKNOWN_ERROR, Engine
+from transport.plant.environment import Environment, Sensors
+from transport.protocol.admission.participant import Participant
+from transport.protocol.scenario.faults import OF_UAVS
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import (
+    ActualInputs,
+    Measurement,
+    Message,
+    PlantState,
+    Target,
+    Tick,
+)
+from transport.protocol.wire.names import PLANT
 
 
 class PlantNode(Participant):
@@ -36,19 +44,32 @@ class PlantNode(Participant):
         self.engine = Engine(setup, self.environment.system)
         self._period_s = setup.settings.sampling_period_s
         # Parts of a period with own inputs, and integration steps of each.
-        self._parts = 1 if setup.settings.inputs == "moments" else math.ceil(self._period_s / INNER_STEP_S - 1e-9)
+        self._parts = (
+            1
+            if setup.settings.inputs == "moments"
+            else math.ceil(self._period_s / INNER_STEP_S - 1e-9)
+        )
         self._inner_loop = inner_loop(setup, self._period_s / self._parts)
         self._steps = math.ceil(self._period_s / self._parts / section.step_s - 1e-9)
-        self._path, _ = setup.maneuver.path(self._period_s * np.arange(setup.ticks + 1, dtype=np.float64))
+        self._path, _ = setup.maneuver.path(
+            self._period_s * np.arange(setup.ticks + 1, dtype=np.float64)
+        )
         self._schedule = ActuatorSchedule(setup.hover.u, setup.fail_safe, setup.settings)
-        self._faults = deque(fault for fault in setup.faults if fault.do in OF_UAVS)  # still to come
-        self._motors = Motors(section.motors, setup.hover.u, any(fault.do == "degrade" for fault in self._faults))
+        self._faults = deque(
+            fault for fault in setup.faults if fault.do in OF_UAVS
+        )  # still to come
+        self._motors = Motors(
+            section.motors, setup.hover.u, any(fault.do == "degrade" for fault in self._faults)
+        )
         self._off: set[int] = set()  # UAVs without motors, 0-based
         self._released: set[int] = set()  # of these
         self._x: Array = setup.initial_state()
         self._u: Array = setup.hover.u.copy()  # in force until now
         self._sensors = Sensors(setup) if setup.sensors.vehicle else None
-        self._acted: tuple[Array, Array | None] = self._u, None  # actual inputs and forces until now
+        self._acted: tuple[Array, Array | None] = (
+            self._u,
+            None,
+        )  # actual inputs and forces until now
         self._tick = 0  # self._x is the state at this tick
         self._measured_tick = -1
         self._pending: deque[Tick] = deque()  # open, waiting for the interval before
@@ -82,7 +103,10 @@ class PlantNode(Participant):
         return out
 
     def _can_integrate(self) -> bool:
-        """Return whether the inputs from t_k on are decided: tick k is measured, and its plans have been received."""
+        """Return whether the inputs from t_k on are decided.
+
+        Tick k is measured, and its plans have been received.
+        """
         k = self._tick
         if self._measured_tick != k:
             return False
@@ -133,7 +157,11 @@ class PlantNode(Participant):
                 continue
             self._off.add(uav)
             self._motors.degrade(uav, 0.0)
-            self._x = released_state(self._x, uav) if fault.do == "release" else motor_off_state(self._x, uav)
+            self._x = (
+                released_state(self._x, uav)
+                if fault.do == "release"
+                else motor_off_state(self._x, uav)
+            )
             if fault.do == "release":
                 self._released.add(uav)
                 self.environment.release(uav)
@@ -149,7 +177,9 @@ class PlantNode(Participant):
         u, sources = self._schedule.inputs(k, x, self._u)
         if self._off:
             u = no_inputs(u, self._off)
-            sources = tuple(MOTOR_OFF if i in self._off else source for i, source in enumerate(sources))
+            sources = tuple(
+                MOTOR_OFF if i in self._off else source for i, source in enumerate(sources)
+            )
         forces = self.environment.forces(k, x)
         end, error, mean = x, UNKNOWN_ERROR, np.zeros_like(u)
         tensions = np.full(len(self.engine.tensions), np.inf)
@@ -165,19 +195,29 @@ class PlantNode(Participant):
                 self._acted = actual, forces
                 if len(tensions):
                     tensions = np.minimum(tensions, self.engine.tensions)
-        reason = self.engine.failure or (self._inner_loop and self._inner_loop.failure) or self._divergence(k + 1, end)
+        reason = (
+            self.engine.failure
+            or (self._inner_loop and self._inner_loop.failure)
+            or self._divergence(k + 1, end)
+        )
         self._diverged = bool(reason)
         self._x, self._u, self._tick = end, u, k + 1
-        self._arrived = {tick: agents for tick, agents in self._arrived.items() if tick > k - self._after}
+        self._arrived = {
+            tick: agents for tick, agents in self._arrived.items() if tick > k - self._after
+        }
         known = error if np.isfinite(end).all() else UNKNOWN_ERROR
         recorded: list[Message] = [
-            self._out.stamp(PlantState, tick=k, x=x, u=u, plan_ticks=sources, local_error=known, diverged=reason)
+            self._out.stamp(
+                PlantState, tick=k, x=x, u=u, plan_ticks=sources, local_error=known, diverged=reason
+            )
         ]
         if not self._motors.ideal or self._inner_loop is not None or len(tensions):
             uavs, inputs = tuple(range(1, len(sources) + 1)), mean.reshape(-1, state.INPUTS)
             cables = uavs[: len(tensions)]
             recorded.append(
-                self._out.stamp(ActualInputs, tick=k, uavs=uavs, inputs=inputs, cables=cables, tensions=tensions)
+                self._out.stamp(
+                    ActualInputs, tick=k, uavs=uavs, inputs=inputs, cables=cables, tensions=tensions
+                )
             )
         return recorded
 
@@ -190,7 +230,10 @@ class PlantNode(Participant):
         attitudes = np.degrees(np.abs(np.vstack([view.Theta0[None], view.Theta])[:, :2]))
         worst = np.unravel_index(int(np.argmax(attitudes)), attitudes.shape)
         if attitudes[worst] > limits.max_attitude_deg:
-            body, angle = "payload" if worst[0] == 0 else f"UAV{worst[0]}", ("roll", "pitch")[worst[1]]
+            body, angle = (
+                "payload" if worst[0] == 0 else f"UAV{worst[0]}",
+                ("roll", "pitch")[worst[1]],
+            )
             return f"{body} {angle} of {attitudes[worst]:.0f} deg exceeds {limits.max_attitude_deg:g} deg"
         error = float(np.linalg.norm(view.r0_I - self._path[tick]))
         if error > limits.max_error_m:

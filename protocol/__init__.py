@@ -1,1 +1,4 @@
-"""Communication of the processes: messages, codec, key expressions, the scenario, and the bus that carries them."""
+"""Communication of the processes.
+
+Messages, codec, key expressions, the scenario, and the bus that carries them.
+"""

@@ -1,7 +1,12 @@
-"""One BLAS thread, as in every process of a run; how several pytest workers share the tests, and compiled models."""
+"""One BLAS thread, as in every process of a run.
+
+How several pytest workers share the tests, and compiled models.
+"""
 
 import os
+import shutil
 import signal
+import tempfile
 from pathlib import Path
 
 import hypothesis
@@ -25,37 +30,61 @@ hypothesis.settings.load_profile("workers")
 FIRST = ("test_soak", "test_agile", "test_mujoco")
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Keep compiled models in pytest's cache, for later test runs too; the user's is neither read nor filled.
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that renews transcripts of runs (tests/transport/test_transcripts.py)."""
+    parser.addoption("--rewrite", action="store_true", help="write transcripts of runs anew")
 
-    Kernels and the model of the paper's team are compiled once, before workers start that would all do it.
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep compiled models in pytest's cache, for later test runs too.
+
+    The user's is neither read nor filled.
+
+    Kernels and the model of the paper's team are compiled once, before workers start that would all
+    do it. Each worker has a register of active runs, so that it finds no run of another.
     """
+    register = tempfile.mkdtemp(prefix="payload-transport-tests-")
+    os.environ["PAYLOAD_TRANSPORT_ACTIVE"] = register
+    config.add_cleanup(lambda: shutil.rmtree(register, ignore_errors=True))
     if not hasattr(config, "workerinput"):
         assert config.cache is not None
         os.environ["PAYLOAD_TRANSPORT_CACHE"] = str(config.cache.mkdir("models"))
-        from model import compiled, native  # noqa: F401 - the import compiles
+        from transport.model import compiled, native  # noqa: F401 - the import compiles
 
         compiled.compile_functions(4)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave files without slow tests alone where only slow ones are asked for: importing them takes seconds."""
+    """Leave files without slow tests alone where only slow ones are asked for.
+
+    Importing them takes seconds.
+    """
     only_slow = str(config.option.markexpr).startswith("slow")
-    return True if only_slow and collection_path.suffix == ".py" and "slow" not in collection_path.read_text() else None
+    return (
+        True
+        if only_slow
+        and collection_path.suffix == ".py"
+        and "slow" not in collection_path.read_text()
+        else None
+    )
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put long files first, of which workers take one at a time: a long one at the end would leave a worker idle.
+    """Put long files first, of which workers take one at a time.
 
-    The soak test is the very first: it mostly waits, which leaves processor time for style and types. Files whose tests
-    compute for long come next beside those of processes, which wait.
+    A long one at the end would leave a worker idle.
+
+    The soak test is the very first: it mostly waits, which leaves processor time for style and
+    types. Files whose tests compute for long come next beside those of processes, which wait.
     """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
 
     def rank(item: pytest.Item) -> int:
         if item.path.stem in FIRST:
             return FIRST.index(item.path.stem)
-        if "system" in item.path.parts:  # tests that start processes wait much: several at once use the processors
+        if (
+            "system" in item.path.parts
+        ):  # tests that start processes wait much: several at once use the processors
             return len(FIRST)
         return len(FIRST) + (1 if item.path in slow else 2)
 

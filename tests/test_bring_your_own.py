@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
 from tests.support.runs import SCENARIOS, plant_states, recorded, ticks
+from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.setup import Setup
 
 # The engine of the document and the one here, both far below what a controller notices.
 ENGINES_M = 1e-5
@@ -22,13 +22,20 @@ FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 def blocks(language: str) -> list[str]:
     """The fenced blocks of a language."""
-    found = [text for name, text in FENCE.findall(DOCUMENT.read_text(encoding="utf-8")) if name == language]
+    found = [
+        text
+        for name, text in FENCE.findall(DOCUMENT.read_text(encoding="utf-8"))
+        if name == language
+    ]
     assert found
     return found
 
 
 def test_the_path_of_the_document(tmp_path: Path) -> None:
-    """An eight of 2 m, from rest to rest, where the phase before ended; the scenario around it is valid."""
+    """An eight of 2 m, from rest to rest, where the phase before ended.
+
+    The scenario around it is valid.
+    """
     _, program, _ = blocks("python")
     subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True, timeout=60)
     phases, *_ = blocks("toml")
@@ -49,9 +56,14 @@ def test_the_constraint_of_the_document(tmp_path: Path) -> None:
     """The penalty on height is valid in a scenario."""
     (constraint,) = (block for block in blocks("toml") if "controller.constraint" in block)
     path = tmp_path / "mine.toml"
-    path.write_text((SCENARIOS / "resilient.toml").read_text(encoding="utf-8") + "\n" + constraint, encoding="utf-8")
+    path.write_text(
+        (SCENARIOS / "resilient.toml").read_text(encoding="utf-8") + "\n" + constraint,
+        encoding="utf-8",
+    )
     run = Setup.of(read_scenario(path), str(path))
-    assert [(c.expression, c.penalty, c.soft) for c in run.settings.constraint] == [("r0[2] >= -11.0", 0.5, True)]
+    assert [(c.expression, c.penalty, c.soft) for c in run.settings.constraint] == [
+        ("r0[2] >= -11.0", 0.5, True)
+    ]
 
 
 def test_the_controller_of_the_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.wire.messages import KINDS, Message
+from transport.protocol.wire.messages import KINDS, Message
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "contributing.md"
@@ -31,14 +31,19 @@ PACKAGES = (
     "tests/support",
 )
 
-EDIT = re.compile(r" *In `([\w/.]+)`, (?:after `([^`]+)`|at the end):\n\n( *)```python\n(.*?)\n *```", re.DOTALL)
+EDIT = re.compile(
+    r" *In (?:the new file )?`([\w/.]+)`(?:, (?:after `([^`]+)`|at the end))?:\n\n"
+    r"( *)```python\n(.*?)\n *```",
+    re.DOTALL,
+)
+NEW = re.compile(r"In the new file `([\w/.]+)`")
 NAMED = re.compile(r"`([a-z_]+/[\w/]+\.(?:py|md))`")
 SEEN = re.compile(r"`(\w+)`")
 
 # A link as the scenario describes it, then a run in memory over such links.
 IMPAIRMENT = """
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
 from transport.flight.memory import simulate
 
 path = find_scenario("resilient")
@@ -52,12 +57,45 @@ assert simulate(setup, reports.append).outcome == "completed"
 assert sum(getattr(message, "lost", 0) for message in reports) > 0
 """
 
+# The key of a scenario, rows about the present state and along a reference, and their effect.
+CONSTRAINT = """
+import numpy as np
+from transport.flight.memory import simulate
+from transport.model.state import THETA0
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import PlantState
+
+MOVE = "{name='move',duration_s=2.4,displacement_m=[1.2,0,0]}"
+
+def largest_deg(name, *settings):
+    path = find_scenario(name)
+    setup = Setup.of(read_scenario(path, [f"maneuver.phase=[{MOVE}]", *settings]), name)
+    angles = []
+    def take(message):
+        if isinstance(message, PlantState):
+            angles.append(np.abs(message.x[THETA0][:2]).max())
+    assert simulate(setup, take).outcome == "completed"
+    return float(np.degrees(max(angles)))
+
+free = largest_deg("resilient")
+limits = ["controller.payload_tilt.limit_deg=%g" % (free / 2), "controller.payload_tilt.penalty=1e4"]
+kept = largest_deg("resilient", *limits)
+assert kept < 0.8 * free, (free, kept)
+
+# Along a flat reference the load is level but for gusts: the same rows, and another plan.
+gusts = ["maneuver.profile=smooth", "plant.wind.gust_mps=[1.0,1.0,1.0]"]
+free = largest_deg("eight", *gusts)
+limits = ["controller.payload_tilt.limit_deg=%g" % (free / 4), "controller.payload_tilt.penalty=1e4"]
+assert largest_deg("eight", *gusts, *limits) != free
+"""
+
 # From the sender's outbox over key, bytes and checks to the JSON of the log.
 MESSAGE = """
-from protocol.wire.codec import decode, encode
-from protocol.wire.messages import Battery, MessageError
-from protocol.wire.keys import Keys, matches
-from protocol.wire.node import Outbox
+from transport.protocol.wire.codec import decode, encode
+from transport.protocol.wire.messages import Battery, MessageError
+from transport.protocol.wire.keys import Keys, matches
+from transport.protocol.wire.node import Outbox
 from tests.support.messages import sample
 from transport.report.foxglove import json_schema, to_json
 
@@ -89,23 +127,32 @@ def section(heading: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("heading", "script"), [("A new link impairment", IMPAIRMENT), ("A new message", MESSAGE)], ids=["link", "message"]
+    ("heading", "script"),
+    [
+        ("A new link impairment", IMPAIRMENT),
+        ("A new constraint", CONSTRAINT),
+        ("A new message", MESSAGE),
+    ],
+    ids=["link", "constraint", "message"],
 )
 def test_recipe(heading: str, script: str, tmp_path: Path) -> None:
     """With the edits of a recipe, and no others, the example works from its definition to the result."""
     for package in PACKAGES:
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+        ignore = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / package, tmp_path / package, symlinks=True, ignore=ignore)
     edits = EDIT.findall(section(heading))
     assert edits
     for file, anchor, indent, block in edits:
         path = tmp_path / file
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8") if path.exists() else ""
         added = "\n".join(line.removeprefix(indent) for line in block.splitlines())
         if anchor:
             assert text.count(f"{anchor}\n") == 1, f"{file} has no single line {anchor!r}"
             text = text.replace(f"{anchor}\n", f"{anchor}\n{added}\n")
-        else:
+        elif text:
             text = f"{text}\n\n{added}\n"
+        else:
+            text = f"{added}\n"
         path.write_text(text, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-P", "-c", textwrap.dedent(script)],
@@ -119,17 +166,22 @@ def test_recipe(heading: str, script: str, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("heading", re.findall(r"^## (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+@pytest.mark.parametrize(
+    "heading", re.findall(r"^## (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+)
 def test_files_of_a_recipe_exist(heading: str) -> None:
     """Every file that a recipe names exists."""
-    for file in NAMED.findall(section(heading)):
+    made = set(NEW.findall(section(heading)))
+    for file in set(NAMED.findall(section(heading))) - made:
         assert (ROOT / file).is_file(), f"docs/contributing.md names {file}"
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
 def test_messages_are_described(kind: type[Message]) -> None:
     """docs/protocol.md has each message's fields, in the order in which they are sent."""
-    row = re.search(rf"^\| `{kind.kind}` \| (.*) \|$", PROTOCOL.read_text(encoding="utf-8"), re.MULTILINE)
+    row = re.search(
+        rf"^\| `{kind.kind}` \| (.*) \|$", PROTOCOL.read_text(encoding="utf-8"), re.MULTILINE
+    )
     assert row is not None, f"docs/protocol.md has no row for {kind.kind}"
     names = kind.__struct_fields__[len(Message.__struct_fields__) :]
     assert [name for name in SEEN.findall(row[1]) if name in names] == list(names)

@@ -1,4 +1,7 @@
-"""Documents against the code: equations, scenario keys, links and command lines that they name exist."""
+"""Documents against the code.
+
+Equations, scenario keys, links and command lines that they name exist.
+"""
 
 import re
 import shlex
@@ -13,22 +16,36 @@ from typing import Any, get_args
 import pytest
 from typer.core import TyperGroup
 
-from protocol.scenario.file import find_scenario, read_scenario, validate
-from protocol.scenario.setup import Setup
-from protocol.wire.errors import Reason
 from tests.support.command_tree import Command, below, command_of, every_command, root
 from tests.support.runs import PAPER
+from transport.protocol.scenario.file import find_scenario, read_scenario, validate
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.errors import Reason
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "transport", "benchmarks", "tests")
+PACKAGES = (
+    "model",
+    "mpc",
+    "protocol",
+    "agent",
+    "plant",
+    "coordinator",
+    "deploy",
+    "transport",
+    "benchmarks",
+    "tests",
+)
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 EQUATIONS = ROOT / "docs" / "equations.md"
 SCENARIO = ROOT / "docs" / "scenario.md"
 KEYS = ROOT / "docs" / "keys.md"
 
-# A citation is the document's name, as text or as a link, and then numbers and ranges; or one number "in" it.
+# A citation is the document's name, as text or as a link, and then numbers and ranges; or one
+# number "in" it.
 NUMBERS = r"\(\d+[a-z]?\)(?:-\(\d+[a-z]?\))?"
-CITATION = re.compile(rf"equations\.md\)?\s+({NUMBERS}(?:,\s+{NUMBERS})*)|({NUMBERS}) (?:of|in) docs/equations\.md")
+CITATION = re.compile(
+    rf"equations\.md\)?\s+({NUMBERS}(?:,\s+{NUMBERS})*)|({NUMBERS}) (?:of|in) docs/equations\.md"
+)
 RANGE = re.compile(r"\((\d+)([a-z]?)\)(?:-\((\d+)[a-z]?\))?")
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -51,7 +68,9 @@ def cited(text: str) -> Iterator[str]:
     """Every equation a text cites, ranges spelled out."""
     for behind, ahead in CITATION.findall(text):
         for first, letter, last in RANGE.findall(behind or ahead):
-            yield from (str(n) for n in range(int(first), int(last) + 1)) if last else (first + letter,)
+            yield from (
+                (str(n) for n in range(int(first), int(last) + 1)) if last else (first + letter,)
+            )
 
 
 def test_cited_equations_exist() -> None:
@@ -67,7 +86,10 @@ def test_cited_equations_exist() -> None:
 
 
 def test_equations_are_numbered_without_gaps() -> None:
-    """Tags count 1, 2, 3, ... up to the number the document opens with, helpers with a letter after their number."""
+    """Tags count 1, 2, 3, ...
+
+    Up to the number the document opens with, helpers with a letter after their number.
+    """
     numbers = tags()
     plain = [int(tag) for tag in numbers if tag.isdecimal()]
     assert plain == list(range(1, len(plain) + 1))
@@ -79,7 +101,11 @@ def test_equations_are_numbered_without_gaps() -> None:
 def test_scenario_examples_are_valid() -> None:
     """TOML in docs/scenario.md and docs/keys.md, put after the paper's scenario, makes one that can be flown."""
     for document in (SCENARIO, KEYS):
-        blocks = [text for language, text in FENCE.findall(document.read_text(encoding="utf-8")) if language == "toml"]
+        blocks = [
+            text
+            for language, text in FENCE.findall(document.read_text(encoding="utf-8"))
+            if language == "toml"
+        ]
         assert blocks
         for block in blocks:
             tree = tomllib.loads(PAPER.read_text(encoding="utf-8") + "\n" + block)
@@ -110,11 +136,16 @@ def test_relative_links_resolve(document: Path) -> None:
         path = (document.parent / name).resolve() if name else document
         assert path.is_relative_to(ROOT), target
         assert path.exists(), f"{document.name} links to {target}, which is not there"
-        assert not anchor or anchor in anchors(path), f"{document.name} links to {target}, which has no such heading"
+        assert not anchor or anchor in anchors(path), (
+            f"{document.name} links to {target}, which has no such heading"
+        )
 
 
 def test_measured_tables_have_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A document has markers for each part that its program renews, and no others; all runs are scenarios."""
+    """A document has markers for each part that its program renews, and no others.
+
+    All runs are scenarios.
+    """
     monkeypatch.syspath_prepend(ROOT / "docs")
     pages: dict[str, Any] = import_module("measured_pages").PAGES
     rows = [runs for tables in pages.values() for table in tables for runs in table.rows.values()]
@@ -136,12 +167,19 @@ def command_lines(document: Path) -> list[list[str]]:
     return [shlex.split(line, comments=True)[1:] for line in lines if line.startswith("transport ")]
 
 
-WRITTEN = [(document.name, arguments) for document in DOCUMENTS for arguments in command_lines(document)]
+WRITTEN = [
+    (document.name, arguments) for document in DOCUMENTS for arguments in command_lines(document)
+]
 
 
-@pytest.mark.parametrize(("document", "arguments"), WRITTEN, ids=[f"{name}: {' '.join(a)}" for name, a in WRITTEN])
+@pytest.mark.parametrize(
+    ("document", "arguments"), WRITTEN, ids=[f"{name}: {' '.join(a)}" for name, a in WRITTEN]
+)
 def test_command_lines_parse(document: str, arguments: list[str]) -> None:
-    """A command line of a document is one: command, options, required arguments and the scenario it asks for."""
+    """A command line of a document is one.
+
+    Command, options, required arguments and the scenario it asks for.
+    """
     found, names, rest = command_of(arguments)
     assert not isinstance(found, TyperGroup), f"{document}: {arguments} is no whole command"
     parameters = found.make_context(names[-1], rest).params
@@ -153,7 +191,9 @@ def test_command_lines_parse(document: str, arguments: list[str]) -> None:
 def options_of(*some: Command) -> set[str]:
     """Options of some commands."""
     parameters = [parameter for command in some for parameter in command.params]
-    return {"--help"}.union(*([*parameter.opts, *parameter.secondary_opts] for parameter in parameters))
+    return {"--help"}.union(
+        *([*parameter.opts, *parameter.secondary_opts] for parameter in parameters)
+    )
 
 
 @cache
@@ -167,7 +207,9 @@ def test_commands_in_text_exist(document: Path) -> None:
     """`transport ...` within a sentence names commands and options that exist, `--option ...` one of some command."""
     for span in CODE_SPAN.findall(prose(document)):
         words = span.split()
-        if words[0] == "transport" and len(words) > 1 and not words[1].isupper():  # capitals stand for a value
+        if (
+            words[0] == "transport" and len(words) > 1 and not words[1].isupper()
+        ):  # capitals stand for a value
             found, names, _ = command_of(words[1:])
             assert names or words[1].startswith("--"), f"{document.name}: {span}"
             known = options_of(found)
@@ -175,7 +217,9 @@ def test_commands_in_text_exist(document: Path) -> None:
             known = every_option()
         else:
             continue
-        assert {word for word in words if word.startswith("--")} <= known, f"{document.name}: {span}"
+        assert {word for word in words if word.startswith("--")} <= known, (
+            f"{document.name}: {span}"
+        )
 
 
 def test_help_shows_whole_sentences() -> None:
@@ -183,14 +227,20 @@ def test_help_shows_whole_sentences() -> None:
     for group in every_command(root()):
         if not isinstance(group, TyperGroup):
             continue
-        room = 80 - 8 - max(map(len, group.commands))  # 8: blanks before and between the columns, and at the right
+        room = (
+            80 - 8 - max(map(len, group.commands))
+        )  # 8: blanks before and between the columns, and at the right
         for name, command in below(group).items():
             assert not command.get_short_help_str(room).endswith("..."), name
 
 
 def test_reasons_of_refusals_are_described() -> None:
     """The table in docs/protocol.md has a row for each reason a message is refused for, and for no other."""
-    _, _, section = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8").partition("## Refused messages\n")
+    _, _, section = (
+        (ROOT / "docs" / "protocol.md")
+        .read_text(encoding="utf-8")
+        .partition("## Refused messages\n")
+    )
     assert re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE) == list(get_args(Reason))
 
 
@@ -202,5 +252,7 @@ def test_pictures_and_first_steps_need_no_other_host() -> None:
         assert "git clone" not in text, document
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(re.findall(r"!\[[^\]]*\]\(docs/images/[\w.]+\)", readme)) == 2
-    steps = subprocess.run(["make", "-n", "run"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    steps = subprocess.run(
+        ["make", "-n", "run"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
     assert re.search(r"transport run paper\n.*next: \S*transport run resilient", steps, re.DOTALL)

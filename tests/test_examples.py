@@ -48,7 +48,10 @@ def texts(cells: list[Any]) -> list[list[str]]:
 @pytest.mark.pages
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
 def test_a_notebook_gives_its_outputs(path: Path, program: ModuleType) -> None:
-    """A new kernel gives the stored texts and figures, cell by cell; nothing else is written beside the notebook."""
+    """A new kernel gives the stored texts and figures, cell by cell.
+
+    Nothing else is written beside the notebook.
+    """
     before = sorted(FOLDER.iterdir())
     stored = json.loads(path.read_text(encoding="utf-8"))["cells"]
     assert texts(program.executed(path).cells) == texts(stored)

@@ -1,4 +1,7 @@
-"""docs/getting-started.md and docs/python.md do what they say; runs with processes are simulated in memory."""
+"""docs/getting-started.md and docs/python.md do what they say.
+
+Runs with processes are simulated in memory.
+"""
 
 import doctest
 import importlib.util
@@ -30,7 +33,9 @@ WALL_CLOCK = re.compile(r"^ *(simulated|agent step|rest of tick|real-time factor
 @pytest.fixture(scope="module")
 def program() -> ModuleType:
     """Return the program that renews the page."""
-    spec = importlib.util.spec_from_file_location("getting_started_page", ROOT / "docs" / "getting_started_page.py")
+    spec = importlib.util.spec_from_file_location(
+        "getting_started_page", ROOT / "docs" / "getting_started_page.py"
+    )
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -46,7 +51,9 @@ def blocks(program: ModuleType) -> list[tuple[str, str]]:
 
 def timeless(text: str) -> list[str]:
     """Return the lines of an output that are equal on every host."""
-    return [line.rstrip() for line in text.splitlines() if line.strip() and not WALL_CLOCK.search(line)]
+    return [
+        line.rstrip() for line in text.splitlines() if line.strip() and not WALL_CLOCK.search(line)
+    ]
 
 
 def in_memory(command: str) -> str:
@@ -65,7 +72,12 @@ def in_memory(command: str) -> str:
     run = transport.fly(given["scenario"], settings, progress=False)
     folder = run.save(given["out"], figures=False)
     write_report(folder)
-    files = ["summary.json", "steps.csv", "run.mcap", *[f"figures/{p.name}" for p in folder.glob("figures/*.png")]]
+    files = [
+        "summary.json",
+        "steps.csv",
+        "run.mcap",
+        *[f"figures/{p.name}" for p in folder.glob("figures/*.png")],
+    ]
     return "\n".join([str(run), *(f" {folder / file}" for file in files)])
 
 
@@ -102,7 +114,11 @@ def commands(program: ModuleType) -> Iterator[str]:
 
 def test_commands_parse(program: ModuleType) -> None:
     """Every command of the page that is one of ours exists, with its options."""
-    ours = [shlex.split(command)[1:] for command in commands(program) if command.startswith("transport ")]
+    ours = [
+        shlex.split(command)[1:]
+        for command in commands(program)
+        if command.startswith("transport ")
+    ]
     assert len(ours) > 5
     for words in ours:
         found, names, rest = command_of(words)

@@ -8,31 +8,46 @@ from typing import Any
 
 import pytest
 
-from protocol.scenario.keys import fields, section_in, unit_of
-from protocol.scenario.link_sections import LinkSection
+from transport.protocol.scenario.keys import fields, section_in, unit_of
+from transport.protocol.scenario.link_sections import LinkSection
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
 def test_made_files_are_up_to_date(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files of docs/ that are made from the code are what the code makes of them; else run `make reference`."""
+    """Files of docs/ that are made from the code are what the code makes of them.
+
+    Else run `make reference`.
+    """
     monkeypatch.syspath_prepend(ROOT / "docs")
     program: Any = import_module("reference_page")
-    for page, made in ((program.KEYS, program.keys_page()), (program.COMMANDS, program.commands_page())):
+    for page, made in (
+        (program.KEYS, program.keys_page()),
+        (program.COMMANDS, program.commands_page()),
+    ):
         assert made == page.read_text(encoding="utf-8"), "make reference"
 
 
 def test_every_key_is_on_the_page() -> None:
-    """docs/keys.md has a row with a meaning for each key of the scenario; default, type and unit are the schema's."""
+    """docs/keys.md has a row with a meaning for each key of the scenario.
+
+    Default, type and unit are the schema's.
+    """
     text = (ROOT / "docs" / "keys.md").read_text(encoding="utf-8")
     rows = {}
-    for path, table in re.findall(r"<!-- keys of (\S+) -->\n(.*?)\n<!-- end of keys -->", text, re.DOTALL):
+    for path, table in re.findall(
+        r"<!-- keys of (\S+) -->\n(.*?)\n<!-- end of keys -->", text, re.DOTALL
+    ):
         for row in table.splitlines()[2:]:
             name, *cells = (cell.strip() for cell in row.strip("|").split(" |"))
             rows[f"{path}.{name.strip('`')}".removeprefix("scenario.")] = cells
     like_links = re.compile(r"links\.(measurement|actuation|override|change)\.")
     for key, field in fields().items():
-        repeated = like_links.match(key) and key.rpartition(".")[2] in {*LinkSection.model_fields, "enter", "leave"}
+        repeated = like_links.match(key) and key.rpartition(".")[2] in {
+            *LinkSection.model_fields,
+            "enter",
+            "leave",
+        }
         if section_in(field.annotation) is not None or repeated:
             continue
         kind, unit, default, meaning = rows.pop(key)

@@ -18,22 +18,33 @@ def pinned(lock: str) -> list[tuple[str, str]]:
 
 def asked_for(*extras: str) -> list[Requirement]:
     """Return the requirements of the project with some extras."""
-    texts = [*PROJECT["dependencies"], *[text for extra in extras for text in PROJECT["optional-dependencies"][extra]]]
+    texts = [
+        *PROJECT["dependencies"],
+        *[text for extra in extras for text in PROJECT["optional-dependencies"][extra]],
+    ]
     return [found for text in texts if (found := Requirement(text)).name != "payload-transport"]
 
 
 def test_locks_fit_the_project() -> None:
-    """Every package that is asked for is in the lock, in a version that is allowed; else run `make lock`."""
+    """Every package that is asked for is in the lock, in a version that is allowed.
+
+    Else run `make lock`.
+    """
     for lock, extras in (
         ("requirements.lock", ("deploy", "metrics")),
-        ("requirements-dev.lock", tuple(extra for extra in PROJECT["optional-dependencies"] if extra != "firmware")),
+        (
+            "requirements-dev.lock",
+            tuple(extra for extra in PROJECT["optional-dependencies"] if extra != "firmware"),
+        ),
     ):
         versions = pinned(lock)
         for requirement in asked_for(*extras):
             name = requirement.name.lower().replace("_", "-")
             found = [version for package, version in versions if package == name]
             assert found, f"{lock}: {name} is missing: make lock"
-            assert all(requirement.specifier.contains(version) for version in found), f"{lock}: {requirement}"
+            assert all(requirement.specifier.contains(version) for version in found), (
+                f"{lock}: {requirement}"
+            )
 
 
 def test_every_pin_has_hashes() -> None:

@@ -1,17 +1,13 @@
-"""Running, recording, analysing and showing runs of the project. Import fails if another file hides a package.
+"""Running, recording, analysing and showing runs of the project.
 
-The names of the Python interface (docs/python.md) are imported when they are first used, so that the command line does
-not wait for them.
+The names of the Python interface (docs/python.md) are imported when they are first used, so that
+the command line does not wait for them.
 """
 
 from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from protocol.scenario.errors import ScenarioError as ScenarioError
-    from protocol.wire.errors import TransportError as TransportError
     from transport.experiments.cases import ExperimentError as ExperimentError
     from transport.flight.harness import HarnessError as HarnessError
     from transport.flight.run_files import RunError as RunError
@@ -28,20 +24,25 @@ if TYPE_CHECKING:
     from transport.interface.settings import ArgumentError as ArgumentError
     from transport.interface.sweep import Sweep as Sweep
     from transport.interface.sweep import sweep as sweep
+    from transport.interface.worst import Worst as Worst
+    from transport.interface.worst import worst as worst
     from transport.log.run_log import LogError as LogError
+    from transport.protocol.scenario.errors import ScenarioError as ScenarioError
+    from transport.protocol.wire.errors import TransportError as TransportError
     from transport.viewer.server import ViewerError as ViewerError
 
 # Names of the Python interface by module.
 _NAMES = {
     "transport.interface.fly": ("fly", "load", "active", "ActiveRun"),
     "transport.interface.sweep": ("sweep", "Sweep"),
+    "transport.interface.worst": ("worst", "Worst"),
     "transport.interface.figure": ("margins", "Margins"),
     "transport.interface.scenario": ("team", "Scenario"),
     "transport.interface.run": ("Run",),
     "transport.interface.series": ("RunSeries",),
-    "protocol.wire.errors": ("TransportError",),
+    "transport.protocol.wire.errors": ("TransportError",),
     "transport.interface.settings": ("ArgumentError",),
-    "protocol.scenario.errors": ("ScenarioError",),
+    "transport.protocol.scenario.errors": ("ScenarioError",),
     "transport.flight.run_files": ("RunError",),
     "transport.flight.harness": ("HarnessError",),
     "transport.experiments.cases": ("ExperimentError",),
@@ -51,17 +52,6 @@ _NAMES = {
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = list(_MODULES)  # a type checker reads the imports above
-
-_HERE = Path(__file__).resolve().parent.parent
-
-
-for _name in ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "scenarios"):
-    _spec = find_spec(_name)
-    if _spec is not None:  # otherwise the first import says so
-        _found = Path(_spec.origin or next(iter(_spec.submodule_search_locations or ("",)))).resolve()
-        if _found != _HERE / _name / "__init__.py":
-            _hint = "rename it, or start from another folder"
-            raise ImportError(f"payload-transport: {_found} hides its package {_name!r}: {_hint}")
 
 
 def __getattr__(name: str) -> Any:

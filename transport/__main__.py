@@ -13,9 +13,9 @@ from errno import EPIPE
 from types import FrameType
 from typing import NoReturn, TextIO
 
-from protocol.network.parent import ending_signals, wake_with_its_end
-from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNRECORDED
 from transport.flight.signals import raise_interrupts
+from transport.protocol.network.parent import ending_signals, wake_with_its_end
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNRECORDED
 
 
 class _Stream(io.FileIO):
@@ -42,8 +42,9 @@ class _Stream(io.FileIO):
 def standard_streams() -> Iterator[None]:
     """Run a command whose output may fail at any moment.
 
-    A reader that has left, as `head`, changes nothing. Another failure of standard output, such as a full disk, is told
-    in a line, and the exit code is 10 unless the command has another one. Standard error may be lost.
+    A reader that has left, as `head`, changes nothing. Another failure of standard output, such as
+    a full disk, is told in a line, and the exit code is 10 unless the command has another one.
+    Standard error may be lost.
     """
     raw = _replace("stdout", 1)
     _replace("stderr", 2)
@@ -53,14 +54,18 @@ def standard_streams() -> Iterator[None]:
         sys.stdout.flush()
         if raw.error is None or raw.error.errno == EPIPE:
             raise
-        sys.stderr.write(f"transport: standard output: cannot write the results ({raw.error.strerror})\n")
+        sys.stderr.write(
+            f"transport: standard output: cannot write the results ({raw.error.strerror})\n"
+        )
         sys.exit(end.code or EXIT_UNRECORDED)
 
 
 def _replace(name: str, number: int) -> _Stream:
     """Replace a stream of `sys`; one that is closed goes to the null device."""
     old: TextIO | None = getattr(sys, name)
-    raw = _Stream(number if old is not None else os.open(os.devnull, os.O_WRONLY), "wb", closefd=False)
+    raw = _Stream(
+        number if old is not None else os.open(os.devnull, os.O_WRONLY), "wb", closefd=False
+    )
     buffered = name == "stdout" and not raw.isatty()
     stream = io.TextIOWrapper(
         io.BufferedWriter(raw),
@@ -74,7 +79,10 @@ def _replace(name: str, number: int) -> _Stream:
 
 
 def main() -> NoReturn:
-    """Run the command and end the process; SIGTERM and SIGHUP end it like Ctrl-C, from the first import to the end."""
+    """Run the command and end the process.
+
+    SIGTERM and SIGHUP end it like Ctrl-C, from the first import to the end.
+    """
     if sys.getfilesystemencoding() != "utf-8" and os.environ.get("PYTHONUTF8") != "1":
         # Paths are UTF-8 for Zenoh and in TOML, whatever the locale.
         os.execve(sys.executable, sys.orig_argv, {**os.environ, "PYTHONUTF8": "1"})  # noqa: S606
@@ -115,7 +123,13 @@ def _serve() -> NoReturn:
         settings = [value for option, value in itertools.pairwise(arguments) if option == "--set"]
         read_setup(arguments[arguments.index("--scenario") + 1], settings, allow_large=True).model  # noqa: B018
 
-    for name in ("transport.cli.main", "transport.cli.processes", "agent.node", "coordinator.node", "plant.node"):
+    for name in (
+        "transport.cli.main",
+        "transport.cli.processes",
+        "transport.agent.node",
+        "transport.coordinator.node",
+        "transport.plant.node",
+    ):
         load(name)
     serve(socket.socket(fileno=int(sys.argv[2])), prepare, main)
     os._exit(0)

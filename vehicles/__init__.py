@@ -1,1 +1,4 @@
-"""Ready vehicles, installed with the package; `transport scenario new --vehicle NAME` finds them by file name."""
+"""Ready vehicles, installed with the package.
+
+`transport scenario new --vehicle NAME` finds them by file name.
+"""

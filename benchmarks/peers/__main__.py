@@ -1,7 +1,10 @@
-"""The same team, maneuver and cost with other frameworks: `python -m benchmarks.peers`, or `--help`.
+"""The same team, maneuver and cost with other frameworks.
 
-Every controller has the model, weights, limits of inputs and horizon of `paper`, and flies the same plant in lockstep,
-so that none is late however long it computes. Needs the packages of `pip install 'payload-transport[bench]'`.
+`python -m benchmarks.peers`, or `--help`.
+
+Every controller has the model, weights, limits of inputs and horizon of `paper`, and flies the same
+plant in lockstep, so that none is late however long it computes. Needs the packages of `pip install
+'payload-transport[bench]'`.
 """
 
 import argparse
@@ -16,10 +19,10 @@ import numpy as np
 
 from benchmarks.runs import WARM_UP, BenchmarkError, digits, messages, origin, quiet, setup
 from docs.tables import place, put, table
-from model.arrays import Array
-from protocol.scenario.setup import Setup
-from protocol.scenario.stage_cost import StageCost
-from protocol.wire.messages import STAGES, PlantState, StepReport
+from transport.model.arrays import Array
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.stage_cost import StageCost
+from transport.protocol.wire.messages import STAGES, PlantState, StepReport
 
 HERE = Path(__file__).resolve().parent
 DOCUMENT = HERE.parents[1] / "docs" / "performance.md"
@@ -44,7 +47,9 @@ def flown(run: Setup) -> tuple[float, float]:
     states = {message.tick: message for message in sent if isinstance(message, PlantState)}
     total = STAGES.index("total")
     reports = [m.times_ms[total] for m in sent if isinstance(m, StepReport) and m.tick >= WARM_UP]
-    X, U = (np.array([getattr(states[tick], name) for tick in range(run.ticks)]) for name in ("x", "u"))
+    X, U = (
+        np.array([getattr(states[tick], name) for tick in range(run.ticks)]) for name in ("x", "u")
+    )
     return _mean(run, X, U), float(np.median(reports))
 
 
@@ -59,7 +64,9 @@ def with_admm(run: Setup, iterations: int) -> tuple[float, float]:
 
 def _mean(run: Setup, X: Array, U: Array) -> float:
     cost, y = StageCost(run), run.model.outputs_along(X)
-    return float(np.mean([cost.at(tick, y[tick], run.Y_ref[tick], U[tick]) for tick in range(len(X))]))
+    return float(
+        np.mean([cost.at(tick, y[tick], run.Y_ref[tick], U[tick]) for tick in range(len(X))])
+    )
 
 
 def _rows(horizon: int) -> Iterator[tuple[str, Callable[[], tuple[float, float]], str]]:
@@ -79,11 +86,19 @@ def _rows(horizon: int) -> Iterator[tuple[str, Callable[[], tuple[float, float]]
 
 def main() -> int:
     """Fly all controllers, print the table or write it; return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.peers", description=(__doc__ or "").split("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.peers", description=(__doc__ or "").split("\n")[0]
+    )
     parser.add_argument("--horizon", type=int, default=10, help="N_p of all controllers (10)")
-    parser.add_argument("--document", type=Path, help=f"file to write, such as docs/{DOCUMENT.name}; by default none")
+    parser.add_argument(
+        "--document",
+        type=Path,
+        help=f"file to write, such as docs/{DOCUMENT.name}; by default none",
+    )
     options = parser.parse_args()
-    warnings.simplefilter("ignore")  # of the other frameworks: optional parts that are not installed
+    warnings.simplefilter(
+        "ignore"
+    )  # of the other frameworks: optional parts that are not installed
     logging.disable(logging.WARNING)
     if options.document:
         place(options.document, "bench: peers")
@@ -93,10 +108,14 @@ def main() -> int:
             cost, step_ms = fly()
             first = first or (cost, step_ms)
             lines = str(_statements(HERE / file)) if file else "scenario file"
-            rows.append((name, f"{cost / first[0]:.3f}", digits(step_ms), digits(step_ms / first[1]), lines))
+            rows.append(
+                (name, f"{cost / first[0]:.3f}", digits(step_ms), digits(step_ms / first[1]), lines)
+            )
             print(*rows[-1], sep=", ", file=sys.stderr, flush=True)  # noqa: T201
     except (ImportError, BenchmarkError) as error:
-        sys.stderr.write(f"benchmarks.peers: {error} (packages: pip install 'payload-transport[bench]')\n")
+        sys.stderr.write(
+            f"benchmarks.peers: {error} (packages: pip install 'payload-transport[bench]')\n"
+        )
         return 1
     columns = ("controller", "cost", "step, ms", "step, times the first", "lines")
     content = f"{TEXT.format(horizon=options.horizon)}\n\n{table(columns, rows)}\n\n*{origin()}.*"
@@ -109,7 +128,10 @@ def main() -> int:
 
 def _statements(file: Path) -> int:
     """Return the lines of a file that are neither empty nor comments."""
-    return sum(bool(line.strip()) and not line.strip().startswith("#") for line in file.read_text().splitlines())
+    return sum(
+        bool(line.strip()) and not line.strip().startswith("#")
+        for line in file.read_text().splitlines()
+    )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """The team in AgentLib-MPC, an agent for each UAV.
 
-Every agent plans the inputs of its UAV with the model of the whole team, and consensus by ADMM makes equal what the
-agents assume of each other's inputs. AgentLib's agents, local communicator and environment run as they are; the plant
-is this project's, as a module. Its problems have no terminal cost, no limits on changes of inputs and no separation.
+Every agent plans the inputs of its UAV with the model of the whole team, and consensus by ADMM
+makes equal what the agents assume of each other's inputs. AgentLib's agents, local communicator and
+environment run as they are; the plant is this project's, as a module. Its problems have no terminal
+cost, no limits on changes of inputs and no separation.
 """
 
 import sys
@@ -17,14 +18,20 @@ import numpy as np
 import pandas as pd
 from agentlib.core import AgentVariable, BaseModule, BaseModuleConfig
 from agentlib.utils.multi_agent_system import LocalMASAgency
-from agentlib_mpc.models.casadi_model import CasadiInput, CasadiModel, CasadiModelConfig, CasadiOutput, CasadiState
+from agentlib_mpc.models.casadi_model import (
+    CasadiInput,
+    CasadiModel,
+    CasadiModelConfig,
+    CasadiOutput,
+    CasadiState,
+)
 
-from model.arrays import Array
-from model.dynamics import Symbols, motion, outputs
-from model.linearisation import Model
-from model.state import INPUTS
-from mpc.cost import Cost
-from protocol.scenario.setup import Setup
+from transport.model.arrays import Array
+from transport.model.dynamics import Symbols, motion, outputs
+from transport.model.linearisation import Model
+from transport.model.state import INPUTS
+from transport.mpc.cost import Cost
+from transport.protocol.scenario.setup import Setup
 
 _FILE = Path(__file__).resolve()
 
@@ -48,10 +55,17 @@ class Team(CasadiModel):
     def setup_system(self) -> Any:
         """Return the agent's share of the stage cost."""
         setup = Flight.now.setup
-        symbols, cost = Symbols.of(setup.system.N), Cost(setup.settings.weights, setup.system, setup.hover)
+        symbols, cost = (
+            Symbols.of(setup.system.N),
+            Cost(setup.settings.weights, setup.system, setup.hover),
+        )
         x, u, y_ref = (
             ca.vertcat(*(getattr(self, f"{name}_{k}").sym for k in range(size)))
-            for name, size in (("x", len(setup.hover.x)), ("u", len(setup.hover.u)), ("y", len(cost.Q)))
+            for name, size in (
+                ("x", len(setup.hover.x)),
+                ("u", len(setup.hover.u)),
+                ("y", len(cost.Q)),
+            )
         )
         values = [x, u, ca.DM(setup.system.vector()), ca.DM.zeros(symbols.F.shape)]
         derivative, y = (
@@ -76,8 +90,12 @@ def model_of(agent: int, setup: Setup) -> type[Team]:
             *(CasadiInput(name=f"u_{j}", value=float(v)) for j, v in enumerate(setup.hover.u)),
             *(CasadiInput(name=f"y_{k}", value=0.0) for k in range(p)),
         ]
-        states: list[CasadiState] = [CasadiState(name=f"x_{k}", value=float(v)) for k, v in enumerate(setup.hover.x)]
-        outputs: list[CasadiOutput] = [CasadiOutput(name=f"w_{j}", value=float(setup.hover.u[j])) for j in own]
+        states: list[CasadiState] = [
+            CasadiState(name=f"x_{k}", value=float(v)) for k, v in enumerate(setup.hover.x)
+        ]
+        outputs: list[CasadiOutput] = [
+            CasadiOutput(name=f"w_{j}", value=float(setup.hover.u[j])) for j in own
+        ]
 
     return type(f"Team{agent}", (Team,), {"agent": agent, "__annotations__": {"config": Config}})
 
@@ -91,7 +109,10 @@ class PlantConfig(BaseModuleConfig):
 
 
 class Plant(BaseModule):
-    """The plant of this project in AgentLib's environment: inputs act from the instant at which they are found on."""
+    """The plant of this project in AgentLib's environment.
+
+    Inputs act from the instant at which they are found on.
+    """
 
     config: PlantConfig
 
@@ -128,7 +149,10 @@ def _agents(setup: Setup, iterations: int) -> list[dict[str, Any]]:
             "optimization_backend": {
                 "type": "casadi_admm",
                 "model": {"type": {"file": here, "class_name": f"Team{agent}"}},
-                "discretization_options": {"collocation_order": 2, "collocation_method": "legendre"},
+                "discretization_options": {
+                    "collocation_order": 2,
+                    "collocation_method": "legendre",
+                },
                 "solver": {"name": "ipopt", "options": {"ipopt.print_level": 0, "ipopt.tol": 1e-3}},
             },
             "time_step": period_s,
@@ -139,14 +163,25 @@ def _agents(setup: Setup, iterations: int) -> list[dict[str, Any]]:
             # Of 2 s by default, taken from the period: it would leave time for one iteration.
             "registration_period": 0.0,
             "inputs": [{"name": name, "value": series} for name, series in y.items()],
-            "controls": [{"name": f"u_{j}", "value": float(setup.hover.u[j]), **limits[j]} for j in own],
-            "states": [{"name": f"x_{k}", "value": float(v)} for k, v in enumerate(setup.initial_state())],
+            "controls": [
+                {"name": f"u_{j}", "value": float(setup.hover.u[j]), **limits[j]} for j in own
+            ],
+            "states": [
+                {"name": f"x_{k}", "value": float(v)} for k, v in enumerate(setup.initial_state())
+            ],
             "couplings": [
-                {"name": f"{'w' if j in own else 'u'}_{j}", "alias": f"c_{j}", "value": float(v), **limits[j]}
+                {
+                    "name": f"{'w' if j in own else 'u'}_{j}",
+                    "alias": f"c_{j}",
+                    "value": float(v),
+                    **limits[j],
+                }
                 for j, v in enumerate(setup.hover.u)
             ],
         }
-        found.append({"id": f"uav{agent + 1}", "modules": [{"type": "local_broadcast"}, controller]})
+        found.append(
+            {"id": f"uav{agent + 1}", "modules": [{"type": "local_broadcast"}, controller]}
+        )
     plant = {
         "module_id": "plant",
         "type": {"file": here, "class_name": "Plant"},
@@ -159,10 +194,15 @@ def _agents(setup: Setup, iterations: int) -> list[dict[str, Any]]:
 def fly(setup: Setup, iterations: int) -> tuple[Array, Array, float]:
     """Return states and inputs at each tick, (ticks, n) and (ticks, m), and the processor time."""
     Flight.now = flight = Flight(setup, iterations)
-    # AgentLib imports the file of a class under a name of its own: it is to find this module, and the agents' models.
-    sys.modules[".".join([*(folder.name for folder in _FILE.parents[:-1]), _FILE.stem])] = sys.modules[__name__]
+    # AgentLib imports the file of a class under a name of its own: it is to find this module, and
+    # the agents' models.
+    sys.modules[".".join([*(folder.name for folder in _FILE.parents[:-1]), _FILE.stem])] = (
+        sys.modules[__name__]
+    )
     globals().update({f"Team{agent}": model_of(agent, setup) for agent in range(setup.system.N)})
     begin = time.process_time()
-    agency = LocalMASAgency(agent_configs=_agents(setup, iterations), env={"rt": False}, variable_logging=False)
+    agency = LocalMASAgency(
+        agent_configs=_agents(setup, iterations), env={"rt": False}, variable_logging=False
+    )
     agency.run(until=setup.ticks * setup.settings.sampling_period_s - 1e-3)
     return np.array(flight.X), np.array(flight.U), time.process_time() - begin

@@ -1,8 +1,11 @@
-"""The centralized controller of the team in do-mpc: the whole nonlinear problem, solved by IPOPT at every tick.
+"""The centralized controller of the team in do-mpc.
 
-`transport run centralized --set agents.controller=benchmarks.peers.with_do_mpc:Centralized` flies it. What do-mpc
-does by default stays: collocation of order 2, IPOPT with MUMPS, tolerances; the solver's output is silenced. Its
-problem has no limits on changes of inputs and no separation.
+The whole nonlinear problem, solved by IPOPT at every tick.
+
+`transport run centralized --set agents.controller=benchmarks.peers.with_do_mpc:Centralized` flies
+it. What do-mpc
+does by default stays: collocation of order 2, IPOPT with MUMPS, tolerances; the solver's output is
+silenced. Its problem has no limits on changes of inputs and no separation.
 """
 
 import contextlib
@@ -16,11 +19,11 @@ import do_mpc
 import numpy as np
 
 import transport
-from agent.own import Run
-from model.arrays import Array
-from model.dynamics import Symbols, motion, outputs
-from mpc.cost import Cost
-from protocol.wire.messages import Measurement, Plan
+from transport.agent.own_run import Run
+from transport.model.arrays import Array
+from transport.model.dynamics import Symbols, motion, outputs
+from transport.mpc.cost import Cost
+from transport.protocol.wire.messages import Measurement, Plan
 
 
 class Centralized:
@@ -35,7 +38,9 @@ class Centralized:
         weights, cost = setup.settings.weights, Cost(setup.settings.weights, system, setup.hover)
         symbols = Symbols.of(system.N)
         derivative, seen = (
-            ca.Function("f", [symbols.x, symbols.u], [ca.substitute(of, symbols.p, ca.DM(system.vector()))])
+            ca.Function(
+                "f", [symbols.x, symbols.u], [ca.substitute(of, symbols.p, ca.DM(system.vector()))]
+            )
             for of in (ca.substitute(motion(symbols).derivative, symbols.F, 0.0), outputs(symbols))
         )
 

@@ -1,8 +1,9 @@
 """An agent that shares no code with the others, made from Zenoh, msgpack, numpy and docs/protocol.md.
 
-It does not know the maneuver. It keeps its rod parallel to the others', whose states are in their plans, and its corner
-of the payload as high as the middle, and carries its share. Start all but agent 3 as in README ("By hand"), with
-`--scenario resilient`, and this in its place; `transport validate resilient` prints the digest:
+It does not know the maneuver. It keeps its rod parallel to the others', whose states are in their
+plans, and its corner of the payload as high as the middle, and carries its share. Start all but
+agent 3 as in README ("By hand"), with `--scenario resilient`, and this in its place; `transport
+validate resilient` prints the digest:
 
     python docs/examples/foreign_agent.py resilient DIGEST 3 7447
 
@@ -37,7 +38,10 @@ def unpack(_, data):
 
 
 def messages(data, shared=None):
-    """Yield the messages in some bytes as lists, those of a bundle one by one; add its plans to a list, if given."""
+    """Yield the messages in some bytes as lists, those of a bundle one by one.
+
+    Add its plans to a list, if given.
+    """
     kind, *fields = msgpack.unpackb(data[1:], ext_hook=unpack)
     if kind in ("instant", "relay"):
         for key, part in zip(*fields[4:6], strict=True):
@@ -57,7 +61,10 @@ def control(payload, uav, team):
     """Return the inputs that follow rods and tilt of the others, by two cascaded loops."""
     (roll, pitch, _), (p, q, _) = payload[6:9], payload[9:12]
     low = RHO[1] * (roll + 0.3 * p) - RHO[0] * (pitch + 0.3 * q)  # height of the corner in 0.3 s
-    (e, rod_rate, attitude, rate), (e_team, rod_rate_team, attitude_team, _) = uav.reshape(4, 3), team.reshape(4, 3)
+    (e, rod_rate, attitude, rate), (e_team, rod_rate_team, attitude_team, _) = (
+        uav.reshape(4, 3),
+        team.reshape(4, 3),
+    )
     behind = 40.0 * (e - e_team) + 20.0 * (np.cross(rod_rate, e) - np.cross(rod_rate_team, e_team))
     tilt = attitude_team[:2] + MASS / THRUST * np.array([behind[1], -behind[0]])
     turn = np.append(np.clip(tilt, -0.3, 0.3) - attitude[:2], 0.0)
@@ -68,8 +75,14 @@ def control(payload, uav, team):
 def main(run, digest, agent, port, exchange="relayed"):
     """Take part until the run ends."""
     me, prefix, inbox, alive, plans = int(agent), f"transport/{run}", queue.SimpleQueue(), set(), {}
-    ports = [f"tcp/127.0.0.1:{int(port) + i}" for i in range(2 + me)]  # it connects to those before its own
-    config = {"mode": "peer", "listen": {"endpoints": ports[-1:]}, "connect": {"endpoints": ports[:-1]}}
+    ports = [
+        f"tcp/127.0.0.1:{int(port) + i}" for i in range(2 + me)
+    ]  # it connects to those before its own
+    config = {
+        "mode": "peer",
+        "listen": {"endpoints": ports[-1:]},
+        "connect": {"endpoints": ports[:-1]},
+    }
     config["scouting"] = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
 
     def watch(sample):
@@ -81,8 +94,12 @@ def main(run, digest, agent, port, exchange="relayed"):
     with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
         keys = [f"{prefix}/{key}" for key in (f"measurement/{me}", "plan/*", "instant", "control")]
         kept = [session.declare_subscriber(key, inbox.put) for key in keys]
-        kept.append(session.liveliness().declare_subscriber(f"{prefix}/alive/**", watch, history=True))
-        kept.append(session.liveliness().declare_token(f"{prefix}/alive/agent{me}/0/{digest}/{VERSION}"))
+        kept.append(
+            session.liveliness().declare_subscriber(f"{prefix}/alive/**", watch, history=True)
+        )
+        kept.append(
+            session.liveliness().declare_token(f"{prefix}/alive/agent{me}/0/{digest}/{VERSION}")
+        )
         while not alive >= {"coordinator", "plant", *[f"agent{i + 1}" for i in range(AGENTS)]}:
             time.sleep(0.01)
         kept.append(session.liveliness().declare_token(f"{prefix}/ready/agent{me}/0"))
@@ -92,17 +109,35 @@ def main(run, digest, agent, port, exchange="relayed"):
                 if kind == "control":
                     return
                 if kind == "plan":
-                    plans[tick, fields[0]] = fields[5].mean(axis=0)  # e, Omega, Theta, omega of its UAVs
+                    plans[tick, fields[0]] = fields[5].mean(
+                        axis=0
+                    )  # e, Omega, Theta, omega of its UAVs
                 elif kind == "measurement" and fields[0] == me:
                     measured = tick, fields
-            if measured is None or any((measured[0] - 1, a) not in plans for a in measured[1][2] if a != me):
+            if measured is None or any(
+                (measured[0] - 1, a) not in plans for a in measured[1][2] if a != me
+            ):
                 continue  # nothing to answer, or plans of the tick before are still on their way
             (tick, (_, _, shared, _, payload, _, states, _)), measured = measured, None
             others = [plans.pop((tick - 1, a)) for a in shared if a != me]
-            inputs = np.tile([THRUST, 0.0, 0.0, 0.0], (STEPS, 1))  # what it will do after this tick it cannot tell
-            inputs[0] = control(payload, states[0], np.mean(others, axis=0) if others else states[0])
+            inputs = np.tile(
+                [THRUST, 0.0, 0.0, 0.0], (STEPS, 1)
+            )  # what it will do after this tick it cannot tell
+            inputs[0] = control(
+                payload, states[0], np.mean(others, axis=0) if others else states[0]
+            )
             head, key = [f"agent{me}", 0, tick, tick], f"plan/{me}"
-            fields = [me, tick, 0, True, [me], pack(states), pack(inputs), pack(np.zeros((0, 4))), "solved"]
+            fields = [
+                me,
+                tick,
+                0,
+                True,
+                [me],
+                pack(states),
+                pack(inputs),
+                pack(np.zeros((0, 4))),
+                "solved",
+            ]
             data = message("plan", *head, *fields)
             if exchange == "relayed":
                 key, data = f"answer/{me}", message("answer", *head, [key], [data], me)

@@ -1,4 +1,6 @@
-"""A linear-quadratic regulator about hover: every agent has the gain of the team and applies its own rows of it.
+"""A linear-quadratic regulator about hover.
+
+Every agent has the gain of the team and applies its own rows of it.
 
 In the folder of this file: transport run resilient --set agents.controller=lqr:LQR, and with
 --set 'agents.owned=[[1,2,3,4]]' a single agent that measures the whole state.
@@ -17,7 +19,9 @@ class LQR:
         """Compute the gain."""
         self.run, n, m = run, len(run.x_hover), len(run.u_hover)
         linear = run.model.linearise(run.x_hover, run.u_hover)
-        held = expm(run.period_s * np.block([[linear.A_c, linear.B_c], [np.zeros((m, n + m))]]))  # zero-order hold
+        held = expm(
+            run.period_s * np.block([[linear.A_c, linear.B_c], [np.zeros((m, n + m))]])
+        )  # zero-order hold
         # The rods hang: the third entries of their unit direction and of its rate cannot change.
         self.free = [i for i in range(n) if i < 12 or (i - 12) % 12 not in (2, 5)]
         A, B = held[np.ix_(self.free, self.free)], held[self.free, n:]
@@ -31,7 +35,9 @@ class LQR:
         """Return one row of inputs from the newest states."""
         run = self.run
         self.update(measurement, messages)
-        self.inputs = run.u_hover - self.K @ (self.x - run.reference(run.tick + run.delay))[self.free]
+        self.inputs = (
+            run.u_hover - self.K @ (self.x - run.reference(run.tick + run.delay))[self.free]
+        )
         return self.inputs.reshape(-1, 4)[list(run.owned)].ravel()
 
     def update(self, measurement, messages):

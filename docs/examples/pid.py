@@ -1,11 +1,13 @@
-"""A PID controller of each UAV's position, by its attitude, by its moments. It uses nothing of the other agents.
+"""A PID controller of each UAV's position, by its attitude, by its moments.
+
+It uses nothing of the other agents.
 
 In the folder of this file: transport run resilient --set agents.controller=pid:PID
 """
 
 import numpy as np
 
-from model.rotations import rotation
+from transport.model.rotations import rotation
 
 GAINS = 4.0, 0.4, 4.0  # of the position error, its integral and its derivative: 1/s^2, 1/s^3, 1/s
 STIFFNESS, DAMPING = 100.0, 16.0  # of the attitude: 1/s^2, 1/s
@@ -25,7 +27,9 @@ class PID:
         run, inputs, data = self.run, [], {}
         wanted = run.reference(measurement.tick)
         for uav, own in zip(run.owned, measurement.uav_states, strict=True):
-            error = self.position(uav, wanted, wanted[12 * uav + 12 :]) - self.position(uav, measurement.payload, own)
+            error = self.position(uav, wanted, wanted[12 * uav + 12 :]) - self.position(
+                uav, measurement.payload, own
+            )
             rate = (error - self.before.get(uav, error)) / run.period_s
             self.before[uav] = error
             self.integral[uav] = np.clip(self.integral[uav] + error * run.period_s, -1.0, 1.0)
@@ -39,9 +43,19 @@ class PID:
         return payload[:3] + rotation(payload[6:9]) @ (body.rho - body.rod_length * own[:3])
 
     def inputs(self, uav, own, acceleration):
-        """Return thrust and moments that accelerate a UAV and its share of the payload; z points down."""
-        hover, gravity, inertia = self.run.u_hover[4 * uav], self.run.system.gravity, self.run.system.uavs[uav].inertia
-        turn = np.array([*np.clip([acceleration[1], -acceleration[0]], -3.0, 3.0) / gravity, 0.0]) - own[6:9]
+        """Return thrust and moments that accelerate a UAV and its share of the payload.
+
+        Z points down.
+        """
+        hover, gravity, inertia = (
+            self.run.u_hover[4 * uav],
+            self.run.system.gravity,
+            self.run.system.uavs[uav].inertia,
+        )
+        turn = (
+            np.array([*np.clip([acceleration[1], -acceleration[0]], -3.0, 3.0) / gravity, 0.0])
+            - own[6:9]
+        )
         moments = inertia @ (STIFFNESS * turn - DAMPING * own[9:12])
         return np.array([hover - hover / gravity * acceleration[2], *moments])
 

@@ -1,7 +1,9 @@
-"""The LQR of lqr.py for a network with delay and packet loss: every agent predicts the others instead of waiting.
+"""The LQR of lqr.py for a network with delay and packet loss.
 
-In the folder of this file: transport run resilient --set agents.controller=predicting:Predicting, and with
---set links.delay_s=0.4 --set links.loss=0.3 the same cost.
+Every agent predicts the others instead of waiting.
+
+In the folder of this file: transport run resilient --set agents.controller=predicting:Predicting,
+and with --set links.delay_s=0.4 --set links.loss=0.3 the same cost.
 """
 
 from lqr import LQR

@@ -1,7 +1,8 @@
 """Steps of the site's build beside those of MkDocs.
 
-README.md, CHANGELOG.md and SECURITY.md become pages, files outside docs/ that a page links to are copied into the site,
-equations become MathML, which browsers draw themselves. A page that cannot be converted ends the build.
+README.md, CHANGELOG.md and SECURITY.md become pages, files outside docs/ that a page links to are
+copied into the site, equations become MathML, which browsers draw themselves. A page that cannot be
+converted ends the build.
 """
 
 import html
@@ -18,7 +19,8 @@ from mkdocs.structure.pages import Page
 
 FOLDER = Path(__file__).resolve().parent
 ROOT = FOLDER.parent.parent
-# Pages made of other files, by their name in the site; links in these files start at the root of the project.
+# Pages made of other files, by their name in the site; links in these files start at the root of
+# the project.
 OUTSIDE = {
     "index.md": "README.md",
     "changelog.md": "CHANGELOG.md",
@@ -35,14 +37,20 @@ TAG = re.compile(r"\\tag\{(\w+)\}")
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add pages from outside docs/, the site's own style and script, and files that pages link to."""
     for name, source in OUTSIDE.items():
-        files.append(File.generated(config, name, content=(ROOT / source).read_text(encoding="utf-8")))
+        files.append(
+            File.generated(config, name, content=(ROOT / source).read_text(encoding="utf-8"))
+        )
     for asset in sorted((FOLDER / "assets").iterdir()):
         files.append(File.generated(config, f"assets/{asset.name}", abs_src_path=str(asset)))
     linked = set()
     for file in files.documentation_pages():
-        linked |= {_target(file, found[2]) for found in LINK.finditer(FENCE.sub("", file.content_string))}
+        linked |= {
+            _target(file, found[2]) for found in LINK.finditer(FENCE.sub("", file.content_string))
+        }
     for target in sorted(target for target in linked if target.startswith("files/")):
-        files.append(File.generated(config, target, abs_src_path=str(ROOT / target.removeprefix("files/"))))
+        files.append(
+            File.generated(config, target, abs_src_path=str(ROOT / target.removeprefix("files/")))
+        )
     return files
 
 
@@ -52,9 +60,17 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
 
 
 def _target(file: File, target: str) -> str:
-    """Return a link as the site needs it: all its pages are in one folder, copies of other files in files/."""
+    """Return a link as the site needs it.
+
+    All its pages are in one folder, copies of other files in files/.
+    """
     path = (ROOT / ("." if file.src_uri in OUTSIDE else "docs") / target).resolve()
-    if "://" in target or target.startswith("mailto:") or not path.is_file() or not path.is_relative_to(ROOT):
+    if (
+        "://" in target
+        or target.startswith("mailto:")
+        or not path.is_file()
+        or not path.is_relative_to(ROOT)
+    ):
         return target
     own = path.relative_to(ROOT).as_posix()
     for name, source in OUTSIDE.items():
@@ -70,26 +86,42 @@ def on_page_content(page_html: str, page: Page, **_: object) -> str:
     def converted(found: re.Match[str]) -> str:
         formula = html.unescape(found[2]).strip()
         tag = TAG.search(formula)
-        text = re.sub(r"\\arg(?![A-Za-z])", r"\\mathrm{arg}", TAG.sub("", formula))  # unknown to the converter
+        text = re.sub(
+            r"\\arg(?![A-Za-z])", r"\\mathrm{arg}", TAG.sub("", formula)
+        )  # unknown to the converter
         try:
             mathml = convert(text, display="inline" if found[1] == "span" else "block")
         except Exception as error:
-            raise PluginError(f"{page.file.src_uri}: expected a formula, got {text!r}: {error}") from error
+            raise PluginError(
+                f"{page.file.src_uri}: expected a formula, got {text!r}: {error}"
+            ) from error
         if re.search(r"\\[A-Za-z]", html.unescape(mathml)):
             raise PluginError(f"{page.file.src_uri}: expected known commands, got {text!r}")
         if found[1] == "span":
             return mathml
-        place, number = (f' id="eq-{tag[1]}"', f'<span class="number">({tag[1]})</span>') if tag else ("", "")
+        place, number = (
+            (f' id="eq-{tag[1]}"', f'<span class="number">({tag[1]})</span>') if tag else ("", "")
+        )
         return f'<div class="equation"{place}>{mathml}{number}</div>'
 
     return FORMULA.sub(converted, page_html)
 
 
 class ProjectDocstrings(Extension):
-    """Rewrites docstrings for their parser: examples as code, short sections such as `Raises: X` as paragraphs."""
+    """Rewrites docstrings for their parser.
+
+    Examples as code, short sections such as `Raises: X` as paragraphs.
+    """
 
     def on_object(self, *, obj: Object, **_: Any) -> None:
         """Rewrite the docstring of a module, class, function or attribute."""
         if obj.docstring is not None:
-            text = re.sub(r"^>>> .*?(?=\n\s*\n|\Z)", r"\n```pycon\n\g<0>\n```", obj.docstring.value, flags=re.M | re.S)
-            obj.docstring.value = re.sub(r"^(Raises|Returns|Source): (?=.)", r"\n**\1:** ", text, flags=re.M)
+            text = re.sub(
+                r"^>>> .*?(?=\n\s*\n|\Z)",
+                r"\n```pycon\n\g<0>\n```",
+                obj.docstring.value,
+                flags=re.M | re.S,
+            )
+            obj.docstring.value = re.sub(
+                r"^(Raises|Returns|Source): (?=.)", r"\n**\1:** ", text, flags=re.M
+            )

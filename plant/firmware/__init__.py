@@ -1,1 +1,4 @@
-"""Flight firmware as inner loop: Betaflight's simulator target, one process for each UAV, in virtual time."""
+"""Flight firmware as inner loop.
+
+Betaflight's simulator target, one process for each UAV, in virtual time.
+"""

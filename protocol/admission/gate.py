@@ -1,17 +1,29 @@
-"""The gate of a process or of a reader of a log: all checks of a received message (docs/protocol.md)."""
+"""The gate of a process or of a reader of a log.
+
+All checks of a received message (docs/protocol.md).
+"""
 
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 
-from protocol.admission.plausibility import check_plausible
-from protocol.wire.codec import Header, decode, header_of
-from protocol.wire.errors import MessageError, Reason
-from protocol.wire.keys import Keys, matches
-from protocol.wire.messages import MAX_KEY, MAX_TEXT, Bundle, LinkChange, Message, Plan, Rejected, Target
-from protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, agent_name
-from protocol.wire.node import Outbox, RunShape
+from transport.protocol.admission.plausibility import check_plausible
+from transport.protocol.wire.codec import Header, decode, header_of
+from transport.protocol.wire.errors import MessageError, Reason
+from transport.protocol.wire.keys import Keys, matches
+from transport.protocol.wire.messages import (
+    MAX_KEY,
+    MAX_TEXT,
+    Bundle,
+    LinkChange,
+    Message,
+    Plan,
+    Rejected,
+    Target,
+)
+from transport.protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, agent_name
+from transport.protocol.wire.node import Outbox, RunShape
 
 _EVERY_NS = 1_000_000_000  # between two batches of `Rejected` messages
 
@@ -59,8 +71,9 @@ class Sample:
 class Gate:
     """Checks of the messages that one process receives.
 
-    Without a shape (the run is not known) agents and plausibility are not checked. `check_moment` refuses messages that
-    the node cannot use, None for observers; `unread` are kinds that are handed over as samples.
+    Without a shape (the run is not known) agents and plausibility are not checked. `check_moment`
+    refuses messages that the node cannot use, None for observers; `unread` are kinds that are
+    handed over as samples.
     """
 
     def __init__(
@@ -72,7 +85,10 @@ class Gate:
         unread: Collection[str] = (),
     ) -> None:
         self.rejections = Rejections()
-        self._out, self._next_ns = Outbox(name, 0), 0  # notices of refusals, and the time of the next
+        self._out, self._next_ns = (
+            Outbox(name, 0),
+            0,
+        )  # notices of refusals, and the time of the next
         self.bundle: Bundle | None = None  # that the last accepted message came in
         self.tick = 0  # newest of an accepted message
         self._name, self._keys, self._shape, self._check_moment = name, keys, shape, check_moment
@@ -83,8 +99,9 @@ class Gate:
         self._own = {keys.end(key) for key in keys.publications(name)}
         self._is_mine, self._unread = cache(self._receives), unread
         self._incarnations: dict[str, int] = {}  # newest announced, by sender
-        # Place and sequence number of the newest message, by kind, end of the key and incarnation. Proposals of a
-        # negotiation have an order of their own: they come alone, and may overtake the plan of the tick before.
+        # Place and sequence number of the newest message, by kind, end of the key and incarnation.
+        # Proposals of a negotiation have an order of their own: they come alone, and may overtake
+        # the plan of the tick before.
         self._newest: dict[tuple[str, object, int, bool], tuple[tuple[int, int], int]] = {}
 
     def accept(self, key: str, data: bytes) -> Iterator[Message | Sample]:
@@ -103,16 +120,24 @@ class Gate:
             if not message.may_carry(end):
                 text = f"{message.kind} of {message.sender} with a message under the key {end}"
                 self.rejections.add(message.sender, MessageError("wrong_sender", text))
-            elif self._is_mine(end) and (inner := self._checked(f"{self._keys.prefix}/{end}", part)):
+            elif self._is_mine(end) and (
+                inner := self._checked(f"{self._keys.prefix}/{end}", part)
+            ):
                 yield inner
         self.bundle = None
 
     def announce(self, name: str, incarnation: int) -> None:
-        """Refuse messages of other incarnations of a process from now on: the token of this one has appeared."""
+        """Refuse messages of other incarnations of a process from now on.
+
+        The token of this one has appeared.
+        """
         self._incarnations[name] = max(incarnation, self._incarnations.get(name, 0))
 
     def notices(self, incarnation: int, now_ns: int | None = None) -> list[Rejected]:
-        """Return the notices of refusals to publish: one batch a second of a monotonic clock; without a time all."""
+        """Return the notices of refusals to publish.
+
+        One batch a second of a monotonic clock; without a time all.
+        """
         news = [entry for entry in self.rejections if entry.count > entry.reported]
         if not news or (now_ns is not None and now_ns < self._next_ns):
             return []
@@ -120,7 +145,11 @@ class Gate:
         messages = []
         for entry in news:
             told = {"offender": entry.sender, "reason": entry.reason, "example": entry.example}
-            messages.append(self._out.stamp(Rejected, tick=self.tick, count=entry.count - entry.reported, **told))
+            messages.append(
+                self._out.stamp(
+                    Rejected, tick=self.tick, count=entry.count - entry.reported, **told
+                )
+            )
             entry.reported = entry.count
         return messages
 
@@ -132,10 +161,17 @@ class Gate:
             sender = message.sender
             self._check_sender(key, message)
             if isinstance(message, Bundle):
-                return message  # its messages have an order, and the same bundle may come with others
+                return (
+                    message  # its messages have an order, and the same bundle may come with others
+                )
             self._check_incarnation(message)
             end = getattr(message, message.route.each) if message.route.each else ""
-            stream = message.kind, end, message.incarnation, isinstance(message, Plan) and message.negotiation > 0
+            stream = (
+                message.kind,
+                end,
+                message.incarnation,
+                isinstance(message, Plan) and message.negotiation > 0,
+            )
             place, sequence = self._newest.get(stream, ((-1, 0), 0))
             if message.place <= place:
                 text = f"{message.kind} {message.place[0]} (number {message.sequence}) after {place[0]}"
@@ -158,19 +194,34 @@ class Gate:
             raise MessageError("wrong_sender", f"{message.kind} of this process itself")
         if message.sender not in self._senders:
             raise MessageError("unknown_agent", f"{message.kind} of {message.sender}")
-        if self._relayed and self.bundle is None and isinstance(message, Plan) and message.negotiation == 0:
+        if (
+            self._relayed
+            and self.bundle is None
+            and isinstance(message, Plan)
+            and message.negotiation == 0
+        ):
             # The coordinator would count it, but could not relay it.
-            raise MessageError("wrong_sender", f"plan of {message.sender} alone, expected it in an answer")
+            raise MessageError(
+                "wrong_sender", f"plan of {message.sender} alone, expected it in an answer"
+            )
 
     def _check_incarnation(self, message: Message) -> None:
         announced = self._incarnations.get(message.sender, message.incarnation)
-        if message.incarnation > announced and isinstance(message, Plan) and message.negotiation > 0:
+        if (
+            message.incarnation > announced
+            and isinstance(message, Plan)
+            and message.negotiation > 0
+        ):
             return  # the first proposal of a new start, which may overtake its token
         # Relayed plans come another way than the token of their agent's start.
-        if message.incarnation != announced and (self.bundle is None or not message.sender.startswith(AGENT)):
+        if message.incarnation != announced and (
+            self.bundle is None or not message.sender.startswith(AGENT)
+        ):
             text = f"{message.kind} of incarnation {message.incarnation}, expected {announced}"
             raise MessageError("wrong_incarnation", text)
 
     def _receives(self, end: str) -> bool:
         """Return whether this process subscribes to a key, and another one publishes under it."""
-        return end not in self._own and any(matches(expression, end) for expression in self._subscribed)
+        return end not in self._own and any(
+            matches(expression, end) for expression in self._subscribed
+        )

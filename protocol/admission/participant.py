@@ -1,18 +1,30 @@
-"""The common part of agents and plant: roster, links, targets, the plans that arrive, and the end of the run."""
+"""The common part of agents and plant.
+
+Roster, links, targets, the plans that arrive, and the end of the run.
+"""
 
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-from protocol.admission.arrivals import Arrivals
-from protocol.scenario.links import LinkChanges
-from protocol.scenario.setup import Setup
-from protocol.scenario.targets import check_target, headed
-from protocol.wire.errors import MessageError
-from protocol.wire.messages import Control, Event, LinkChange, Message, Plan, Presence, Roster, Target
-from protocol.wire.names import COORDINATOR, PLANT, agent_name
-from protocol.wire.node import Outbox, lost
+from transport.protocol.admission.arrivals import Arrivals
+from transport.protocol.scenario.links import LinkChanges
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.targets import check_target
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import (
+    Control,
+    Event,
+    LinkChange,
+    Message,
+    Plan,
+    Presence,
+    Roster,
+    Target,
+)
+from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
+from transport.protocol.wire.node import Outbox, lost
 
 _KEPT = 1024  # plans kept for a roster to come: a few ticks of a large team
 _EMPTY: dict[str, Any] = {"agents": (), "incarnations": (), "off": (), "released": (), "reason": ""}
@@ -20,17 +32,24 @@ _NONE = Roster(sender=COORDINATOR, incarnation=0, sequence=0, tick=0, version=0,
 
 
 class Membership:
-    """The newest roster and the plans that are ahead of it; of an agent, `own`, also while it is off the roster."""
+    """The newest roster and the plans that are ahead of it.
+
+    Of an agent, `own`, also while it is off the roster.
+    """
 
     def __init__(self, own: int | None = None) -> None:
         self.version = 0  # of the newest roster
         self.failed_since = 0  # tick of the newest failure of a UAV
-        self.since: dict[int, int] = {}  # tick from which each agent is on it in its present incarnation
+        self.since: dict[
+            int, int
+        ] = {}  # tick from which each agent is on it in its present incarnation
         self.incarnations: dict[int, int] = {}  # of the agents on it
         self._own = own
         self._newest: dict[int, int] = {}  # highest incarnation ever on a roster
         self._early: deque[Plan] = deque(maxlen=_KEPT)
-        self._left: dict[int, tuple[int, int]] = {}  # by agent that left: its last incarnation, the tick it left at
+        self._left: dict[
+            int, tuple[int, int]
+        ] = {}  # by agent that left: its last incarnation, the tick it left at
         self._rosters = [_NONE]  # ascending, from the one in force on
 
     def took_part(self, tick: int) -> set[int]:
@@ -39,7 +58,10 @@ class Membership:
         return present | {agent for agent, (_, at) in self._left.items() if tick < at}
 
     def at(self, version: int) -> Roster:
-        """Return the roster in force where a tick names its version, the same at all processes; forget older ones."""
+        """Return the roster in force where a tick names its version, the same at all processes.
+
+        Forget older ones.
+        """
         while len(self._rosters) > 1 and self._rosters[1].version <= version:
             del self._rosters[0]
         return self._rosters[0]
@@ -51,10 +73,16 @@ class Membership:
             self.failed_since = roster.tick
         self.version = roster.version
         self._rosters.append(roster)
-        before, self.incarnations = self.incarnations, dict(zip(roster.agents, roster.incarnations, strict=True))
+        before, self.incarnations = (
+            self.incarnations,
+            dict(zip(roster.agents, roster.incarnations, strict=True)),
+        )
         stay = dict(before.items() & self.incarnations.items())
         self._left |= {agent: (before[agent], roster.tick) for agent in before.keys() - stay.keys()}
-        self.since = {agent: self.since[agent] if agent in stay else roster.tick for agent in self.incarnations}
+        self.since = {
+            agent: self.since[agent] if agent in stay else roster.tick
+            for agent in self.incarnations
+        }
         for agent, incarnation in self.incarnations.items():
             self._newest[agent] = max(incarnation, self._newest.get(agent, incarnation))
         waiting, self._early = list(self._early), deque(maxlen=_KEPT)
@@ -63,7 +91,9 @@ class Membership:
     def check(self, plan: Plan) -> None:
         """Raise MessageError for a plan that neither this roster nor one to come admits."""
         if not self._counts(plan) and plan.incarnation <= self._newest.get(plan.agent, -1):
-            raise MessageError("wrong_incarnation", "plan of an incarnation that is not on the roster")
+            raise MessageError(
+                "wrong_incarnation", "plan of an incarnation that is not on the roster"
+            )
 
     def admits(self, plan: Plan) -> bool:
         """Return whether a plan counts now; otherwise keep it for a roster to come."""
@@ -73,7 +103,10 @@ class Membership:
         return False
 
     def _counts(self, plan: Plan) -> bool:
-        """Return whether the sender is on the roster, or was when it sent the plan: that counts at all receivers."""
+        """Return whether the sender is on the roster, or was when it sent the plan.
+
+        That counts at all receivers.
+        """
         incarnation, at = self._left.get(plan.agent, (-1, 0))
         return self.incarnations.get(plan.agent) == plan.incarnation or (
             plan.incarnation == incarnation and plan.tick < at
@@ -81,11 +114,16 @@ class Membership:
 
 
 class Participant(ABC):
-    """A node that follows the coordinator; plans of others may be used `after` so many ticks over a perfect link."""
+    """A node that follows the coordinator.
+
+    Plans of others may be used `after` so many ticks over a perfect link.
+    """
 
     publish_ns = 0
 
-    def __init__(self, setup: Setup, name: str, incarnation: int, after: int, own: int | None = None) -> None:
+    def __init__(
+        self, setup: Setup, name: str, incarnation: int, after: int, own: int | None = None
+    ) -> None:
         self.name, self._after = name, after
         self.finished: Control | None = None
         self._setup, self._membership = setup, Membership(own)
@@ -123,7 +161,7 @@ class Participant(ABC):
                 self._link_changes.apply(message)
             case Target():
                 if message.number == len(self._setup.maneuver.targets) + 1:
-                    self._setup = headed(self._setup, message)
+                    self._setup = self._setup.after([message])
                     self._head(message)
             case Plan():
                 if self._membership.admits(message):

@@ -11,17 +11,24 @@ from typing import Any
 import psutil
 import zenoh
 
-from protocol.admission.gate import Gate, Sample
-from protocol.network.endpoints import Endpoints
-from protocol.network.session import BusError, fetch_answer, in_bounded_time, log_errors, open_session
-from protocol.wire.codec import VERSION
-from protocol.wire.errors import MessageError
-from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.messages import Event, Message, Presence, Request
-from protocol.wire.names import COORDINATOR, PLANT, agent_name
+from transport.protocol.admission.gate import Gate, Sample
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.session import (
+    BusError,
+    fetch_answer,
+    in_bounded_time,
+    log_errors,
+    open_session,
+)
+from transport.protocol.wire.codec import VERSION
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.messages import Event, Message, Presence, Request
+from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-# How often a process that joins asks for those that still take part in a run that has begun, and says that it waits;
-# how long one waits at the end of the run for those that leave before it: a busy host may take seconds to read. s.
+# How often a process that joins asks for those that still take part in a run that has begun, and
+# says that it waits; how long one waits at the end of the run for those that leave before it: a
+# busy host may take seconds to read. s.
 ASK_EVERY_S, WAITING_S, LINGER_S = 0.5, 5.0, 10.0
 
 
@@ -34,7 +41,10 @@ class Interrupted:
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """Event for the recorder: a process has sent its last message, and all it has sent have arrived."""
+    """Event for the recorder.
+
+    A process has sent its last message, and all it has sent have arrived.
+    """
 
     name: str
 
@@ -50,11 +60,16 @@ class Place:
     run: str
     endpoints: Endpoints
     incarnation: int = 0  # which start of this process
-    join_timeout_s: float = 30.0  # how long it waits for the other processes, or a client for its router
+    join_timeout_s: float = (
+        30.0  # how long it waits for the other processes, or a client for its router
+    )
 
 
 class Bus:
-    """Connection of one process to one run; processes with different digests of the scenario refuse each other."""
+    """Connection of one process to one run.
+
+    Processes with different digests of the scenario refuse each other.
+    """
 
     def __init__(
         self,
@@ -67,36 +82,59 @@ class Bus:
         patience_s: float = 1.0,  # how long sending waits for a peer that does not read, before its link is closed
         gather_s: float = 0.0,  # how long an arrival may wait for more: one wake-up for many messages costs less
     ) -> None:
-        self.arrived_ns = 0  # wall-clock time of arrival of the last event that `next` returned, ns since 1970
-        self.before_wait: Callable[[], None] = lambda: None  # called when no message of a bundle is left to be read
+        self.arrived_ns = (
+            0  # wall-clock time of arrival of the last event that `next` returned, ns since 1970
+        )
+        self.before_wait: Callable[[], None] = lambda: (
+            None
+        )  # called when no message of a bundle is left to be read
         self.alive: dict[str, int] = {}  # incarnations of the processes that are up, by name
         self.gate = gate  # has the bundle that the last event came in
-        self.name, self.incarnation, self._digest, self._place = name, place.incarnation, digest, place
+        self.name, self.incarnation, self._digest, self._place = (
+            name,
+            place.incarnation,
+            digest,
+            place,
+        )
         self._keys = Keys(place.run)
         self._gather_s, self._serves = gather_s, serves
         self._left: set[str] = set()  # processes that were up, and are not any more
         self._accepted: Iterator[Message | Sample] = iter(())  # in the bytes that arrived last
-        self._inbox: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()  # with the time of arrival
+        self._inbox: queue.SimpleQueue[tuple[int, _Item]] = (
+            queue.SimpleQueue()
+        )  # with the time of arrival
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         log_errors(to_output=name != RECORDER)
-        self._session = open_session(place.endpoints, patience_s, name, self._keys, place.join_timeout_s)
-        # Subscribers before the token: a process that sees the token may send at once, and nothing is lost. Their
-        # callback runs on the thread that receives, which must be brief, but saves a second thread.
-        arrived: zenoh.handlers.Callback[zenoh.Sample] = zenoh.handlers.Callback(self._put, indirect=False)
+        self._session = open_session(
+            place.endpoints, patience_s, name, self._keys, place.join_timeout_s
+        )
+        # Subscribers before the token: a process that sees the token may send at once, and nothing
+        # is lost. Their callback runs on the thread that receives, which must be brief, but saves a
+        # second thread.
+        arrived: zenoh.handlers.Callback[zenoh.Sample] = zenoh.handlers.Callback(
+            self._put, indirect=False
+        )
         self._declared: list[Any] = [
             self._session.declare_subscriber(key, arrived) for key in self._keys.subscriptions(name)
         ]
-        self._declared.append(self._session.declare_queryable(self._keys.request(name, "*"), self._put))
+        self._declared.append(
+            self._session.declare_queryable(self._keys.request(name, "*"), self._put)
+        )
         self._declared += [
-            self._session.liveliness().declare_subscriber(f"{self._keys.prefix}/{kind}/**", self._put, history=True)
+            self._session.liveliness().declare_subscriber(
+                f"{self._keys.prefix}/{kind}/**", self._put, history=True
+            )
             for kind in ("alive", "ready")
         ]
 
-    def join(self, expected: Collection[str], on_wait: Callable[[str], object] = lambda _: None) -> Interrupted | None:
+    def join(
+        self, expected: Collection[str], on_wait: Callable[[str], object] = lambda _: None
+    ) -> Interrupted | None:
         """Announce this process and wait until all expected ones are up, or for an interruption, which is returned.
 
-        Raises: BusError: a process did not appear, runs another scenario or protocol, or has this name already.
+        Raises: BusError: a process did not appear, runs another scenario or protocol, or has this
+            name already.
         """
         self._declare_token(self._keys.alive(self.name, self.incarnation, self._digest, VERSION))
         timeout_s, ends = self._place.join_timeout_s, self._place.endpoints
@@ -105,20 +143,26 @@ class Bus:
         early: list[tuple[int, _Item]] = []
         while True:
             now_s, missing = time.monotonic(), awaited - self.alive.keys()
-            # When all are up, or the coordinator is ready, which has seen all, it is asked who takes part.
+            # When all are up, or the coordinator is ready, which has seen all, it is asked who
+            # takes part.
             if self.name != COORDINATOR and now_s >= ask_s and (is_begun or not missing):
                 awaited, ask_s = self._taking_part(expected) or awaited, now_s + ASK_EVERY_S
                 missing = awaited - self.alive.keys()
             if not missing:
                 break
             if now_s >= deadline and self._inbox.empty():
-                at = ", ".join(ends.listen) or "nothing", ", ".join(ends.connect) or "none: others connect to it"
+                at = (
+                    ", ".join(ends.listen) or "nothing",
+                    ", ".join(ends.connect) or "none: others connect to it",
+                )
                 absent = ", ".join(sorted(missing - self._left or missing))
                 text = f"{self.name}: no sign of {absent} within {timeout_s:g} s"
                 raise BusError(f"{text}; listening on {at[0]}, connecting to {at[1]}")
             if now_s >= sign_s:
                 sign_s += WAITING_S
-                on_wait(f"waiting for {', '.join(sorted(missing))}; gives up in {deadline - now_s:.0f} s")
+                on_wait(
+                    f"waiting for {', '.join(sorted(missing))}; gives up in {deadline - now_s:.0f} s"
+                )
             until_s = min(deadline, sign_s, ask_s if is_begun else deadline)
             try:
                 at_ns, item = self._inbox.get(timeout=max(0.0, until_s - now_s))
@@ -138,7 +182,10 @@ class Bus:
         return None
 
     def _note(self, sample: zenoh.Sample, *, joins: bool = False) -> Presence | None:
-        """Return the event in a token: a process takes part from "ready" on, is gone with "alive". Raises: `join`."""
+        """Return the event in a token.
+
+        A process takes part from "ready" on, is gone with "alive". Raises: `join`.
+        """
         key, here = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
         try:
             token = self._keys.token(key)
@@ -150,12 +197,16 @@ class Bus:
             return Presence(token.name, token.incarnation, alive=True) if here else None
         if joins and here:
             if token.name == self.name and token.incarnation != self.incarnation:
-                raise BusError(f"{self.name} is already running in this run (incarnation {token.incarnation})")
+                raise BusError(
+                    f"{self.name} is already running in this run (incarnation {token.incarnation})"
+                )
             if token.version != VERSION:
                 spoken = f"{token.name} speaks version {token.version} of the protocol, {self.name} version {VERSION}"
                 raise BusError(f"{spoken}: install the same release on all hosts")
             if token.digest != self._digest:
-                raise BusError(f"{token.name} runs another scenario: start all processes from the same file")
+                raise BusError(
+                    f"{token.name} runs another scenario: start all processes from the same file"
+                )
         if token.digest != self._digest or token.version != VERSION:
             return None  # a process of another scenario finds out by itself that it does not belong here
         if here:
@@ -169,7 +220,10 @@ class Bus:
         return Presence(token.name, token.incarnation, alive=False)
 
     def _taking_part(self, expected: Collection[str]) -> set[str] | None:
-        """Return the others that take part in a run that has begun, and its observers; None if it has not."""
+        """Return the others that take part in a run that has begun, and its observers.
+
+        None if it has not.
+        """
         status = self.ask(COORDINATOR, "status", timeout_s=1.0)
         if status is None or status.get("tick", -1) < 0:
             return None
@@ -203,7 +257,10 @@ class Bus:
         self._publishers[key].put(data)
 
     def next(self, timeout_s: float | None) -> BusEvent | None:
-        """Return the next event, or None after the timeout (None: no timeout). Refused messages are only counted."""
+        """Return the next event, or None after the timeout (None.
+
+        No timeout). Refused messages are only counted.
+        """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
             for message in self._accepted:
@@ -220,10 +277,15 @@ class Bus:
                 return event
 
     def leave(self, after: Collection[str] = ()) -> None:
-        """Say that the last message was sent; wait for the recorder and others: closing drops what is not read yet."""
+        """Say that the last message was sent.
+
+        Wait for the recorder and others: closing drops what is not read yet.
+        """
         self.put(self._keys.left(self.name), b"")
         deadline = time.monotonic() + LINGER_S
-        while {RECORDER, *after} & set(self.alive) and (left_s := deadline - time.monotonic()) > 0.0:
+        while {RECORDER, *after} & set(self.alive) and (
+            left_s := deadline - time.monotonic()
+        ) > 0.0:
             if isinstance(self.next(left_s), Interrupted):
                 return
 
@@ -233,13 +295,19 @@ class Bus:
 
     def close(self) -> None:
         """Undeclare everything and close the session, within bounded time."""
-        in_bounded_time(*(declared.undeclare for declared in (*self._tokens, *self._declared)), self._session.close)
+        in_bounded_time(
+            *(declared.undeclare for declared in (*self._tokens, *self._declared)),
+            self._session.close,
+        )
 
     def _declare_token(self, token: str) -> None:
         self._tokens.append(self._session.liveliness().declare_token(token))
 
     def _request(self, query: zenoh.Query) -> Request | None:
-        """Return a request from the network as an event, or None if it is answered here: bad ones, and health."""
+        """Return a request from the network as an event, or None if it is answered here.
+
+        Bad ones, and health.
+        """
         key = str(query.key_expr)
         what = key.removeprefix(self._keys.request(self.name, ""))
 
@@ -251,18 +319,28 @@ class Bus:
         with suppress(ValueError, RecursionError, zenoh.ZError):
             given = json.loads(query.payload.to_string() if query.payload else "{}")
         if not isinstance(given, dict) or "/" in what or "*" in what:
-            self.gate.rejections.add(self._keys.end(key), MessageError("malformed", "not a request"))
+            self.gate.rejections.add(
+                self._keys.end(key), MessageError("malformed", "not a request")
+            )
             reply({"error": "expected a JSON object under the key of one request"})
         elif what == "health":
             own = psutil.Process()
             known = {"name": self.name, "incarnation": self.incarnation, "protocol": VERSION}
             known |= {"tick": self.gate.tick, "refused": self.gate.rejections.total}
-            used = {"memory_bytes": own.memory_info().rss, "threads": own.num_threads(), "open_files": own.num_fds()}
+            used = {
+                "memory_bytes": own.memory_info().rss,
+                "threads": own.num_threads(),
+                "open_files": own.num_fds(),
+            }
             reply({**known, **used, "cpu_s": time.process_time()})
         elif self._serves:
             return Request(what, given, reply)
         else:
-            reply({"error": f"what: expected health, the only request that {self.name} answers, got {what[:40]!r}"})
+            reply(
+                {
+                    "error": f"what: expected health, the only request that {self.name} answers, got {what[:40]!r}"
+                }
+            )
         return None
 
     def _put(self, item: _Item) -> None:

@@ -8,11 +8,13 @@ from contextlib import suppress
 
 # Set by a parent whose children end with it: they watch their standard input for its end.
 PARENT_PIPE = "PAYLOAD_TRANSPORT_PARENT_PIPE"
-# Set by a parent for a child that is started ahead of time: it waits for a byte on its standard input.
+# Set by a parent for a child that is started ahead of time: it waits for a byte on its standard
+# input.
 STANDBY = "PAYLOAD_TRANSPORT_STANDBY"
 
-# One thread for linear algebra per process, and few for Zenoh: a run has more processes than a host has cores.
-# Three that receive: closing the connection to a frozen process blocks one of them for seconds.
+# One thread for linear algebra per process, and few for Zenoh: a run has more processes than a host
+# has cores. Three that receive: closing the connection to a frozen process blocks one of them for
+# seconds.
 ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -36,7 +38,10 @@ def python(module: str) -> list[str]:
 
 
 def wake_with_its_end() -> None:
-    """Let the death of a parent continue this process if it is stopped: otherwise it would never notice. Linux only."""
+    """Let the death of a parent continue this process if it is stopped.
+
+    Otherwise it would never notice. Linux only.
+    """
     if os.environ.get(PARENT_PIPE):
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT, 0, 0, 0)

@@ -1,4 +1,7 @@
-"""A node as a process: its messages, alone or in bundles; signals, event loop, log lines, exit code."""
+"""A node as a process: its messages, alone or in bundles.
+
+Signals, event loop, log lines, exit code.
+"""
 
 import gc
 import json
@@ -14,18 +17,18 @@ from typing import Any
 
 import threadpoolctl
 
-from protocol.admission.gate import Gate, Sample
-from protocol.network.bus import Bus, Interrupted, Left, Place
-from protocol.network.parent import PARENT_PIPE, ending_signals
-from protocol.network.security import exposed
-from protocol.scenario.faults import Fault, due
-from protocol.scenario.setup import Setup
-from protocol.wire import messages as wire
-from protocol.wire.codec import encode
-from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
-from protocol.wire.keys import Keys
-from protocol.wire.names import AGENT, COORDINATOR, PLANT
-from protocol.wire.node import Node, Outbox
+from transport.protocol.admission.gate import Gate, Sample
+from transport.protocol.network.bus import Bus, Interrupted, Left, Place
+from transport.protocol.network.parent import PARENT_PIPE, ending_signals
+from transport.protocol.network.security import exposed
+from transport.protocol.scenario.faults import Fault, due
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire import messages as wire
+from transport.protocol.wire.codec import encode
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE
+from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.names import AGENT, COORDINATOR, PLANT
+from transport.protocol.wire.node import Node, Outbox
 
 Put = Callable[[str, bytes], None]  # sends an encoded message under a key
 
@@ -37,9 +40,12 @@ def exchange_of(setup: Setup, name: str, incarnation: int, keys: Keys, put: Put)
 
 
 class Exchange:
-    """Sends the messages of one process: in real time each alone and at once, in lockstep also in bundles.
+    """Sends the messages of one process.
 
-    The coordinator sends the plans of tick k with tick k + 1: an agent sends one message per tick and receives two.
+    In real time each alone and at once, in lockstep also in bundles.
+
+    The coordinator sends the plans of tick k with tick k + 1: an agent sends one message per tick
+    and receives two.
     """
 
     bundled: tuple[type[wire.Message], ...] = ()  # kinds of messages that are kept for a bundle
@@ -47,7 +53,9 @@ class Exchange:
     def __init__(self, name: str, incarnation: int, keys: Keys, put: Put) -> None:
         self._keys, self._put = keys, put
         self._out = Outbox(name, incarnation)  # bundles have sequence numbers of their own
-        self._kept: list[tuple[str, bytes]] = []  # keys without the prefix of the run, encoded messages
+        self._kept: list[
+            tuple[str, bytes]
+        ] = []  # keys without the prefix of the run, encoded messages
         self._tick = 0  # of the newest message kept
 
     def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
@@ -68,10 +76,15 @@ class Exchange:
         """Send the bundle of the messages kept, whatever it waits for: before a process ends."""
 
     def settle(self) -> None:
-        """Send the bundle if it need not wait any longer: when all messages received together are handled."""
+        """Send the bundle if it need not wait any longer.
+
+        When all messages received together are handled.
+        """
         self.flush()
 
-    def _send_bundle(self, kind: type[wire.Bundle], entries: list[tuple[str, bytes]], **fields: int) -> None:
+    def _send_bundle(
+        self, kind: type[wire.Bundle], entries: list[tuple[str, bytes]], **fields: int
+    ) -> None:
         """Send messages, as they are kept, in a bundle, if there are any; forget those kept."""
         self._kept = []
         if entries:
@@ -90,10 +103,15 @@ class _Agent(Exchange):
 
 
 class _Plant(Exchange):
-    """Sends the agents their measurements with the relayed plans; state and measurements to the record afterwards."""
+    """Sends the agents their measurements with the relayed plans.
+
+    State and measurements to the record afterwards.
+    """
 
     bundled = (wire.Measurement, wire.PlantState, wire.ActualInputs)
-    _shared: tuple[tuple[str, bytes], ...] = ()  # accepted plans for the agents since the last measurement
+    _shared: tuple[
+        tuple[str, bytes], ...
+    ] = ()  # accepted plans for the agents since the last measurement
 
     def received(self, event: wire.Event, bundle: wire.Bundle | None) -> None:
         if isinstance(event, wire.Plan) and event.shared and bundle is not None:
@@ -109,7 +127,10 @@ class _Plant(Exchange):
 
 
 class _Coordinator(Exchange):
-    """Relays the answers of a tick with the next one; at once if all are here and no tick follows yet."""
+    """Relays the answers of a tick with the next one.
+
+    At once if all are here and no tick follows yet.
+    """
 
     bundled = (wire.Tick,)
 
@@ -134,7 +155,9 @@ class _Coordinator(Exchange):
 
     def flush(self) -> None:
         answers = [answer for _, answer in sorted(self._answers.items())]
-        entries = [entry for answer in answers for entry in zip(answer.keys, answer.parts, strict=True)]
+        entries = [
+            entry for answer in answers for entry in zip(answer.keys, answer.parts, strict=True)
+        ]
         self._answers = {}
         self._send_bundle(wire.Relay, [*entries, *self._kept])
 
@@ -144,7 +167,8 @@ class _Coordinator(Exchange):
 
 
 _COLLECT_EVERY = 256  # handled events between garbage collections
-# How long a peer that does not read may delay the others before the link to it is closed, by clock mode.
+# How long a peer that does not read may delay the others before the link to it is closed, by clock
+# mode.
 _PATIENCE_S = {"lockstep": 1.0, "realtime": 0.1}
 # Why a process without its parent ends, and how long it may take to do so in an orderly way.
 _ORPHANED, _ORPHAN_GRACE_S = "parent is gone", 5.0
@@ -172,21 +196,34 @@ def run_node(
     on_interrupt: Callable[[str], Any] | None = None,
     linger_for: Collection[str] = (),
 ) -> int:
-    """Join the run with the expected processes, drive the node until it is finished, leave; return the exit code.
+    """Join the run with the expected processes, drive the node until it is finished, leave.
 
-    `on_interrupt` returns the node's last messages when a signal ends it; processes to `linger_for` leave before it.
+    Return the exit code.
+
+    `on_interrupt` returns the node's last messages when a signal ends it; processes to `linger_for`
+    leave before it.
     """
     journal, keys = Journal(place.run, node.name), Keys(place.run)
     gate = Gate(node.name, keys, setup.shape, node.check_moment)
     serves, patience_s = node.name == COORDINATOR, _PATIENCE_S[setup.scenario.clock.mode]
-    # A garbage collection in mid-step is a latency spike: reference counting frees nearly all that the loop makes, and
-    # the rest is collected between steps. Before this process joins, no other waits for it.
+    # A garbage collection in mid-step is a latency spike: reference counting frees nearly all that
+    # the loop makes, and the rest is collected between steps. Before this process joins, no other
+    # waits for it.
     gc.collect()
     gc.freeze()
     gc.disable()
     with (
         threadpoolctl.threadpool_limits(1),
-        closing(Bus(node.name, place, setup.scenario.digest(), gate, serves=serves, patience_s=patience_s)) as bus,
+        closing(
+            Bus(
+                node.name,
+                place,
+                setup.scenario.digest(),
+                gate,
+                serves=serves,
+                patience_s=patience_s,
+            )
+        ) as bus,
     ):
         _watch_signals(bus)
         if place.endpoints.security is None and place.endpoints.listen:
@@ -213,19 +250,40 @@ def run_node(
         for notice in gate.notices(node.incarnation):
             exchange.send(notice)
         for entry in gate.rejections:
-            journal.log("rejected", sender=entry.sender, reason=entry.reason, count=entry.count, example=entry.example)
+            journal.log(
+                "rejected",
+                sender=entry.sender,
+                reason=entry.reason,
+                count=entry.count,
+                example=entry.example,
+            )
         if (end := node.finished) is not None:
-            journal.log("finished", outcome=end.outcome, reason=end.reason, tick=end.tick, cpu_s=time.process_time())
+            journal.log(
+                "finished",
+                outcome=end.outcome,
+                reason=end.reason,
+                tick=end.tick,
+                cpu_s=time.process_time(),
+            )
             bus.leave(linger_for)
             return end.exit_code
-    return EXIT_UNREACHABLE if interruption is None or interruption.reason == _ORPHANED else EXIT_INTERRUPTED
+    return (
+        EXIT_UNREACHABLE
+        if interruption is None or interruption.reason == _ORPHANED
+        else EXIT_INTERRUPTED
+    )
 
 
 def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) -> Interrupted | None:
-    """Feed events and time to a node until it is finished or interrupted; execute its own scripted faults."""
+    """Feed events and time to a node until it is finished or interrupted.
+
+    Execute its own scripted faults.
+    """
     handled = 0
     while node.finished is None:
-        event = bus.next(None if node.wake_ns is None else max(0, node.wake_ns - time.monotonic_ns()) / 1e9)
+        event = bus.next(
+            None if node.wake_ns is None else max(0, node.wake_ns - time.monotonic_ns()) / 1e9
+        )
         if isinstance(event, Interrupted):
             return event
         if isinstance(event, Left | Sample):
@@ -254,8 +312,13 @@ def _drive(node: Node, bus: Bus, exchange: Exchange, faults: Sequence[Fault]) ->
     return None
 
 
-def _fail_if_due(faults: Sequence[Fault], name: str, message: wire.Message, exchange: Exchange) -> None:
-    """Kill or stop this process if a scripted fault says so for this message; earlier messages are sent before."""
+def _fail_if_due(
+    faults: Sequence[Fault], name: str, message: wire.Message, exchange: Exchange
+) -> None:
+    """Kill or stop this process if a scripted fault says so for this message.
+
+    Earlier messages are sent before.
+    """
     if fault := due(faults, name, message):
         exchange.flush()
         os.kill(os.getpid(), signal.SIGKILL if fault == "kill" else signal.SIGSTOP)
@@ -267,7 +330,9 @@ def _watch_signals(bus: Bus) -> None:
 
     def interrupt(number: int, _: FrameType | None) -> None:
         received.append(number)
-        if len(received) > 2:  # the parent of this process passes on the first one, and ends it by the second
+        if (
+            len(received) > 2
+        ):  # the parent of this process passes on the first one, and ends it by the second
             os._exit(EXIT_INTERRUPTED)
         bus.interrupt(f"interrupted ({signal.Signals(number).name})")
 

@@ -1,4 +1,6 @@
-"""A node of ROS 2 as a client of a router of rmw_zenoh: its keys, liveliness tokens and attachments.
+"""A node of ROS 2 as a client of a router of rmw_zenoh.
+
+Its keys, liveliness tokens and attachments.
 
 Source: design document of rmw_zenoh_cpp, https://github.com/ros2/rmw_zenoh.
 """
@@ -10,19 +12,26 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from protocol.network.endpoints import Endpoints
-from protocol.network.session import open_session
-from protocol.wire.keys import Keys
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.session import open_session
+from transport.protocol.wire.keys import Keys
 
 _NODE = "transport"
 _QOS = "::,10:,:,:,,"  # all as by default: reliable, volatile, keep the last 10
 
 
 class RosNode:
-    """Node in one ROS domain; topics to publish and to hear have a type, "sensor_msgs/msg/Imu", and its hash."""
+    """Node in one ROS domain.
+
+    Topics to publish and to hear have a type, "sensor_msgs/msg/Imu", and its hash.
+    """
 
     def __init__(
-        self, router: str, domain: int, topics: Mapping[str, tuple[str, str]], heard: Mapping[str, tuple[str, str]]
+        self,
+        router: str,
+        domain: int,
+        topics: Mapping[str, tuple[str, str]],
+        heard: Mapping[str, tuple[str, str]],
     ) -> None:
         self._newest: dict[str, bytes] = {}  # by topic
         endpoints = Endpoints(listen=[], connect=[router], mode="client", security=None)
@@ -32,7 +41,9 @@ class RosNode:
         self._counts = dict.fromkeys(topics, 0)
         self._gids: dict[str, bytes] = {}
         self._publishers: dict[str, Any] = {}
-        for number, (topic, (kind, digest)) in enumerate([*topics.items(), *heard.items()], start=1):
+        for number, (topic, (kind, digest)) in enumerate(
+            [*topics.items(), *heard.items()], start=1
+        ):
             package, name = kind.split("/msg/")
             dds, what = f"{package}::msg::dds_::{name}_", "MP" if topic in topics else "MS"
             token = f"{self._token(domain, number, what)}/{topic.replace('/', '%')}/{dds}/{digest}/{_QOS}"
@@ -41,7 +52,9 @@ class RosNode:
                 self._gids[topic] = hashlib.sha256(token.encode()).digest()[:16]
                 self._publishers[topic] = self._session.declare_publisher(key)
             else:
-                self._kept.append(self._session.declare_subscriber(key, partial(self._receive, topic)))
+                self._kept.append(
+                    self._session.declare_subscriber(key, partial(self._receive, topic))
+                )
             self._kept.append(tokens.declare_token(token))
 
     def _token(self, domain: int, number: int, what: str) -> str:

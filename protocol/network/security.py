@@ -1,4 +1,7 @@
-"""Authentication and access control: the folder of keys, and Zenoh's rules made from the table of key expressions."""
+"""Authentication and access control.
+
+The folder of keys, and Zenoh's rules made from the table of key expressions.
+"""
 
 import ipaddress
 import os
@@ -9,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from protocol.wire.errors import TransportError
-from protocol.wire.exit_codes import EXIT_SCENARIO
-from protocol.wire.keys import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
+from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.exit_codes import EXIT_SCENARIO
+from transport.protocol.wire.keys import ACTING, OPERATOR, READING, ROUTER, WATCHER, Keys
 
 AUTHORITY = "ca.pem"  # of a folder of keys; besides it NAME.pem and NAME.key for each name
 SHARED = "secret.txt"  # the one secret of a run: a line "user:password", as Zenoh reads it
@@ -37,7 +40,10 @@ class Security:
 
     @property
     def scheme(self) -> str:
-        """Protocol of every endpoint: tls with certificates, tcp with a secret. Raises: SecurityError: without both."""
+        """Protocol of every endpoint.
+
+        Tls with certificates, tcp with a secret. Raises: SecurityError: without both.
+        """
         for file, scheme in ((AUTHORITY, "tls"), (SHARED, "tcp")):
             if os.access(self.folder / file, os.F_OK):
                 return scheme
@@ -45,30 +51,44 @@ class Security:
         raise SecurityError(f"network.keys: {expected}, got {self.folder}")
 
     def check(self, name: str) -> None:
-        """Refuse keys that a process cannot use. Raises: SecurityError: naming the file, expected and got."""
+        """Refuse keys that a process cannot use.
+
+        Raises: SecurityError: naming the file, expected and got.
+        """
         self.configure({"transport": {"link": {}}}, name, "transport/*")
 
     def configure(self, configuration: dict[str, Any], name: str, prefix: str) -> None:
-        """Add security to Zenoh's configuration of a process; `prefix` is that of its keys. Raises: as `check`."""
+        """Add security to Zenoh's configuration of a process.
+
+        `prefix` is that of its keys. Raises: as `check`.
+        """
         if self.scheme == "tcp":
             file = self.folder / SHARED
             try:
                 user, password = file.read_text(encoding="utf-8").strip().split(":", 1)
             except (OSError, ValueError) as error:
-                raise SecurityError(f"network.keys: {file}: expected a line USER:SECRET ({error})") from error
+                raise SecurityError(
+                    f"network.keys: {file}: expected a line USER:SECRET ({error})"
+                ) from error
             shared = {"user": user, "password": password, "dictionary_file": str(file)}
             configuration["transport"]["auth"] = {"usrpwd": shared}
             return
-        authority, certificate, key = (self.folder / file for file in (AUTHORITY, f"{name}.pem", f"{name}.key"))
+        authority, certificate, key = (
+            self.folder / file for file in (AUTHORITY, f"{name}.pem", f"{name}.key")
+        )
         try:
             _shake_hands(authority, certificate, key)
         except FileNotFoundError as error:
             expected = f"the files {certificate} and {key.name}, got only one or none"
-            raise SecurityError(f"network.keys: expected {expected} (transport deploy keys)") from error
+            raise SecurityError(
+                f"network.keys: expected {expected} (transport deploy keys)"
+            ) from error
         except (OSError, ssl.SSLError) as error:
             expected = f"expected a certificate of {authority.name} that is valid now, and its key"
             problem = getattr(error, "verify_message", "") or error
-            raise SecurityError(f"network.keys: {certificate}: {expected}, got {problem}") from error
+            raise SecurityError(
+                f"network.keys: {certificate}: {expected}, got {problem}"
+            ) from error
         configuration["transport"]["link"]["protocols"] = ["tls"]
         configuration["transport"]["link"]["tls"] = {
             "root_ca_certificate": str(authority),
@@ -116,7 +136,10 @@ def exposed(endpoints: Sequence[str]) -> str | None:
 
 
 def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
-    """Check a certificate as a peer would, by a handshake with itself. Raises: ssl.SSLError, OSError."""
+    """Check a certificate as a peer would, by a handshake with itself.
+
+    Raises: ssl.SSLError, OSError.
+    """
     there, back, ends = ssl.MemoryBIO(), ssl.MemoryBIO(), []
     for protocol, incoming, outgoing in (
         (ssl.PROTOCOL_TLS_CLIENT, back, there),
@@ -128,7 +151,9 @@ def _shake_hands(authority: Path, certificate: Path, key: Path) -> None:
         context.verify_mode = ssl.CERT_REQUIRED
         context.load_verify_locations(authority)
         context.load_cert_chain(certificate, key)
-        ends.append(context.wrap_bio(incoming, outgoing, server_side=protocol == ssl.PROTOCOL_TLS_SERVER))
+        ends.append(
+            context.wrap_bio(incoming, outgoing, server_side=protocol == ssl.PROTOCOL_TLS_SERVER)
+        )
     for end in ends * 4:  # messages in either direction, at most
         with suppress(ssl.SSLWantReadError):
             end.do_handshake()
@@ -153,4 +178,10 @@ def _rights(keys: Keys, name: str) -> Iterator[tuple[Sequence[str], list[str]]]:
 
 
 def _rule(name: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
-    return {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": [flow],
+        "messages": list(messages),
+        "key_exprs": list(keys),
+    }

@@ -10,12 +10,12 @@ from typing import Any
 
 import zenoh
 
-from protocol.network.endpoints import Endpoints
-from protocol.network.security import Security
-from protocol.wire.codec import MAX_BYTES
-from protocol.wire.errors import TransportError
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.security import Security
+from transport.protocol.wire.codec import MAX_BYTES
+from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
 
 CLOSE_S = 2.0  # how long closing may take: it blocks while a peer does not read (zenoh issue 2675)
 
@@ -38,10 +38,13 @@ def check_usable() -> None:
         )
 
 
-def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float) -> zenoh.Session:
+def open_session(
+    endpoints: Endpoints, patience_s: float, name: str, keys: Keys, reach_s: float
+) -> zenoh.Session:
     """Open the session of a process, which waits `patience_s` for peers that do not read, `reach_s` for a router.
 
-    Raises: BusError: the endpoint cannot be listened on, or the router not reached. SecurityError: unusable keys.
+    Raises: BusError: the endpoint cannot be listened on, or the router not reached. SecurityError:
+        unusable keys.
     """
     global _first_user
     check_usable()
@@ -56,14 +59,20 @@ def open_session(endpoints: Endpoints, patience_s: float, name: str, keys: Keys,
             if endpoints.mode == "client":
                 if time.monotonic() <= deadline:
                     continue
-                where, problem = name, f"no router accepts a connection at {', '.join(endpoints.connect)}"
+                where, problem = (
+                    name,
+                    f"no router accepts a connection at {', '.join(endpoints.connect)}",
+                )
             elif "in use" in str(error):
                 problem = "address already in use; choose another base port, or end the process that has it"
             raise BusError(f"{where}: {problem}") from error
 
 
 def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys) -> dict[str, Any]:
-    """Return Zenoh's configuration of a process: fixed endpoints, no discovery, retries until `Bus.join` gives up."""
+    """Return Zenoh's configuration of a process.
+
+    Fixed endpoints, no discovery, retries until `Bus.join` gives up.
+    """
     found: dict[str, Any] = {
         "mode": endpoints.mode,
         "listen": {"endpoints": list(endpoints.listen), "exit_on_failure": True},
@@ -77,9 +86,16 @@ def configuration(endpoints: Endpoints, patience_s: float, name: str, keys: Keys
         "transport": {
             "link": {
                 "rx": {"max_message_size": 2 * MAX_BYTES},  # larger ones are dropped uncounted
-                "tx": {"queue": {"congestion_control": {"block": {"wait_before_close": round(patience_s * 1e6)}}}},
+                "tx": {
+                    "queue": {
+                        "congestion_control": {
+                            "block": {"wait_before_close": round(patience_s * 1e6)}
+                        }
+                    }
+                },
             },
-            # Zenoh keeps its segments until the process ends, and leaves them in /dev/shm when it is killed.
+            # Zenoh keeps its segments until the process ends, and leaves them in /dev/shm when it
+            # is killed.
             "shared_memory": {"enabled": False},
         },
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
@@ -105,9 +121,16 @@ def ask(
     keys, deadline, whom = Keys(run), time.monotonic() + timeout_s, f"{name} of run {run}"
     log_errors(to_output=False)
     # One endpoint may be a process or a router; a client can connect to either.
-    endpoints = Endpoints(listen=[], connect=connect, mode="client" if len(connect) == 1 else "peer", security=security)
+    endpoints = Endpoints(
+        listen=[],
+        connect=connect,
+        mode="client" if len(connect) == 1 else "peer",
+        security=security,
+    )
     try:
-        with _session(endpoints, OPERATOR if what in ACTING else WATCHER, keys, timeout_s) as session:
+        with _session(
+            endpoints, OPERATOR if what in ACTING else WATCHER, keys, timeout_s
+        ) as session:
             token = f"{keys.prefix}/alive/{name}/**"
             while not any(reply.ok for reply in session.liveliness().get(token, timeout=1.0)):
                 if time.monotonic() > deadline:
@@ -115,16 +138,22 @@ def ask(
                 time.sleep(0.02)
             answer = fetch_answer(session, keys.request(name, what), given, timeout_s)
     except BusError as error:
-        raise BusError(f"{whom} is not reachable, it has ended or uses other keys: {error}") from error
+        raise BusError(
+            f"{whom} is not reachable, it has ended or uses other keys: {error}"
+        ) from error
     except zenoh.ZError as error:  # its text is about Zenoh's sources
-        raise BusError(f"{whom} has closed the connection: it has ended, or is about to end") from error
+        raise BusError(
+            f"{whom} has closed the connection: it has ended, or is about to end"
+        ) from error
     if answer is None:
         raise BusError(f"{whom} does not answer")
     return answer
 
 
 @contextmanager
-def _session(endpoints: Endpoints, name: str, keys: Keys, reach_s: float) -> Iterator[zenoh.Session]:
+def _session(
+    endpoints: Endpoints, name: str, keys: Keys, reach_s: float
+) -> Iterator[zenoh.Session]:
     session = open_session(endpoints, 1.0, name, keys, reach_s)
     try:
         yield session
@@ -133,13 +162,19 @@ def _session(endpoints: Endpoints, name: str, keys: Keys, reach_s: float) -> Ite
 
 
 def route(endpoints: Endpoints) -> AbstractContextManager[zenoh.Session]:
-    """Route the messages of the clients of any run while the context is open. Raises: BusError: as `open_session`."""
+    """Route the messages of the clients of any run while the context is open.
+
+    Raises: BusError: as `open_session`.
+    """
     log_errors(to_output=True)
     return _session(endpoints, ROUTER, Keys.below("transport/*"), 0.0)
 
 
 def log_errors(*, to_output: bool) -> None:
-    """Let Zenoh write its errors to standard output; a command whose results go there leaves it to RUST_LOG."""
+    """Let Zenoh write its errors to standard output.
+
+    A command whose results go there leaves it to RUST_LOG.
+    """
     if to_output:
         zenoh.init_log_from_env_or("error")
     else:

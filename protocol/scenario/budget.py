@@ -1,12 +1,15 @@
-"""Memory, disk and processor time of a run, estimated from sizes; bytes and seconds per size were fitted to runs."""
+"""Memory, disk and processor time of a run, estimated from sizes.
+
+Bytes and seconds per size were fitted to runs.
+"""
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from model.state import INPUTS, PAYLOAD, PER_UAV
-from protocol.scenario.errors import ScenarioError
-from protocol.scenario.schema import Scenario
+from transport.model.state import INPUTS, PAYLOAD, PER_UAV
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.schema import Scenario
 
 MB = 1e6
 
@@ -18,8 +21,9 @@ MOST_STEP_S = 1.25  # while many constraints are active, as in the first step, a
 ADMITTED = "--allow-large admits more"
 
 _FLOAT = 8  # bytes
-# Interpreter and packages, and the functions of a model per UAV; bytes of the log over bytes of its messages; bytes in
-# the memory of the report per tick and agent: Python objects of plans and step reports.
+# Interpreter and packages, and the functions of a model per UAV; bytes of the log over bytes of its
+# messages; bytes in the memory of the report per tick and agent: Python objects of plans and step
+# reports.
 _BASE_BYTES, _MODEL_BYTES, _COMPRESSED, _REPORTED_BYTES = 60 * MB, 1 * MB, 0.65, 4_000.0
 
 
@@ -34,7 +38,9 @@ class Budget:
     total_bytes: float  # memory of all processes, the report after the run among them
     worker_bytes: float  # memory of one process that simulates the whole run, as in a sweep
     log_bytes: float  # size of run.mcap
-    step_s: float  # processor time of one step of the largest agent while few constraints are active
+    step_s: (
+        float  # processor time of one step of the largest agent while few constraints are active
+    )
 
     def text(self) -> str:
         """Return the estimate in one line."""
@@ -47,27 +53,49 @@ class Budget:
 
 def estimate(scenario: Scenario) -> Budget:
     """Return the budget of a run, from sizes alone: nothing is built."""
-    controller, plant, N, M = scenario.controller, scenario.plant, len(scenario.system.uav), len(scenario.owned)
+    controller, plant, N, M = (
+        scenario.controller,
+        scenario.plant,
+        len(scenario.system.uav),
+        len(scenario.owned),
+    )
     horizon, own, ticks = controller.horizon, max(map(len, scenario.owned)), ticks_of(scenario)
     n, outputs = PAYLOAD + PER_UAV * N, INPUTS * N + 9
-    states = n + (INPUTS * N if controller.motor_lag_s else 0)  # with motor lag the actual inputs are states
+    states = n + (
+        INPUTS * N if controller.motor_lag_s else 0
+    )  # with motor lag the actual inputs are states
 
     user, pairs = len(controller.constraint), N * (N - 1) // 2 - (N - own) * (N - own - 1) // 2
-    # The QP, as `mpc.rows.Rows` makes it: rows per step that a slack softens; the user's have at most one each.
-    softened = [pairs * bool(controller.separation), 4 * own * bool(controller.tilt), own * bool(controller.tension)]
+    # The QP, as `mpc.constraints` make it: rows per step that a slack softens; the user's have at
+    # most one each.
+    softened = [
+        pairs * bool(controller.separation),
+        4 * own * bool(controller.tilt),
+        own * bool(controller.tension),
+    ]
     variables = INPUTS * own * horizon + sum(map(bool, softened)) + user
     rows = INPUTS * own * (horizon - 1) + horizon * (sum(softened) + user)
 
-    # Messages of a tick: arrays, and what is beside them; plant state and, in some runs, actual inputs.
-    plan = _FLOAT * own * (INPUTS * horizon * (1 + (controller.prediction == "closed_loop")) + PER_UAV) + 100.0
+    # Messages of a tick: arrays, and what is beside them; plant state and, in some runs, actual
+    # inputs.
+    plan = (
+        _FLOAT * own * (INPUTS * horizon * (1 + (controller.prediction == "closed_loop")) + PER_UAV)
+        + 100.0
+    )
     measurement = _FLOAT * (PAYLOAD + (PER_UAV + INPUTS) * own)
     of_agent = plan * controller.negotiation_iterations + measurement + 320.0 + 13.0 * M
     tick_bytes = M * of_agent + _FLOAT * (n + 2.0 * INPUTS * N) + 120.0
 
     # Reference, with intermediate results; the preview and its recursion.
-    path_bytes = _FLOAT * (ticks + horizon + 2) * (3.5 * outputs + (7.0 * states if controller.preview else 0.0))
+    path_bytes = (
+        _FLOAT
+        * (ticks + horizon + 2)
+        * (3.5 * outputs + (7.0 * states if controller.preview else 0.0))
+    )
     # Rows and their template; Hessian, its factor and copies; regulator and linear model.
-    matrix_bytes = _FLOAT * (2.0 * rows * variables + 3.0 * variables**2 + 6.0 * states**2 + 2.0 * states * variables)
+    matrix_bytes = _FLOAT * (
+        2.0 * rows * variables + 3.0 * variables**2 + 6.0 * states**2 + 2.0 * states * variables
+    )
     base_bytes = _BASE_BYTES + _MODEL_BYTES * N
     report_bytes = base_bytes + ticks * (M * _REPORTED_BYTES + 6.0 * _FLOAT * n)
     plant_step_s = plant.mujoco.step_s if plant.engine == "mujoco" else plant.step_s
@@ -87,8 +115,13 @@ def estimate(scenario: Scenario) -> Budget:
 
 def ticks_of(scenario: Scenario) -> int:
     """Return the number of sampling instants of a run: t_k < duration of the maneuver."""
-    periods = sum(phase.duration_s for phase in scenario.maneuver.phase) / scenario.controller.sampling_period_s
-    return max(1, math.ceil(periods - 1e-9 * periods))  # a whole number of periods must not gain one by rounding
+    periods = (
+        sum(phase.duration_s for phase in scenario.maneuver.phase)
+        / scenario.controller.sampling_period_s
+    )
+    return max(
+        1, math.ceil(periods - 1e-9 * periods)
+    )  # a whole number of periods must not gain one by rounding
 
 
 def check_budget(scenario: Scenario, source: str) -> None:
@@ -102,7 +135,9 @@ def check_budget(scenario: Scenario, source: str) -> None:
         ("controller.horizon", found.step_s, MOST_STEP_S, "s of processor time per step"),
     ):
         if got > most:
-            raise ScenarioError(source, field, f"expected at most {most:,g} {unit}, got {got:,.9g} ({ADMITTED})")
+            raise ScenarioError(
+                source, field, f"expected at most {most:,g} {unit}, got {got:,.9g} ({ADMITTED})"
+            )
 
 
 def most_workers(scenarios: Iterable[Scenario]) -> int:

@@ -7,20 +7,23 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from model.arrays import ShapeError
-from model.parameters import ParameterError
-from mpc.feedback import FeedbackError
-from mpc.settings import SettingsError
-from protocol.scenario.keys import names_of, out_of_range, section_in
-from protocol.wire.errors import MessageError, TransportError
-from protocol.wire.exit_codes import EXIT_SCENARIO
+from transport.model.arrays import ShapeError
+from transport.model.parameters import ParameterError
+from transport.mpc.feedback import FeedbackError
+from transport.mpc.settings import SettingsError
+from transport.protocol.scenario.keys import names_of, out_of_range, section_in
+from transport.protocol.wire.errors import MessageError, TransportError
+from transport.protocol.wire.exit_codes import EXIT_SCENARIO
 
 T = TypeVar("T")
 S = TypeVar("S", bound=BaseModel)
 
 
 class ScenarioError(TransportError, ValueError):
-    """An invalid scenario: `file or option: dotted key, with list entries from 1: expected ..., got ...`."""
+    """An invalid scenario: `file or option.
+
+    Dotted key, with list entries from 1: expected ..., got ...`.
+    """
 
     exit_code = EXIT_SCENARIO
 
@@ -32,7 +35,11 @@ class ScenarioError(TransportError, ValueError):
     def blaming(self, settings: Sequence[str]) -> "ScenarioError":
         """Return the same error, with the settings in place of the file if they gave the field or part of it."""
         own = f"{self.field}."
-        given = [s for s in settings if own.startswith(f"{key_of(s)}.") or f"{key_of(s)}.".startswith(own)]
+        given = [
+            s
+            for s in settings
+            if own.startswith(f"{key_of(s)}.") or f"{key_of(s)}.".startswith(own)
+        ]
         if not given:
             return self
         field = "" if [key_of(setting) for setting in given] == [self.field] else self.field
@@ -47,7 +54,10 @@ class RequestError(TransportError, MessageError):
 
 
 def building(source: str, field: str, build: Callable[[], T]) -> T:
-    """Return a model object built from a scenario's values; its errors become a `ScenarioError` of that field."""
+    """Return a model object built from a scenario's values.
+
+    Its errors become a `ScenarioError` of that field.
+    """
     try:
         return build()
     except (FeedbackError, ParameterError, RequestError, SettingsError, ShapeError) as error:
@@ -60,7 +70,10 @@ def key_of(setting: str) -> str:
 
 
 class PythonSetting(str):
-    """A setting that was given in Python: it has its value, and errors name no option of the command line."""
+    """A setting that was given in Python.
+
+    It has its value, and errors name no option of the command line.
+    """
 
     value: Any
 
@@ -82,7 +95,10 @@ def _short(text: str) -> str:
 
 
 def validated(section: type[S], tree: Any, source: str = "", folder: Path | None = None) -> S:
-    """Return a section of plain data, with files relative to a folder; raise ScenarioError with the first problem."""
+    """Return a section of plain data, with files relative to a folder.
+
+    Raise ScenarioError with the first problem.
+    """
     try:
         found = section.model_validate(tree, context=folder)
     except ValidationError as error:
@@ -107,7 +123,9 @@ def _problem(problem: Any, section: type[BaseModel]) -> tuple[str, str]:
     kind, message, value = problem["type"], problem["msg"], problem["input"]
     last = problem["loc"][-1] if problem["loc"] else ""
     field: list[str] = []
-    for part in problem["loc"]:  # pydantic also names the branch of a union that it tried, which is no key
+    for part in problem[
+        "loc"
+    ]:  # pydantic also names the branch of a union that it tried, which is no key
         names = names_of(section)
         if part in names:
             section = section_in(section.model_fields[names[part]].annotation) or section

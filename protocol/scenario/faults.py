@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from protocol.scenario.schema import Scenario
-from protocol.wire.messages import Measurement, Message, Tick
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.wire.messages import Measurement, Message, Tick
 
 OF_UAVS = ("motor_off", "release", "degrade")  # applied by the plant
 
@@ -32,11 +32,17 @@ def failures(faults: Sequence[Fault]) -> list[Fault]:
 
 
 def scripted(scenario: Scenario) -> tuple[Fault, ...]:
-    """Return the faults of a scenario in the order of time; a restart is a kill, unless already down, and a start."""
+    """Return the faults of a scenario in the order of time.
+
+    A restart is a kill, unless already down, and a start.
+    """
     found: list[Fault] = []
     down: dict[str, int] = {}  # processes that do not run, and since which tick
     for event in sorted(scenario.faults.event, key=lambda event: event.at_s):
-        tick, target = math.ceil(event.at_s / scenario.controller.sampling_period_s - 1e-9), event.target
+        tick, target = (
+            math.ceil(event.at_s / scenario.controller.sampling_period_s - 1e-9),
+            event.target,
+        )
         if event.do == "restart" or event.do == "continue":
             if target not in down:
                 found.append(Fault(tick, "kill", target))
@@ -52,6 +58,10 @@ def scripted(scenario: Scenario) -> tuple[Fault, ...]:
 def due(faults: Sequence[Fault], name: str, message: Message) -> Literal["kill", "stop"] | None:
     """Return the fault a process is to inject into itself on a message received or about to be sent, if any."""
     for fault in faults if isinstance(message, Measurement | Tick) else ():
-        if fault.target == name and fault.tick == message.tick and (fault.do == "kill" or fault.do == "stop"):
+        if (
+            fault.target == name
+            and fault.tick == message.tick
+            and (fault.do == "kill" or fault.do == "stop")
+        ):
             return fault.do
     return None

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from protocol.wire.errors import TransportError
+from transport.protocol.wire.errors import TransportError
 
 
 class TableError(TransportError, ValueError):
@@ -18,11 +18,16 @@ def anchored(value: Any, key: str) -> Any:
         return [anchored(entry, key) for entry in value]
     if isinstance(value, dict):
         return {name: anchored(entry, name) for name, entry in value.items()}
-    return str(Path.cwd() / value) if key in ("samples", "file") and isinstance(value, str) else value
+    return (
+        str(Path.cwd() / value) if key in ("samples", "file") and isinstance(value, str) else value
+    )
 
 
 def delays_of(path: Path) -> list[float]:
-    """Return the measured delays in a file, s, in ascending order. Raises: TableError: it cannot be read."""
+    """Return the measured delays in a file, s, in ascending order.
+
+    Raises: TableError: it cannot be read.
+    """
     try:
         return sorted(map(float, path.read_text(encoding="utf-8").replace(",", " ").split()))
     except (OSError, ValueError) as error:
@@ -36,7 +41,10 @@ def way_of(path: Path) -> list[list[float]]:
 
 
 def points_of(path: Path) -> tuple[list[list[float]], list[float] | None]:
-    """Return way points, m, and any times, s, of a CSV file with columns x,y,z or t,x,y,z. Raises: TableError."""
+    """Return way points, m, and any times, s, of a CSV file with columns x,y,z or t,x,y,z.
+
+    Raises: TableError.
+    """
     columns, rows = _table(path, "x,y,z", "t,x,y,z")
     return [row[-3:] for row in rows], [row[0] for row in rows] if columns.startswith("t") else None
 
@@ -51,5 +59,7 @@ def _table(path: Path, *headings: str) -> tuple[str, list[list[float]]]:
         if rows.shape[1] != columns.count(",") + 1 or not np.isfinite(rows).all():
             raise ValueError(f"expected rows of finite numbers {columns}")
     except (OSError, ValueError) as error:
-        raise TableError(f"cannot read {path} ({getattr(error, 'strerror', '') or error})") from error
+        raise TableError(
+            f"cannot read {path} ({getattr(error, 'strerror', '') or error})"
+        ) from error
     return columns, rows.tolist()

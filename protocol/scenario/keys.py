@@ -10,8 +10,8 @@ from typing import Any, get_args
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from mpc.settings import Key
-from protocol.scenario.schema import Scenario
+from transport.mpc.settings import Key
+from transport.protocol.scenario.schema import Scenario
 
 # Unit, smallest magnitude apart from zero, and largest, by the ending of the key; the longest one that fits counts.
 # Beyond these ranges, far wider than anything that flies, float64 overflows or loses all digits somewhere.
@@ -64,7 +64,9 @@ def names_of(section: type[BaseModel]) -> dict[str, str]:
     return {field.alias or name: name for name, field in section.model_fields.items()}
 
 
-def walk(section: type[BaseModel] = Scenario, path: str = "") -> Iterator[tuple[str, str, type[BaseModel], FieldInfo]]:
+def walk(
+    section: type[BaseModel] = Scenario, path: str = ""
+) -> Iterator[tuple[str, str, type[BaseModel], FieldInfo]]:
     """Yield every key and section: the dotted path of the section around it, its name, that class, its field."""
     for key, name in names_of(section).items():
         field = section.model_fields[name]
@@ -81,7 +83,12 @@ def fields() -> dict[str, FieldInfo]:
 def short_names() -> dict[str, str]:
     """Return the dotted keys that have a short name in Python, by that name."""
     found: dict[str, str] = {}
-    for key, field in fields().items():  # links from and to the plant have the keys of `links`, which come first, again
+    for (
+        key,
+        field,
+    ) in (
+        fields().items()
+    ):  # links from and to the plant have the keys of `links`, which come first, again
         found.setdefault(key_of(field).short, key)
     return {short: key for short, key in found.items() if short}
 
@@ -89,15 +96,23 @@ def short_names() -> dict[str, str]:
 def meanings(section: type[BaseModel]) -> dict[str, str]:
     """Return the meaning of each key of a section: the docstring of its field, which pydantic would always read."""
     found: dict[str, str] = {}
-    for owner in reversed([owner for owner in section.__mro__ if issubclass(owner, BaseModel)][:-1]):
+    for owner in reversed(
+        [owner for owner in section.__mro__ if issubclass(owner, BaseModel)][:-1]
+    ):
         (body,) = ast.parse(inspect.getsource(owner)).body
         for field, text in pairwise(getattr(body, "body", [])):
-            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+            if (
+                isinstance(field, ast.AnnAssign)
+                and isinstance(text, ast.Expr)
+                and isinstance(text.value, ast.Constant)
+            ):
                 found[ast.unparse(field.target)] = " ".join(str(text.value.value).split())
     return {key: found[name] for key, name in names_of(section).items() if name in found}
 
 
-def out_of_range(value: object, place: str = "", within: tuple[float, float] = (0.0, inf)) -> Iterator[tuple[str, str]]:
+def out_of_range(
+    value: object, place: str = "", within: tuple[float, float] = (0.0, inf)
+) -> Iterator[tuple[str, str]]:
     """Yield field, and expected and got, of each number given in a section or list that is beyond its range."""
     if isinstance(value, BaseModel):
         for key, name in names_of(type(value)).items():

@@ -12,9 +12,9 @@ from pydantic import (
     model_validator,
 )
 
-from mpc.settings import Key, NotNegative, Positive, Section
-from protocol.scenario.files import delays_of
-from protocol.wire.names import PLANT
+from transport.mpc.settings import Key, NotNegative, Positive, Section
+from transport.protocol.scenario.files import delays_of
+from transport.protocol.wire.names import PLANT
 
 Probability = Annotated[float, Interval(ge=0.0, le=1.0)]
 
@@ -23,7 +23,11 @@ _PROCESS = "agent1, agent2, ..., plant"
 
 def _read(value: Any, info: ValidationInfo) -> Any:
     """Return the content of a file of a scenario, which has a folder; a change during a run has none."""
-    return delays_of(info.context / value) if isinstance(value, str) and info.context is not None else value
+    return (
+        delays_of(info.context / value)
+        if isinstance(value, str) and info.context is not None
+        else value
+    )
 
 
 class GilbertElliottSection(Section):
@@ -40,11 +44,13 @@ class GilbertElliottSection(Section):
 class LinkSection(Section):
     """Impairments of a link, in scenario time, independent for each message but for bursts; none by default."""
 
-    delay_s: Annotated[NotNegative, Key(label="delay of plans", shown="ms", option="--delay", short="delay_s")] = 0.0
+    delay_s: Annotated[
+        NotNegative, Key(label="delay of plans", shown="ms", option="--delay", short="delay_s")
+    ] = 0.0
     """fixed part of the delay"""
-    jitter_s: Annotated[NotNegative, Key(label="jitter of plans", shown="ms", option="--jitter", short="jitter_s")] = (
-        0.0
-    )
+    jitter_s: Annotated[
+        NotNegative, Key(label="jitter of plans", shown="ms", option="--jitter", short="jitter_s")
+    ] = 0.0
     """scale of the random part of the delay: width (uniform, centred on `delay_s`), standard deviation (normal,
     lognormal), mean (exponential); delays below 0 become 0"""
     distribution: Annotated[
@@ -52,23 +58,31 @@ class LinkSection(Section):
         Key(label="delay distribution", option="--distribution"),
     ] = "uniform"
     """distribution of the random part of the delay; empirical draws whole delays from `samples`"""
-    samples: Annotated[list[NotNegative] | None, BeforeValidator(_read), Key(type="file, or list of numbers >= 0")] = (
-        None
-    )
+    samples: Annotated[
+        list[NotNegative] | None, BeforeValidator(_read), Key(type="file, or list of numbers >= 0")
+    ] = None
     """measured delays for empirical, or a file of them, separated by blanks or commas, relative to the scenario's
     folder (in `--set`: to the current one), which becomes part of the scenario when that is read"""
-    loss: Annotated[Probability, Key(label="loss of plans", shown="%", option="--loss", short="loss")] = 0.0
+    loss: Annotated[
+        Probability, Key(label="loss of plans", shown="%", option="--loss", short="loss")
+    ] = 0.0
     """probability that a message is lost, independent for each message"""
     gilbert_elliott: GilbertElliottSection | None = None
-    duplicate: Annotated[Probability, Key(label="duplicated plans", shown="%", option="--duplicate")] = 0.0
+    duplicate: Annotated[
+        Probability, Key(label="duplicated plans", shown="%", option="--duplicate")
+    ] = 0.0
     """probability that a message arrives a second time, with a separate delay"""
-    reorder: Annotated[Probability, Key(label="plans held back", shown="%", option="--reorder")] = 0.0
-    """probability that a message is held back by `reorder_s`"""
-    reorder_s: Annotated[NotNegative, Key(label="extra delay of plans held back", shown="ms", option="--reorder-s")] = (
+    reorder: Annotated[Probability, Key(label="plans held back", shown="%", option="--reorder")] = (
         0.0
     )
+    """probability that a message is held back by `reorder_s`"""
+    reorder_s: Annotated[
+        NotNegative, Key(label="extra delay of plans held back", shown="ms", option="--reorder-s")
+    ] = 0.0
     """extra delay of a message that is held back"""
-    rate_hz: Annotated[Positive | None, Key(label="plans per second on a link", option="--rate")] = None
+    rate_hz: Annotated[
+        Positive | None, Key(label="plans per second on a link", option="--rate")
+    ] = None
     """messages per second of scenario time that the link carries, evenly spread: half of 1 / T_s drops every other"""
 
     @model_validator(mode="after")
@@ -80,11 +94,15 @@ class LinkSection(Section):
     @property
     def perfect(self) -> bool:
         """Return whether every message arrives at once, once."""
-        return all(getattr(self, key) == field.default for key, field in LinkSection.model_fields.items())
+        return all(
+            getattr(self, key) == field.default for key, field in LinkSection.model_fields.items()
+        )
 
     def settings(self) -> dict[str, Any]:
         """Return the keys of a link that were given, as plain data."""
-        return self.model_dump(mode="json", exclude_unset=True, include=set(LinkSection.model_fields))
+        return self.model_dump(
+            mode="json", exclude_unset=True, include=set(LinkSection.model_fields)
+        )
 
 
 class LinkOverrideSection(LinkSection):

@@ -1,6 +1,7 @@
 """Impairments of the network, which act at the receiver, in scenario time.
 
-Random numbers come from a counter keyed by seed, link and tick: they do not depend on the order of arrivals.
+Random numbers come from a counter keyed by seed, link and tick: they do not depend on the order of
+    arrivals.
 """
 
 import hashlib
@@ -14,13 +15,13 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator, Philox
 
-from model.arrays import Array
-from protocol.scenario.errors import RequestError, requested
-from protocol.scenario.keys import UNITS
-from protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
-from protocol.wire.errors import MessageError
-from protocol.wire.messages import LinkChange, Measurement, Plan
-from protocol.wire.names import PLANT
+from transport.model.arrays import Array
+from transport.protocol.scenario.errors import RequestError, requested
+from transport.protocol.scenario.keys import UNITS
+from transport.protocol.scenario.link_sections import LinkOverrideSection, LinkSection, LinksSection
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import LinkChange, Measurement, Plan
+from transport.protocol.wire.names import PLANT
 
 Key = npt.NDArray[np.uint64]
 
@@ -36,10 +37,15 @@ def generator(key: Key, tick: int, stream: int = 0) -> Generator:
     return Generator(Philox(key=key, counter=np.array([0, 0, stream, tick], dtype=np.uint64)))
 
 
-# Uniform numbers drawn for each message, by their first use; jitter takes two. A new one goes to the end.
+# Uniform numbers drawn for each message, by their first use; jitter takes two. A new one goes to
+# the end.
 _LOSS, _BURST, _JITTER, _DUPLICATE, _ECHO, _REORDER, _DRAWS = 0, 1, 2, 4, 5, 7, 8
-_CHAIN = 2**32  # stream of the burst chain at each tick; those of the message and the negotiation are 0, 1, ...
-_SLACK = 1e-9  # rounding of a delay that is a whole number of sampling periods must not cost one more
+_CHAIN = (
+    2**32
+)  # stream of the burst chain at each tick; those of the message and the negotiation are 0, 1, ...
+_SLACK = (
+    1e-9  # rounding of a delay that is a whole number of sampling periods must not cost one more
+)
 *_, _LONGEST_S = UNITS["_s"]  # longest delay: that of a key in seconds
 # Settings of a link that make it perfect: the defaults.
 PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.model_fields.items()}
@@ -48,7 +54,9 @@ PERFECT: Mapping[str, Any] = {key: field.default for key, field in LinkSection.m
 class Link:
     """One link of a run: which messages arrive, and when."""
 
-    def __init__(self, links: LinksSection, sender: str, receiver: str, *, seed: int, period_s: float) -> None:
+    def __init__(
+        self, links: LinksSection, sender: str, receiver: str, *, seed: int, period_s: float
+    ) -> None:
         self.sender, self.receiver = sender, receiver
         chosen: LinkSection = links
         if PLANT in (sender, receiver):
@@ -56,22 +64,33 @@ class Link:
         for override in links.override:
             if override.covers(sender, receiver):
                 chosen = override
-        # First tick, impairments from then on, and whether they are none: asked for with every message.
+        # First tick, impairments from then on, and whether they are none: asked for with every
+        # message.
         self._sections = [(0, chosen, chosen.perfect)]
         self._changes: list[tuple[int, dict[str, Any]]] = []  # first tick, keys given
         self._period_s = period_s
         # A partition concerns the plant only if it names it.
         cuts = [p for p in links.partition if PLANT in p.between or PLANT not in (sender, receiver)]
-        self._partitions = [(p.start_s, p.end_s) for p in cuts if (sender in p.between) != (receiver in p.between)]
-        self._key = draw_key(seed, sender, receiver, (Measurement if sender == PLANT else Plan).kind)
+        self._partitions = [
+            (p.start_s, p.end_s) for p in cuts if (sender in p.between) != (receiver in p.between)
+        ]
+        self._key = draw_key(
+            seed, sender, receiver, (Measurement if sender == PLANT else Plan).kind
+        )
         self._bad: list[bool] = []  # Gilbert-Elliott state by tick
         for change in sorted(links.change, key=lambda change: change.at_s):
             self.change(math.ceil(change.at_s / period_s - _SLACK), change)
 
     def change(self, tick: int, change: LinkOverrideSection) -> None:
-        """Apply the given keys from a tick on, if the change covers this link; the latest change is in force."""
+        """Apply the given keys from a tick on, if the change covers this link.
+
+        The latest change is in force.
+        """
         if change.covers(self.sender, self.receiver):
-            given = {key: getattr(change, key) for key in change.model_fields_set & LinkSection.model_fields.keys()}
+            given = {
+                key: getattr(change, key)
+                for key in change.model_fields_set & LinkSection.model_fields.keys()
+            }
             self._changes = sorted([*self._changes, (tick, given)], key=itemgetter(0))
             del self._sections[1:]
             for start, keys in self._changes:
@@ -83,7 +102,10 @@ class Link:
         return self._in_force(tick)[0]
 
     def delays(self, tick: int, negotiation: int = 0) -> list[float]:
-        """Return the delays of a tick's message, s: none if lost, two if duplicated; proposals count from 1."""
+        """Return the delays of a tick's message, s.
+
+        None if lost, two if duplicated; proposals count from 1.
+        """
         section, perfect = self._in_force(tick)
         sent_s = tick * self._period_s
         if any(start <= sent_s + _SLACK < end for start, end in self._partitions):
@@ -91,11 +113,18 @@ class Link:
         if perfect:
             return [0.0]
         if section.rate_hz is not None and tick > 0:
-            per_tick = section.rate_hz * self._period_s  # the messages that the rate leaves room for are evenly spread
+            per_tick = (
+                section.rate_hz * self._period_s
+            )  # the messages that the rate leaves room for are evenly spread
             if math.floor(tick * per_tick + _SLACK) == math.floor((tick - 1) * per_tick + _SLACK):
                 return []
-        draw, bursts = generator(self._key, tick, negotiation).random(_DRAWS), section.gilbert_elliott
-        if draw[_LOSS] < section.loss or (self._in_burst(tick) and bursts and draw[_BURST] < bursts.loss):
+        draw, bursts = (
+            generator(self._key, tick, negotiation).random(_DRAWS),
+            section.gilbert_elliott,
+        )
+        if draw[_LOSS] < section.loss or (
+            self._in_burst(tick) and bursts and draw[_BURST] < bursts.loss
+        ):
             return []
         delays = [self._delay(section, draw[_JITTER : _JITTER + 2])]
         if draw[_REORDER] < section.reorder:
@@ -105,13 +134,23 @@ class Link:
         return [min(delay, _LONGEST_S) for delay in delays]
 
     def usable_ticks(self, tick: int, after: int = 1) -> list[int]:
-        """Return the ticks from which the message of a tick can be used: at or after its arrival, and `after` ticks."""
+        """Return the ticks from which the message of a tick can be used.
+
+        At or after its arrival, and `after` ticks.
+        """
         if not self._partitions and self._in_force(tick)[1]:
             return [tick + after]
-        return [max(tick + after, math.ceil(tick + delay / self._period_s - _SLACK)) for delay in self.delays(tick)]
+        return [
+            max(tick + after, math.ceil(tick + delay / self._period_s - _SLACK))
+            for delay in self.delays(tick)
+        ]
 
     def _in_force(self, tick: int) -> tuple[LinkSection, bool]:
-        return next((section, perfect) for start, section, perfect in reversed(self._sections) if start <= tick)
+        return next(
+            (section, perfect)
+            for start, section, perfect in reversed(self._sections)
+            if start <= tick
+        )
 
     def _in_burst(self, tick: int) -> bool:
         """Return whether the Gilbert-Elliott chain, which starts in the good state, is in the bad one at a tick."""
@@ -150,9 +189,14 @@ class LinkChanges:
         self._links, self._applied = tuple(links), 0
 
     def check(self, message: LinkChange) -> LinkOverrideSection:
-        """Return a change. Raises: MessageError: it is invalid, or neither the next one nor one that is repeated."""
+        """Return a change. Raises.
+
+        MessageError: it is invalid, or neither the next one nor one that is repeated.
+        """
         if message.number > self._applied + 1:
-            raise MessageError("future", f"change {message.number} of the links after {self._applied}")
+            raise MessageError(
+                "future", f"change {message.number} of the links after {self._applied}"
+            )
         return link_change(message.source, message.target, message.settings)
 
     def apply(self, message: LinkChange) -> None:
@@ -165,7 +209,10 @@ class LinkChanges:
 
 
 def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
-    """Return a change of links: ends, empty for any agent, and a JSON object of keys. Raises: RequestError: invalid."""
+    """Return a change of links.
+
+    Ends, empty for any agent, and a JSON object of keys. Raises: RequestError: invalid.
+    """
     try:
         given = json.loads(settings)
     except (ValueError, RecursionError):
@@ -177,7 +224,10 @@ def link_change(source: str, target: str, settings: str) -> LinkOverrideSection:
 
 
 def words_of(change: LinkChange) -> str:
-    """Return the change in a message of the coordinator in words; its text as it is if it is no valid change."""
+    """Return the change in a message of the coordinator in words.
+
+    Its text as it is if it is no valid change.
+    """
     try:
         settings = link_change(change.source, change.target, change.settings).settings()
     except RequestError:
@@ -186,7 +236,10 @@ def words_of(change: LinkChange) -> str:
 
 
 def change_in_words(source: str, target: str, settings: Mapping[str, Any]) -> str:
-    """Return a change in words, such as "links from agent1 to agent2: delay_s 0.2, loss 0.3"; "" is any agent."""
+    """Return a change in words, such as "links from agent1 to agent2.
+
+    Delay_s 0.2, loss 0.3"; "" is any agent.
+    """
     ends = (f" from {source}" if source else "") + (f" to {target}" if target else "")
     links = f"links{ends or ' between agents'}"
     if PERFECT.items() <= settings.items():

@@ -4,8 +4,16 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval
 
-from mpc.settings import Key, NotNegative, NotNegativeVector, Positive, Range, Section, Vector
-from protocol.scenario.own_class import or_class
+from transport.mpc.settings import (
+    Key,
+    NotNegative,
+    NotNegativeVector,
+    Positive,
+    Range,
+    Section,
+    Vector,
+)
+from transport.protocol.scenario.own_class import or_class
 
 _NOISE = (1e-12, 1e4)
 MassFactor = Annotated[float, Interval(gt=0.0, le=100.0)]
@@ -39,7 +47,9 @@ class MotorsSection(Section):
 
     lag_s: Annotated[NotNegative, Key(label="motor lag", shown="ms")] = 0.0
     """time constant of thrust and moments; 0, or at least a hundredth of T_s"""
-    falling_lag_s: Annotated[Positive | None, Key(label="motor lag of falling thrust", shown="ms")] = None
+    falling_lag_s: Annotated[
+        Positive | None, Key(label="motor lag of falling thrust", shown="ms")
+    ] = None
     """time constant of a rotor whose thrust falls, `lag_s` is then that of rising thrust; default: `lag_s`. Needs
     `lag_s` > 0 and `[plant.motors.rotors]`"""
     thrust_step_N: Annotated[NotNegative, Key(label="thrust step")] = 0.0
@@ -52,7 +62,9 @@ class WindSection(Section):
 
     speed_mps: Annotated[Vector, Key(label="wind speed", short="wind_mps")] = (0.0, 0.0, 0.0)
     """mean velocity of the air, inertial frame"""
-    gust_mps: Annotated[NotNegativeVector, Key(label="gusts, standard deviation", short="gust_mps")] = (0.0, 0.0, 0.0)
+    gust_mps: Annotated[
+        NotNegativeVector, Key(label="gusts, standard deviation", short="gust_mps")
+    ] = (0.0, 0.0, 0.0)
     """standard deviation of the gusts about it, per inertial axis"""
     gust_time_constant_s: Annotated[Positive, Key(label="correlation time of gusts")] = 2.0
     """correlation time of the gusts"""
@@ -80,7 +92,9 @@ class BiasSection(Section):
 class DelaySection(Section):
     """Ages of a vehicle's measurements, with `plant.sensors` vehicle, rounded to whole sampling periods."""
 
-    position_s: Annotated[float, Interval(ge=0.0, le=1.0), Key(label="delay of positions", shown="ms")] = 0.0
+    position_s: Annotated[
+        float, Interval(ge=0.0, le=1.0), Key(label="delay of positions", shown="ms")
+    ] = 0.0
     """age of positions"""
     velocity_s: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.0
     """age of velocities"""
@@ -95,7 +109,9 @@ class DelaySection(Section):
 class NoiseSection(Section):
     """Errors of the measurements: white noise; with `plant.sensors` vehicle also bias and delay, of each UAV."""
 
-    position_m: Annotated[NotNegative, Key(within=_NOISE, label="noise of payload position", shown="mm")] = 0.0
+    position_m: Annotated[
+        NotNegative, Key(within=_NOISE, label="noise of payload position", shown="mm")
+    ] = 0.0
     """noise of the payload position; of UAV positions with `plant.sensors` vehicle"""
     velocity_mps: Annotated[NotNegative, Key(label="noise of payload velocity", shown="mm/s")] = 0.0
     """noise of the payload velocity; of UAV velocities with `plant.sensors` vehicle"""
@@ -116,7 +132,9 @@ class NoiseSection(Section):
 class PlantSection(Section):
     """Ground truth: its integration, its difference from the controller's model, limits beyond which a run diverged."""
 
-    engine: Annotated[str, or_class("rods", "mujoco"), Key(type="rods, mujoco, package.module:Class")] = "rods"
+    engine: Annotated[
+        str, or_class("rods", "mujoco"), Key(type="rods, mujoco, package.module:Class")
+    ] = "rods"
     """the controllers' own equations, MuJoCo ([engines.md](engines.md) compares them), or [your own
     class](bring-your-own.md#your-own-engine)"""
     ground_m: float | None = None

@@ -4,13 +4,15 @@ from collections.abc import Iterator
 from itertools import pairwise
 from operator import attrgetter
 
-from protocol.scenario.errors import ScenarioError
-from protocol.scenario.faults import OF_UAVS
-from protocol.scenario.plant_sections import MujocoSection
-from protocol.scenario.schema import Scenario
-from protocol.wire.names import COORDINATOR, PLANT, agent_name
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.faults import OF_UAVS
+from transport.protocol.scenario.plant_sections import MujocoSection
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.wire.names import COORDINATOR, PLANT, agent_name
 
-_SHORTEST_LAG = 0.01  # of motors, sampling periods: the discretisation takes exponentials of its reciprocal
+_SHORTEST_LAG = (
+    0.01  # of motors, sampling periods: the discretisation takes exponentials of its reciprocal
+)
 
 _OTHER = object()  # any value but the default
 _CLASS = object()  # a class of the user
@@ -47,8 +49,21 @@ Problems = Iterator[tuple[str, str, object]]  # field, what was expected there, 
 
 
 def check_relations(scenario: Scenario, source: str) -> None:
-    """Check the fields of a scenario against each other. Raises: ScenarioError: with the first problem."""
-    for check in (_needs, _ownership, _links, _controller, _clock, _faults, _plant, _phases, _obstacles):
+    """Check the fields of a scenario against each other.
+
+    Raises: ScenarioError: with the first problem.
+    """
+    for check in (
+        _needs,
+        _ownership,
+        _links,
+        _controller,
+        _clock,
+        _faults,
+        _plant,
+        _phases,
+        _obstacles,
+    ):
         for field, expected, got in check(scenario):
             raise ScenarioError(source, field, f"expected {expected}, got {got}")
 
@@ -81,7 +96,11 @@ def _links(scenario: Scenario) -> Problems:
     for i, partition in enumerate(links.partition, start=1):
         ends += [(f"links.partition.{i}.between", name) for name in partition.between]
         if partition.end_s <= partition.start_s:
-            yield f"links.partition.{i}.end_s", f"more than start_s {partition.start_s}", partition.end_s
+            yield (
+                f"links.partition.{i}.end_s",
+                f"more than start_s {partition.start_s}",
+                partition.end_s,
+            )
     for field, name in ends:
         if name is not None and name not in names:
             yield field, f"one of {', '.join(names)}", repr(name)
@@ -94,7 +113,9 @@ def _processes(scenario: Scenario) -> list[str]:
 def _controller(scenario: Scenario) -> Problems:
     section, motors = scenario.controller, scenario.plant.motors
     if section.preview and section.prediction == "open_loop" and section.terminal == "multiple":
-        expected = "controller.prediction = 'closed_loop' or controller.terminal = 'riccati' with it"
+        expected = (
+            "controller.prediction = 'closed_loop' or controller.terminal = 'riccati' with it"
+        )
         yield "controller.preview", expected, "neither"
     shortest_s = _SHORTEST_LAG * section.sampling_period_s
     for key in ("controller.motor_lag_s", "plant.motors.lag_s", "plant.motors.falling_lag_s"):
@@ -109,13 +130,22 @@ def _clock(scenario: Scenario) -> Problems:
     if scenario.clock.mode == "realtime" and scenario.clock.speed == 0.0:
         yield "clock.speed", "a number > 0 with mode realtime, such as 1", 0
     if scenario.clock.mode == "realtime" and scenario.clock.actuation == "immediate":
-        yield "clock.actuation", "'next_tick' with mode realtime, where a step takes time", "'immediate'"
+        yield (
+            "clock.actuation",
+            "'next_tick' with mode realtime, where a step takes time",
+            "'immediate'",
+        )
 
 
 def _faults(scenario: Scenario) -> Problems:
-    processes, uavs = [COORDINATOR, *_processes(scenario)], [f"uav{section.id}" for section in scenario.system.uav]
+    processes, uavs = (
+        [COORDINATOR, *_processes(scenario)],
+        [f"uav{section.id}" for section in scenario.system.uav],
+    )
     last: dict[str, str] = {}  # action on each target
-    for i, event in sorted(enumerate(scenario.faults.event, start=1), key=lambda entry: entry[1].at_s):
+    for i, event in sorted(
+        enumerate(scenario.faults.event, start=1), key=lambda entry: entry[1].at_s
+    ):
         field, do, target = f"faults.event.{i}", event.do, event.target
         possible = uavs if do in OF_UAVS else processes[2:] if do == "restart" else processes
         if target not in possible:
@@ -129,23 +159,38 @@ def _faults(scenario: Scenario) -> Problems:
         if before == "release" or (do == "continue" and before != "stop"):
             yield f"{field}.do", f"an action possible for {target} after its {before}", repr(do)
         last[target] = do
-    of_motors = {event.target for event in scenario.faults.event if event.do in ("motor_off", "release")}
-    grounded = scenario.plant.ground_m is not None and all(last.get(uav) == "release" for uav in uavs)
+    of_motors = {
+        event.target for event in scenario.faults.event if event.do in ("motor_off", "release")
+    }
+    grounded = scenario.plant.ground_m is not None and all(
+        last.get(uav) == "release" for uav in uavs
+    )
     if not grounded and of_motors.issuperset(uavs):
-        yield "faults.event", "at least one UAV that keeps its motors", f"motor_off or release for all {len(uavs)}"
+        yield (
+            "faults.event",
+            "at least one UAV that keeps its motors",
+            f"motor_off or release for all {len(uavs)}",
+        )
 
 
 def _plant(scenario: Scenario) -> Problems:
     plant, period_s = scenario.plant, scenario.controller.sampling_period_s
-    if plant.mujoco.suspension == "cables" and any(event.do == "release" for event in scenario.faults.event):
+    if plant.mujoco.suspension == "cables" and any(
+        event.do == "release" for event in scenario.faults.event
+    ):
         yield "plant.mujoco.suspension", "'rods' with a fault 'release'", "'cables'"
-    # Drag is held over a period, so above this bound it would reverse the motion it brakes; only in wind.
+    # Drag is held over a period, so above this bound it would reverse the motion it brakes; only in
+    # wind.
     wind, system = plant.wind, scenario.system
     lightest_kg = plant.uav_mass_factor * min(uav.mass_kg for uav in system.uav)
     payload_kg = plant.payload_mass_factor * system.payload.mass_kg
     for key, mass in (("drag_payload_kgps", payload_kg), ("drag_uav_kgps", lightest_kg)):
         if getattr(wind, key) * period_s > mass and any([*wind.speed_mps, *wind.gust_mps]):
-            yield f"plant.wind.{key}", f"at most mass over sampling period {mass / period_s:g}", getattr(wind, key)
+            yield (
+                f"plant.wind.{key}",
+                f"at most mass over sampling period {mass / period_s:g}",
+                getattr(wind, key),
+            )
 
 
 def _phases(scenario: Scenario) -> Problems:
@@ -156,22 +201,34 @@ def _phases(scenario: Scenario) -> Problems:
         if phase.kind in ("take_off", "land"):
             if scenario.plant.ground_m is None:
                 yield f"{field}.kind", "plant.ground_m with it", f"{phase.kind!r} without a ground"
-            sign, direction = (-1.0, "up, negative z") if phase.kind == "take_off" else (1.0, "down, positive z")
+            sign, direction = (
+                (-1.0, "up, negative z") if phase.kind == "take_off" else (1.0, "down, positive z")
+            )
             if x != 0.0 or y != 0.0 or sign * z <= 0.0:
                 yield f"{field}.displacement_m", f"a path straight {direction}", [x, y, z]
         if phase.kind != "move" and phase.way is not None:
             yield f"{field}.kind", "'move' with a path from a file", repr(phase.kind)
         if phase.kind == "spline" and not points:
             yield f"{field}.points_m", "way points with kind 'spline'", "none"
-        if times is not None and (len(times) != len(points) or any(b <= a for a, b in pairwise(times))):
+        if times is not None and (
+            len(times) != len(points) or any(b <= a for a, b in pairwise(times))
+        ):
             yield f"{field}.times_s", f"{len(points)} rising times, one for each way point", times
         if phase.curve() is not None and phase.ramp_s > phase.duration_s / 2.0:
-            yield f"{field}.ramp_s", f"at most half the duration, {phase.duration_s / 2.0:g} s", phase.ramp_s
+            yield (
+                f"{field}.ramp_s",
+                f"at most half the duration, {phase.duration_s / 2.0:g} s",
+                phase.ramp_s,
+            )
         if phase.formation and maneuver.reference == "hover":
             yield f"{field}.formation", "maneuver.reference = 'flat' with it", "'hover'"
         is_last = not any(later.formation for later in maneuver.phase[i:])
         if phase.formation and is_last and phase.formation[-1][1:] != (1.0, 1.0):
-            yield f"{field}.formation", "1, 1 at the end of the maneuver", list(phase.formation[-1][1:])
+            yield (
+                f"{field}.formation",
+                "1, 1 at the end of the maneuver",
+                list(phase.formation[-1][1:]),
+            )
 
 
 def _obstacles(scenario: Scenario) -> Problems:

@@ -11,16 +11,24 @@ import numpy as np
 from annotated_types import Interval
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
-from model.curves import Curve, ShapeKind
-from model.maneuver import PhaseKind, Profile
-from model.parameters import GRAVITY
-from mpc.settings import ControllerSettings, Key, NotNegative, Positive, PositiveVector, Section, Vector
-from protocol.scenario.files import TableError, way_of
-from protocol.scenario.link_sections import LinksSection
-from protocol.scenario.own_class import or_class
-from protocol.scenario.plant_sections import PlantSection
-from protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS, MAX_POINTS
-from protocol.wire.names import MAX_UAVS
+from transport.model.curves import Curve, ShapeKind
+from transport.model.maneuver import PhaseKind, Profile
+from transport.model.parameters import GRAVITY
+from transport.mpc.settings import (
+    ControllerSettings,
+    Key,
+    NotNegative,
+    Positive,
+    PositiveVector,
+    Section,
+    Vector,
+)
+from transport.protocol.scenario.files import TableError, way_of
+from transport.protocol.scenario.link_sections import LinksSection
+from transport.protocol.scenario.own_class import or_class
+from transport.protocol.scenario.plant_sections import PlantSection
+from transport.protocol.wire.messages import MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS, MAX_POINTS
+from transport.protocol.wire.names import MAX_UAVS
 
 
 def _inertia(value: list[Any]) -> list[Any]:
@@ -29,7 +37,9 @@ def _inertia(value: list[Any]) -> list[Any]:
     return value
 
 
-Inertia = Annotated[list[float] | list[list[float]], AfterValidator(_inertia), Key(type="3 numbers or 3 rows of 3")]
+Inertia = Annotated[
+    list[float] | list[list[float]], AfterValidator(_inertia), Key(type="3 numbers or 3 rows of 3")
+]
 Relaxation = Annotated[
     Annotated[float, Interval(gt=0.0, le=1.0)] | Literal["auto"],
     Key(type="number > 0, <= 1, or auto", label="relaxation", short="relaxation"),
@@ -77,12 +87,16 @@ class PhaseSection(Section):
     """name of the phase in progress display and figures"""
     duration_s: Positive
     """duration of the phase"""
-    displacement_m: Annotated[Vector, Key(within=(0.0, 1e5))]  # that of a path from a file: a difference of its rows
+    displacement_m: Annotated[
+        Vector, Key(within=(0.0, 1e5))
+    ]  # that of a path from a file: a difference of its rows
     """displacement of the payload over the phase, inertial frame; up is negative z"""
     kind: PhaseKind = "move"
     """take_off and land are vertical, from and to the ground, where the payload stands for a quarter of the phase;
     circle, eight and spline are curves from rest to rest ([bring-your-own.md](bring-your-own.md#your-own-maneuver))"""
-    way: Annotated[list[list[float]] | None, Key(type="rows of 4 numbers", unit="s and m", within=(0.0, 1e9))] = None
+    way: Annotated[
+        list[list[float]] | None, Key(type="rows of 4 numbers", unit="s and m", within=(0.0, 1e9))
+    ] = None
     """the table of `file` after reading, or in its place: times since the start of the phase and positions relative to
     it, from zeros to duration and displacement, which can then be omitted; between rows at constant speed"""
     file: str | None = None
@@ -93,9 +107,13 @@ class PhaseSection(Section):
     angle A from 0 to 2 pi `laps`"""
     laps: Positive = 1.0
     """of a circle or eight"""
-    points_m: Annotated[list[Vector] | None, Key(type="list of lists of 3 numbers", unit="m")] = None
+    points_m: Annotated[list[Vector] | None, Key(type="list of lists of 3 numbers", unit="m")] = (
+        None
+    )
     """way points of a spline after its start, relative to that"""
-    times_s: Annotated[list[Positive] | None, Key(type="list of numbers > 0, rising", unit="s")] = None
+    times_s: Annotated[list[Positive] | None, Key(type="list of numbers > 0, rising", unit="s")] = (
+        None
+    )
     """times of the way points of a spline since its start; they define its duration"""
     speed_mps: Annotated[Positive | None, Key(label="largest speed")] = None
     """largest speed on a circle, eight or spline without times; it decides over `duration_s`"""
@@ -124,9 +142,16 @@ class PhaseSection(Section):
                 if given.times_s is not None:
                     value = {**value, "duration_s": float(given.times_s[-1])}
                 elif given.speed_mps is not None:
-                    value = {**value, "duration_s": float(curve.fastest() / given.speed_mps + given.ramp_s)}
+                    value = {
+                        **value,
+                        "duration_s": float(curve.fastest() / given.speed_mps + given.ramp_s),
+                    }
                 duration_s = value.get("duration_s", 2.0 * given.ramp_s)
-                end_m = replace(curve, duration_s=duration_s).path(np.array([duration_s]), 1)[0, 0].tolist()
+                end_m = (
+                    replace(curve, duration_s=duration_s)
+                    .path(np.array([duration_s]), 1)[0, 0]
+                    .tolist()
+                )
                 value = {"displacement_m": end_m, **value}
         except (TypeError, ValueError, AttributeError, IndexError):
             pass  # a wrong field is refused by its own check
@@ -151,23 +176,33 @@ class TargetSection(Section):
     """A target of the payload, given during the flight."""
 
     points_m: Annotated[
-        list[Vector], Field(min_length=1, max_length=MAX_POINTS), Key(type=f"1 to {MAX_POINTS} lists of 3 numbers")
+        list[Vector],
+        Field(min_length=1, max_length=MAX_POINTS),
+        Key(type=f"1 to {MAX_POINTS} lists of 3 numbers"),
     ]
     """the target, inertial frame (z down), or way points of a spline that is run through from the first one on"""
     speed_mps: Annotated[Positive | None, Key(label="largest speed")] = None
     """largest speed on the way; if omitted, that which the team can fly, at most 1 m/s"""
-    times_s: Annotated[list[NotNegative] | None, Key(type="list of rising numbers", unit="s")] = None
+    times_s: Annotated[list[NotNegative] | None, Key(type="list of rising numbers", unit="s")] = (
+        None
+    )
     """times of the points instead of a speed; they count from that of the first one"""
 
     @model_validator(mode="after")
     def _points_differ_and_times_rise(self) -> Self:
         times_s, count = self.times_s, len(self.points_m)
         if times_s is not None and (
-            len(times_s) != count or any(b <= a for a, b in pairwise(times_s)) or self.speed_mps is not None
+            len(times_s) != count
+            or any(b <= a for a, b in pairwise(times_s))
+            or self.speed_mps is not None
         ):
-            raise ValueError(f"times_s: expected {count} rising times and no speed_mps, got {times_s}")
+            raise ValueError(
+                f"times_s: expected {count} rising times and no speed_mps, got {times_s}"
+            )
         if any(a == b for a, b in pairwise(self.points_m)):
-            raise ValueError("points_m: expected each way point away from the one before, got the same twice")
+            raise ValueError(
+                "points_m: expected each way point away from the one before, got the same twice"
+            )
         return self
 
 
@@ -233,7 +268,9 @@ class DisturbanceSection(Section):
 class ControllerSection(ControllerSettings):
     """The controller of every agent, and what it exchanges with the others."""
 
-    horizon: Annotated[int, Interval(ge=1, le=MAX_HORIZON), Key(label="horizon", shown="steps", short="horizon")] = 20
+    horizon: Annotated[
+        int, Interval(ge=1, le=MAX_HORIZON), Key(label="horizon", shown="steps", short="horizon")
+    ] = 20
     """prediction horizon N_p, in sampling periods"""
     relaxation: Relaxation = 1.0  # type: ignore[assignment]  # a number in `Setup.settings`
     """share w of the new optimum in the published plan, the rest is the previous plan; with closed_loop of the
@@ -254,14 +291,19 @@ class ControllerSection(ControllerSettings):
     ([equations.md](equations.md) (49)). The plant receives every plan"""
     share_threshold: Annotated[
         NotNegative,
-        Key(unit="share of the input's range", label="threshold of sharing", shown="% of the input's range"),
+        Key(
+            unit="share of the input's range",
+            label="threshold of sharing",
+            shown="% of the input's range",
+        ),
     ] = 0.01
     """with on_change: change of the corrections above which a plan is sent, the largest over horizon and inputs"""
     share_heartbeat_s: Annotated[Positive, Key(label="longest time without a plan")] = 1.0
     """with on_change: longest interval between two plans sent, so that a lost plan is replaced"""
     silence: Literal["alone", "law"] = "alone"
-    """with closed_loop, an agent whose news of the others are overdue: each of its UAVs gradually follows the reference
-    alone, by its own sensors ([equations.md](equations.md#silence)), or the shared control law by the agent's estimate"""
+    """with closed_loop, an agent whose news of the others are overdue: each of its UAVs gradually
+    follows the reference alone, by its own sensors ([equations.md](equations.md#silence)), or the
+    shared control law by the agent's estimate"""
     disturbance: DisturbanceSection = DisturbanceSection()
 
 
@@ -274,11 +316,17 @@ class AgentsSection(Section):
     ] = None
     """UAVs of each agent: agent 1 owns the first list, and so on; each UAV once. If omitted: one agent for each UAV"""
     controller: Annotated[
-        str, or_class("mpc", "alone"), Key(type="mpc, alone, package.module:Class", label="controller", short="controller")
+        str,
+        or_class("mpc", "alone"),
+        Key(type="mpc, alone, package.module:Class", label="controller", short="controller"),
     ] = "mpc"
-    """controller of every agent: that of this project; alone, by which each UAV keeps to its part of the reference by its
-    own sensors, without messages ([equations.md](equations.md#a-uav-alone)); or [your own
+    """controller of every agent: that of this project; alone, by which each UAV keeps to its part of the
+    reference by its own sensors, without messages ([equations.md](equations.md#a-uav-alone)); or [your own
     class](bring-your-own.md#your-own-controller)"""
+    failed_share: Annotated[
+        float, Interval(ge=0.0, le=1.0), Key(label="allowed share of failed steps")
+    ] = 0.05
+    """largest share of an agent's steps that may fail; beyond it a run has failed, with exit code 7"""
 
 
 class ClockSection(Section):
@@ -332,7 +380,9 @@ class FaultsSection(Section):
 class NetworkSection(Section):
     """Addresses of the processes: coordinator at the base port, plant, agents above that; not in the digest."""
 
-    host: Annotated[str, Field(pattern=r"^[A-Za-z0-9_:%-]{1,63}(\.[A-Za-z0-9_:%-]{1,63}){0,9}$")] = "127.0.0.1"
+    host: Annotated[
+        str, Field(pattern=r"^[A-Za-z0-9_:%-]{1,63}(\.[A-Za-z0-9_:%-]{1,63}){0,9}$")
+    ] = "127.0.0.1"
     """address the processes listen on; beyond the loopback interface only with `keys` or `insecure`"""
     base_port: Annotated[int, Interval(ge=1024, le=65_000)] | None = None
     """port of the coordinator, then plant, agent 1, ... Default: free ports, or 7447 with processes started by hand"""
@@ -354,7 +404,9 @@ class Scenario(Section):
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
     """version of this format"""
     name: Annotated[
-        str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$"), Key(type="text: letters, digits, `_`, `-`; at most 40")
+        str,
+        Field(pattern=r"^[A-Za-z0-9_-]{1,40}$"),
+        Key(type="text: letters, digits, `_`, `-`; at most 40"),
     ]
     """name of the run, part of every network key and of the run folder"""
     seed: Annotated[int, Interval(ge=0, lt=2**63), Key(type="integer >= 0", short="seed")] = 0

@@ -1,42 +1,54 @@
 """Objects of a run, built from its scenario by every process, identically."""
 
-import math
-from collections.abc import Hashable, Iterator
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from itertools import combinations
-from typing import Any, Self
-from weakref import WeakValueDictionary
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
-from model.arrays import Array, continued, frozen
-from model.curves import Curve
-from model.flat import FlatReference, Track
-from model.hover import Hover, failed_hover, hover, with_released
-from model.linearisation import Model
-from model.maneuver import Maneuver, Phase, Reference, Target
-from model.obstacles import Obstacle, Solid, bodies, clearances
-from model.parameters import ParameterError, Payload, System, Uav, resting_height
-from mpc.expressions import UserCosts, compile_constraints
-from mpc.fail_safe import FailSafe
-from mpc.regulation import KEPT, Ahead, Regulation
-from mpc.settings import ControllerSettings
-from protocol.scenario.budget import ticks_of
-from protocol.scenario.errors import ScenarioError, building
-from protocol.scenario.faults import Fault, failures, scripted
-from protocol.scenario.links import Link
-from protocol.scenario.schema import ObstacleSection, Scenario, UavSection
-from protocol.scenario.targets import ON_GROUND_M, check_scripted, exceeded, least_slowing
-from protocol.wire.node import RunShape
+from transport.model.arrays import Array
+from transport.model.flat import FlatReference, Track
+from transport.model.hover import Hover, hover
+from transport.model.linearisation import Model
+from transport.model.maneuver import Maneuver, Target
+from transport.model.maneuver import Reference as HoverReference
+from transport.model.obstacles import Obstacle
+from transport.model.parameters import System
+from transport.mpc.expressions import UserCosts, check_constraints
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.reference import Reference
+from transport.mpc.regulation import Regulation
+from transport.mpc.settings import ControllerSettings
+from transport.protocol.scenario.budget import ticks_of
+from transport.protocol.scenario.built import maneuver_of, obstacle_of, system_of
+from transport.protocol.scenario.checks import (
+    Problems,
+    blocked,
+    off_ground,
+    off_hover,
+    off_limits,
+)
+from transport.protocol.scenario.errors import ScenarioError, building
+from transport.protocol.scenario.faults import Fault, scripted
+from transport.protocol.scenario.links import Link
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.targets import check_scripted, target_of
+from transport.protocol.wire.messages import Target as TargetMessage
+from transport.protocol.wire.node import RunShape
 
-Problems = Iterator[tuple[str, str]]  # field of a scenario; expected and got
-_WALL_M = 1e5  # width of the walls beside a gap: no path comes near their ends
+_REMEDY = (
+    "slowing does not help: move the path or the obstacle, "
+    "or lean the rods (maneuver.phase.formation)"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorSheet:
-    """Data sheet of the vehicles' own sensors: position, velocity, attitude, body rates, specific force."""
+    """Data sheet of the vehicles' own sensors.
+
+    Position, velocity, attitude, body rates, specific force.
+    """
 
     vehicle: bool  # whether agents have these sensors, not states
     noise: Array  # standard deviations, (5,), SI
@@ -44,124 +56,147 @@ class SensorSheet:
     ages: tuple[int, ...]  # sampling periods from a quantity to its measurement
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Setup:
     """A scenario turned into a system, a maneuver and controller settings."""
 
     scenario: Scenario
     system: System
     hover: Hover  # at the origin
-    maneuver: Maneuver
+    model: Model  # equations of motion, compiled when they are first evaluated
+    reference: Reference  # with the targets so far
     settings: ControllerSettings  # the same for every agent
     owned: tuple[tuple[int, ...], ...]  # 0-based UAVs of agent 1, agent 2, ...
-    ahead: Ahead | None = field(default=None, init=False)  # part of the reference that the newest target changes
-    # The same run with a further target, by what that is: shared by the nodes of a process.
-    _headed: WeakValueDictionary[Hashable, Any] = field(default_factory=WeakValueDictionary, init=False, compare=False)
 
     @staticmethod
     def of(scenario: Scenario, source: str) -> "Setup":
-        """Return everything a scenario describes; raise ScenarioError, which names the source, if it is impossible."""
-        section, inner = scenario.system, scenario.controller
-        body, gains = section.payload, None if inner.inputs == "moments" else 1.0 / np.array(inner.rate_time_constant_s)
-        payload = building(source, "system.payload", lambda: Payload(mass=body.mass_kg, inertia=body.inertia_kgm2))
-        uavs = [building(source, f"system.uav.{uav.id}", partial(_uav, uav)) for uav in section.uav]
-        parts: dict[str, Any] = {"payload": payload, "uavs": uavs, "gravity": section.gravity_mps2, "rate_gains": gains}
-        system = building(source, "system", lambda: System(**parts))
+        """Return everything a scenario describes.
+
+        Raises: ScenarioError: the scenario is impossible; the text names the source.
+        """
+        system = system_of(scenario, source)
         equilibrium = building(source, "system.uav", lambda: hover(system))
-        maneuver = building(source, "maneuver", lambda: _maneuver(scenario))
+        maneuver = building(source, "maneuver", lambda: maneuver_of(scenario))
+
         # 1/M of M agents: the descent guarantee of cooperative distributed MPC (docs/decisions.md).
-        share = 1.0 / len(scenario.owned) if inner.relaxation == "auto" else inner.relaxation
-        settings = inner.model_copy(update={"relaxation": share})
-        owned = tuple(tuple(uav - 1 for uav in group) for group in scenario.owned)
-        setup = Setup(scenario, system, equilibrium, maneuver, settings, owned)
-        building(source, "controller.constraint", lambda: compile_constraints(settings.constraint, system))
-        building(source, "controller.cost", lambda: UserCosts(settings.cost, system).about(equilibrium.x))
-        building(source, "controller.prediction", lambda: Regulation(setup.model, equilibrium, settings))
-        for check in (setup._off_ground, setup._off_hover, setup._off_limits, setup._off_obstacles):
-            for key, problem in check():
-                raise ScenarioError(source, key, problem)
-        building(source, "maneuver.target", lambda: check_scripted(setup))
+        share = scenario.controller.relaxation
+        if share == "auto":
+            share = 1.0 / len(scenario.owned)
+        settings = scenario.controller.model_copy(update={"relaxation": share})
+
+        is_flat = scenario.maneuver.reference == "flat"
+        path = (FlatReference if is_flat else HoverReference)(system, equilibrium, maneuver)
+        instants = ticks_of(scenario) + settings.horizon + 2
+        setup = Setup(
+            scenario=scenario,
+            system=system,
+            hover=equilibrium,
+            model=Model(system),
+            reference=Reference(path, settings.sampling_period_s, instants),
+            settings=settings,
+            owned=tuple(tuple(uav - 1 for uav in group) for group in scenario.owned),
+        )
+        setup._check(source)
         return setup
 
-    @cached_property
-    def model(self) -> Model:
-        """Compiled equations of motion."""
-        return Model(self.system)
+    def _check(self, source: str) -> None:
+        """Check that controllers exist, and that hover, reference and targets keep the limits.
+
+        Raises: ScenarioError: the first that does not.
+        """
+        settings, system, at_rest = self.settings, self.system, self.hover
+        building(
+            source,
+            "controller.constraint",
+            lambda: check_constraints(settings.constraint, system, self.initial_state(), at_rest.u),
+        )
+        building(
+            source, "controller.cost", lambda: UserCosts(settings.cost, system).about(at_rest.x)
+        )
+        building(source, "controller.prediction", lambda: Regulation(self.model, at_rest, settings))
+
+        plant = self.scenario.plant
+        for field, problem in chain(
+            off_ground(system, self.maneuver, plant.ground_m),
+            off_hover(self.model, at_rest, settings, plant),
+            off_limits(self.reference, system, at_rest, settings, self.faults),
+            self._off_obstacles(),
+        ):
+            raise ScenarioError(source, field, problem)
+        building(source, "maneuver.target", lambda: check_scripted(self))
+
+    def _off_obstacles(self) -> Problems:
+        """Yield the obstacle whose margins the reference does not keep at the sampling instants."""
+        first = self.blocked(self.reference.times_s)
+        if first is not None:
+            number, problem = first
+            yield f"obstacle.{number}", f"{problem}; {_REMEDY}"
+
+    def blocked(self, times_s: Array) -> tuple[int, str] | None:
+        """Return the number, from 1, of the first obstacle that is too near, and the problem."""
+        return blocked(self.reference, self.obstacles, self.system, times_s)
 
     @cached_property
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Obstacles, in the order of the file."""
-        return tuple(_obstacle(section) for section in self.scenario.obstacle)
+        return tuple(obstacle_of(section) for section in self.scenario.obstacle)
 
-    @cached_property
-    def reference(self) -> Reference | FlatReference:
-        """Reference outputs and states."""
-        chosen = FlatReference if self.scenario.maneuver.reference == "flat" else Reference
-        return chosen(self.system, self.hover, self.maneuver)
+    @property
+    def maneuver(self) -> Maneuver:
+        """Path of the payload, with the targets so far."""
+        return self.reference.maneuver
 
-    @cached_property
+    @property
     def track(self) -> Track | None:
-        """States and inputs along a flat reference at the instants of `X_ref`; None with a hover reference."""
-        if isinstance(self.reference, Reference):
-            return None
-        return self.reference.track(len(self._instants_s()), self.settings.sampling_period_s)
+        """States and inputs along a flat reference at the sampling instants; else None."""
+        return self.reference.sampled.track
 
-    @cached_property
+    @property
     def Y_ref(self) -> Array:
         """Reference outputs at every instant that any horizon reaches, (K, 4 N + 9)."""
-        return self.reference.followed(self._instants_s())[0]
+        return self.reference.sampled.Y
 
-    @cached_property
+    @property
     def X_ref(self) -> Array:
         """Reference states at the same instants, (K, n)."""
-        return self.reference.followed(self._instants_s())[1]
+        return self.reference.sampled.X
 
-    def headed(self, target: Target, key: Hashable) -> Self:
-        """Return this run with a target, which `key` distinguishes from others; the reference before it is the same."""
-        leads = "X_ref" in self.__dict__  # where controllers are
-        known: Self | None = self._headed.get((key, leads))
-        if known is None:
-            known = self._headed[key, leads] = replace(self, maneuver=self.maneuver.headed(target))
-            known.__dict__["model"] = self.model  # compiled once; what controllers share is found by it
-            if leads:
-                known._lead(self, target)
-        return known
+    def with_target(self, target: Target) -> "Setup":
+        """Return the run with a further target; before it, the reference stays as it was."""
+        return replace(self, reference=self.reference.with_target(target))
 
-    def _lead(self, before: "Setup", target: Target) -> None:
-        """Compute the reference from that before a target: only from there on until it is at rest."""
-        period_s, instants_s = self.settings.sampling_period_s, self._instants_s()
-        first = round(target.since_s / period_s)
-        until = min(math.ceil(target.ends_s / period_s) + 2, len(instants_s))
-        new, Y, X = self.reference.followed(instants_s[first:until]), before.Y_ref.copy(), before.X_ref.copy()
-        for whole, part in zip((Y, X), new, strict=True):
-            whole[first:until], whole[until:] = part, part[-1]
-            frozen(whole)
-        track = None
-        if isinstance(self.reference, FlatReference):
-            track = self.reference.track(until - first, period_s, first)
-        joined = track if track is None or before.track is None else continued(before.track, track, KEPT)
-        ahead = Ahead(first=first, X_ref=new[1], track=track)
-        self.__dict__.update(Y_ref=Y, X_ref=X, track=joined, ahead=ahead)
+    def after(self, targets: Iterable[TargetMessage]) -> "Setup":
+        """Return the run with those targets that follow its own, each once, by their numbers.
+
+        This is the only place where a process takes in targets of the coordinator.
+        """
+        setup = self
+        for message in targets:
+            if message.number == len(setup.maneuver.targets) + 1:
+                period_s = setup.settings.sampling_period_s
+                setup = setup.with_target(target_of(message, period_s))
+        return setup
 
     @property
     def fail_safe(self) -> FailSafe:
         """Control law of the UAVs whose plans have run out."""
         follows = self.settings.fail_safe == "follow"
-        return FailSafe(self.system, self.hover.u, self.X_ref if follows else None, self.track)
-
-    def _instants_s(self) -> Array:
-        instants = np.arange(self.ticks + self.settings.horizon + 2, dtype=np.float64)
-        return self.settings.sampling_period_s * instants
+        X_ref = self.X_ref if follows else None
+        track = self.track if self.reference.is_flat else None
+        return FailSafe(self.system, self.hover.u, X_ref, track)
 
     @cached_property
     def sensors(self) -> SensorSheet:
         """Data sheet of the vehicles' own sensors, which the filters of the agents know."""
-        noise, period_s = self.scenario.plant.noise, self.settings.sampling_period_s
+        noise = self.scenario.plant.noise
+        period_s = self.settings.sampling_period_s
+        quantities = type(noise.bias).model_fields
+        delays_s = noise.delay.model_dump().values()
         return SensorSheet(
             vehicle=self.scenario.plant.sensors == "vehicle",
-            noise=np.array([getattr(noise, key) for key in type(noise.bias).model_fields]),
+            noise=np.array([getattr(noise, quantity) for quantity in quantities]),
             bias=np.array(list(noise.bias.model_dump().values())),
-            ages=tuple(round(delay_s / period_s) for delay_s in noise.delay.model_dump().values()),
+            ages=tuple(round(delay_s / period_s) for delay_s in delays_s),
         )
 
     @property
@@ -182,22 +217,33 @@ class Setup:
     @cached_property
     def shape(self) -> RunShape:
         """What the messages of the run must fit."""
-        clock, settings, agents = self.scenario.clock, self.settings, dict(enumerate(self.owned, start=1))
+        clock = self.scenario.clock
+        owned = {}
+        limits = {}
+        for agent, uavs in enumerate(self.owned, start=1):
+            owned[agent] = tuple(uav + 1 for uav in uavs)
+            limits[agent] = self.settings.lower(len(uavs)), self.settings.upper(len(uavs))
         return RunShape(
-            owned={agent: tuple(uav + 1 for uav in owned) for agent, owned in agents.items()},
-            limits={agent: (settings.lower(len(o)), settings.upper(len(o))) for agent, o in agents.items()},
+            owned=owned,
+            limits=limits,
             uavs=self.system.N,
             ticks=self.ticks,
             delay=1 if clock.next_tick else 0,
             negotiation_iterations=self.scenario.controller.negotiation_iterations,
             vehicle_sensors=self.sensors.vehicle,
-            relayed=clock.mode == "lockstep",  # the coordinator, which waits for all plans, hands them on
+            # The coordinator, which waits for all plans, hands them on.
+            relayed=clock.mode == "lockstep",
         )
 
     def link(self, sender: str, receiver: str) -> Link:
-        """Return the link that carries one process's messages to another: plans, or measurements from the plant."""
+        """Return the link that carries one process's messages to another.
+
+        Plans, or measurements from the plant.
+        """
         period_s = self.settings.sampling_period_s
-        return Link(self.scenario.links, sender, receiver, seed=self.scenario.seed, period_s=period_s)
+        return Link(
+            self.scenario.links, sender, receiver, seed=self.scenario.seed, period_s=period_s
+        )
 
     @cached_property
     def faults(self) -> tuple[Fault, ...]:
@@ -209,112 +255,3 @@ class Setup:
         x = self.hover.x.copy()
         x[:3] += self.maneuver.start_I
         return x
-
-    def _off_ground(self) -> Problems:
-        """Yield take-offs that do not begin, landings that do not end on the ground, and phases that end below it."""
-        ground_m = self.scenario.plant.ground_m
-        if ground_m is None:
-            return  # without take-offs and landings: protocol.scenario.relations
-        resting_m = resting_height(self.system, ground_m)
-        at = f"z = {resting_m:g} m, where the payload stands on the ground"
-        height_m = float(self.maneuver.start_I[2])
-        if height_m > resting_m + ON_GROUND_M:
-            yield "maneuver.start_m", f"expected a start above {at}, got {height_m:g}"
-        for number, phase in enumerate(self.maneuver.phases, start=1):
-            before_m, height_m = height_m, height_m + float(phase.displacement_I[2])
-            ends = {"take_off": ("a take-off from", before_m), "land": ("a landing at", height_m)}
-            what, got_m = ends.get(phase.kind, ("", resting_m))
-            if abs(got_m - resting_m) > ON_GROUND_M:
-                yield f"maneuver.phase.{number}", f"expected {what} {at}, got {got_m:g}"
-            elif height_m > resting_m + ON_GROUND_M:
-                yield f"maneuver.phase.{number}", f"expected a path above {at}, got {height_m:g}"
-
-    def _off_limits(self) -> Problems:
-        """Yield how a flat reference exceeds the limits, and the least slowing with which it does not."""
-        if self.scenario.maneuver.reference == "hover":
-            return
-        releases = [(fault.tick, fault.uav) for fault in failures(self.faults) if fault.do == "release"]
-        key = "maneuver.profile"
-        try:
-            path = self.maneuver.jets(self._instants_s())
-            for count in range(len(releases) + 1):
-                key, since = ("faults.event", releases[count - 1][0]) if count else ("maneuver.phase", 0)
-                gone = frozenset(uav for _, uav in releases[:count])
-                team = with_released(self.system, gone), failed_hover(self.system, gone, gone) if gone else self.hover
-                if wrong := exceeded(path[:, since:], *team, self.settings, gone):
-                    # After slowing, the release may be anywhere on the path.
-                    factor = least_slowing(path, *team, self.settings, gone)
-                    remedy = "" if factor is None else f"; feasible if all phases take {factor:.3f} times as long"
-                    yield key, wrong + remedy
-        except ParameterError as error:
-            yield key, str(error)
-
-    def _off_obstacles(self) -> Problems:
-        """Yield the obstacle whose margins the reference does not keep at the sampling instants."""
-        if blocked := self.blocked(self._instants_s()):
-            remedy = "slowing does not help: move the path or the obstacle, or lean the rods (maneuver.phase.formation)"
-            yield f"obstacle.{blocked[0]}", f"{blocked[1]}; {remedy}"
-
-    def blocked(self, times_s: Array) -> tuple[int, str] | None:
-        """Return the first obstacle whose margins the reference does not keep, from 1, and got and expected."""
-        for number, obstacle in enumerate(self.obstacles, start=1):
-            clear_m = clearances(self.system, obstacle, self.reference.states(times_s))
-            margins_m = obstacle.margins(self.system.N)
-            row, body = np.unravel_index(np.argmin(clear_m - margins_m), clear_m.shape)
-            if clear_m[row, body] < margins_m[body]:
-                between = f"{bodies(self.system.N)[body]} and the {obstacle.name} along the reference"
-                got = f"{max(float(clear_m[row, body]), 0.0):.3g} m at {times_s[row]:g} s"
-                return number, f"expected {margins_m[body]:g} m between {between}, got {got}"
-        return None
-
-    def _off_hover(self) -> Problems:
-        """Yield limits on thrust, tension or the distance of UAVs that hover exceeds."""
-        settings, rotors = self.settings, self.scenario.plant.motors.rotors
-        for uav, thrust_N in enumerate(self.hover.u[::4], start=1):
-            for key, what, section, share in (
-                ("controller.limits.thrust_N", "the hover thrust", settings.limits, 1.0),
-                ("plant.motors.rotors.thrust_N", "a quarter of the hover thrust", rotors, 0.25),
-            ):
-                if section and not section.thrust_N[0] <= share * thrust_N <= section.thrust_N[1]:
-                    expected = f"expected a range that contains {what} {share * thrust_N:.2f} N of UAV{uav}"
-                    yield key, f"{expected}, got {list(section.thrust_N)}"
-        tension, least_N = settings.tension, float(self.hover.tensions.min())
-        if tension is not None and least_N <= tension.minimum_N:
-            yield "controller.tension.minimum_N", f"expected less than {least_N:.2f} N (hover), got {tension.minimum_N}"
-        if settings.separation is not None:
-            r = self.model.outputs(self.hover.x)[: 3 * self.system.N].reshape(-1, 3)
-            least_m = min((float(np.linalg.norm(a - b)) for a, b in combinations(r, 2)), default=math.inf)
-            if least_m < settings.separation.minimum_m:
-                problem = f"expected at most {least_m:.3f} m (hover), got {settings.separation.minimum_m}"
-                yield "controller.separation.minimum_m", problem
-
-
-def _uav(section: UavSection) -> Uav:
-    return Uav(mass=section.mass_kg, inertia=section.inertia_kgm2, rho=section.rho_m, rod_length=section.rod_length_m)
-
-
-def _maneuver(scenario: Scenario) -> Maneuver:
-    section, phases = scenario.maneuver, []
-    for p in section.phase:
-        curve, way = p.curve(), p.way
-        if curve is None and way is not None and section.profile == "smooth":
-            curve, way = Curve(kind=None, duration_s=p.duration_s, ramp_s=0.0, table=way), None
-        same = {key: getattr(p, key) for key in ("name", "duration_s", "kind", "formation")}
-        phases.append(Phase(displacement_I=p.displacement_m, way=way, curve=curve, **same))
-    return Maneuver(start_I=section.start_m, phases=phases, profile=section.profile, press_m=section.press_m)
-
-
-def _obstacle(section: ObstacleSection) -> Obstacle:
-    heading_rad, half, shifts_m = math.radians(section.heading_deg), np.zeros(3), [0.0]
-    if section.kind == "cylinder":
-        half[2] = np.inf
-    elif section.size_m is not None:
-        half = np.array(section.size_m) / 2.0
-    elif section.width_m is not None:
-        half = np.array([section.thickness_m / 2.0, _WALL_M, np.inf])
-        shifts_m = [sign * (section.width_m / 2.0 + _WALL_M) for sign in (-1.0, 1.0)]
-    across = np.array([-math.sin(heading_rad), math.cos(heading_rad), 0.0])
-    body: dict[str, Any] = {"heading_rad": heading_rad, "half": half, "radius": section.radius_m or 0.0}
-    solids = tuple(Solid(centre_I=section.at_m + shift_m * across, **body) for shift_m in shifts_m)
-    margins_m = {"margin_m": section.margin_m, "load_margin_m": section.load_margin_m}
-    return Obstacle(name=section.kind, solids=solids, penalty=section.penalty, **margins_m)

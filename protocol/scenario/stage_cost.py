@@ -2,13 +2,13 @@
 
 from bisect import bisect_right
 
-from model.arrays import Array
-from model.hover import failed_hover
-from model.parameters import ParameterError
-from model.state import input_indices
-from mpc.cost import Cost
-from protocol.scenario.faults import failures
-from protocol.scenario.setup import Setup
+from transport.model.arrays import Array
+from transport.model.hover import failed_hover
+from transport.model.parameters import ParameterError
+from transport.model.state import input_indices
+from transport.mpc.cost import Cost
+from transport.protocol.scenario.faults import failures
+from transport.protocol.scenario.setup import Setup
 
 
 class StageCost:
@@ -20,11 +20,15 @@ class StageCost:
         self._teams = []  # cost after each failure, and the inputs of released UAVs, which do not count
         for begin in self._begins:
             off = {fault.uav for fault in found if fault.tick <= begin}
-            released = {fault.uav for fault in found if fault.tick <= begin and fault.do == "release"}
+            released = {
+                fault.uav for fault in found if fault.tick <= begin and fault.do == "release"
+            }
             try:
                 equilibrium = failed_hover(setup.system, off, released) if off else setup.hover
             except ParameterError:
-                equilibrium = setup.hover  # the rest cannot hover; the control law keeps this one, too
+                equilibrium = (
+                    setup.hover
+                )  # the rest cannot hover; the control law keeps this one, too
             cost = Cost(setup.settings.weights, setup.system, equilibrium, off, released)
             self._teams.append((cost, input_indices(sorted(released))))
 

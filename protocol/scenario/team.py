@@ -1,18 +1,23 @@
-"""A team of any size: UAVs in a ring over a payload of the paper's shape; all else is that of a scenario."""
+"""A team of any size: UAVs in a ring over a payload of the paper's shape.
+
+All else is that of a scenario.
+"""
 
 import math
 from collections.abc import Iterable
 from typing import Annotated, Any
 
-from model.parameters import table_1
-from mpc.settings import Key, Positive, Section
-from protocol.scenario.errors import validated
-from protocol.scenario.file import find_scenario, read_tree, validate
-from protocol.scenario.schema import Inertia, Scenario
-from protocol.wire.names import MAX_UAVS
+from transport.model.parameters import table_1
+from transport.mpc.settings import Key, Positive, Section
+from transport.protocol.scenario.errors import validated
+from transport.protocol.scenario.file import find_scenario, read_tree, validate
+from transport.protocol.scenario.schema import Inertia, Scenario
+from transport.protocol.wire.names import MAX_UAVS
 
 FEWEST, MOST = 2, MAX_UAVS  # one rod leaves the payload free to turn about it
-_DECIMALS = 6  # of lengths and inertias, m and kg m^2: readable, and fine enough not to affect a run
+_DECIMALS = (
+    6  # of lengths and inertias, m and kg m^2: readable, and fine enough not to affect a run
+)
 
 
 class AirframeSection(Section):
@@ -38,18 +43,24 @@ class Vehicle(Section):
 
 
 def read_vehicle(name: str) -> Vehicle:
-    """Return a vehicle: of a file, or a ready one by its name. Raises: ScenarioError: as `read_scenario`."""
+    """Return a vehicle: of a file, or a ready one by its name.
+
+    Raises: ScenarioError: as `read_scenario`.
+    """
     path = find_scenario(name, "vehicles")
     return validated(Vehicle, read_tree(path), str(path))
 
 
 def ring(
-    N: int, gravity_mps2: float, airframe: AirframeSection | None = None, load_kg: float | None = None
+    N: int,
+    gravity_mps2: float,
+    airframe: AirframeSection | None = None,
+    load_kg: float | None = None,
 ) -> dict[str, Any]:
     """Return the section `system` of N UAVs, 2 or more, in a ring over a payload of the paper's shape.
 
-    By default UAVs, their distance and the load of each, half its mass, are the paper's: four are Table I. Source:
-    docs/scenario.md.
+    By default UAVs, their distance and the load of each, half its mass, are the paper's: four are
+    Table I. Source: docs/scenario.md.
     """
     paper = table_1()
     uav, payload = paper.uavs[0], paper.payload
@@ -67,7 +78,11 @@ def ring(
     inertia = payload.inertia.diagonal() * (mass / payload.mass * scale**2)
     angles = [math.pi / N * (1 - 2 * i) for i in range(N)]
     rho_m = [_rounded([radius * math.cos(a), radius * math.sin(a), scale * z]) for a in angles]
-    same: dict[str, Any] = {"mass_kg": own.mass_kg, "inertia_kgm2": own.inertia_kgm2, "rod_length_m": own.rod_length_m}
+    same: dict[str, Any] = {
+        "mass_kg": own.mass_kg,
+        "inertia_kgm2": own.inertia_kgm2,
+        "rod_length_m": own.rod_length_m,
+    }
     return {
         "gravity_mps2": gravity_mps2,
         "payload": {"mass_kg": mass, "inertia_kgm2": _rounded(inertia)},
@@ -87,9 +102,11 @@ def resized(
 ) -> Scenario:
     """Return a scenario for a ring of `FEWEST` to `MOST` UAVs, with the keys of their vehicle and of the template.
 
-    By default the group, UAVs per agent, is that of the template's first agent, or all; the name is the template's with
-    the number of UAVs; the vehicle, a file or name, is the paper's; the load has half the mass of the UAVs. `source`
-    names the template in errors. Raises: ScenarioError: the template names agents that are gone, or a value is invalid.
+    By default the group, UAVs per agent, is that of the template's first agent, or all; the name is
+    the template's with the number of UAVs; the vehicle, a file or name, is the paper's; the load
+    has half the mass of the UAVs. `source`
+    names the template in errors. Raises: ScenarioError: the template names agents that are gone, or
+        a value is invalid.
     """
     chosen = None if vehicle is None else read_vehicle(vehicle)
     group = group or (uavs if len(template.owned) == 1 else len(template.owned[0]))
@@ -98,7 +115,9 @@ def resized(
         tree = _merged(tree, {"controller": chosen.controller, "plant": chosen.plant})
         basis = f"{template.name}-{chosen.name}"
     tree["name"] = f"{basis}-{uavs}" if name is None else name
-    tree["system"] = ring(uavs, template.system.gravity_mps2, chosen.uav if chosen else None, load_kg)
+    tree["system"] = ring(
+        uavs, template.system.gravity_mps2, chosen.uav if chosen else None, load_kg
+    )
     tree["agents"] = {"owned": [ids[i : i + group] for i in range(0, uavs, group)]}
     return validate(tree, source)
 

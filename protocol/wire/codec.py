@@ -1,6 +1,9 @@
-"""Messages as bytes (docs/protocol.md): one version byte, then MessagePack [kind, field, field, ...].
+"""Messages as bytes (docs/protocol.md).
 
-An array is extension type 1: number of axes and three lengths as little-endian uint32, then float64, row by row.
+One version byte, then MessagePack [kind, field, field, ...].
+
+An array is extension type 1: number of axes and three lengths as little-endian uint32, then
+    float64, row by row.
 """
 
 import math
@@ -13,10 +16,10 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
-from model.arrays import Array
-from protocol.wire.errors import MessageError, Reason
-from protocol.wire.messages import BUNDLES, KINDS, Message
-from protocol.wire.names import is_name
+from transport.model.arrays import Array
+from transport.protocol.wire.errors import MessageError, Reason
+from transport.protocol.wire.messages import BUNDLES, KINDS, Message
+from transport.protocol.wire.names import is_name
 
 VERSION = 6
 MAX_BYTES = 16 * 1024 * 1024  # plans of 256 UAVs over 800 steps
@@ -48,7 +51,10 @@ def encode(message: Message) -> bytes:
 
 
 def decode(data: bytes) -> Message:
-    """Return the message in some bytes. Raises: MessageError: they are no valid message of this version."""
+    """Return the message in some bytes.
+
+    Raises: MessageError: they are no valid message of this version.
+    """
     try:
         message: Message = _decoded(data, _DECODER)
         message.check()
@@ -67,7 +73,9 @@ def header_of(data: bytes) -> Header:
 
 def _decoded(data: bytes, decoder: Any) -> Any:
     if len(data) > MAX_BYTES:
-        raise MessageError("oversized", f"message of {len(data)} bytes, at most {MAX_BYTES} allowed")
+        raise MessageError(
+            "oversized", f"message of {len(data)} bytes, at most {MAX_BYTES} allowed"
+        )
     if data and data[0] != VERSION:
         raise MessageError("wrong_version", f"protocol version {data[0]}, expected {VERSION}")
     try:
@@ -115,8 +123,12 @@ def _unpack_array(code: int, data: memoryview) -> Array:
     axes, *lengths = _HEADER.unpack_from(data)
     shape = tuple(lengths[:axes])
     if axes > _AXES or len(data) - _HEADER.size != 8 * math.prod(shape):
-        raise MessageError("malformed", f"array of {axes} axes, lengths {lengths}, in {len(data)} bytes")
-    return np.ndarray(shape, _FLOAT64, bytes(data), _HEADER.size)  # a copy is aligned, and does not keep its bundle
+        raise MessageError(
+            "malformed", f"array of {axes} axes, lengths {lengths}, in {len(data)} bytes"
+        )
+    return np.ndarray(
+        shape, _FLOAT64, bytes(data), _HEADER.size
+    )  # a copy is aligned, and does not keep its bundle
 
 
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=_pack)

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from protocol.wire.exit_codes import EXIT_USAGE
+from transport.protocol.wire.exit_codes import EXIT_USAGE
 
 # Why a message is refused: docs/protocol.md says what each means.
 Reason = Literal[
@@ -12,13 +12,19 @@ Reason = Literal[
 
 
 class TransportError(Exception):
-    """Error that a user can solve; its text is one line, the same on the command line and in Python."""
+    """Error that a user can solve.
+
+    Its text is one line, the same on the command line and in Python.
+    """
 
     exit_code = EXIT_USAGE  # of a command that it ends
 
 
 class MessageError(ValueError):
-    """A message that is refused; the sender is that according to the message, where it could be read."""
+    """A message that is refused.
+
+    The sender is that according to the message, where it could be read.
+    """
 
     def __init__(self, reason: Reason, text: str, sender: str = "") -> None:
         super().__init__(text)

@@ -10,10 +10,18 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from model.arrays import Array
-from model.state import INPUTS, PAYLOAD, PER_UAV, REPORTED, REPORTS, SENSED
-from protocol.wire.errors import MessageError, Reason
-from protocol.wire.names import AGENT, COORDINATOR, MAX_UAVS, PLANT, RECORDER, WATCHER, agent_name
+from transport.model.arrays import Array
+from transport.model.state import INPUTS, PAYLOAD, PER_UAV, REPORTED, REPORTS, SENSED
+from transport.protocol.wire.errors import MessageError, Reason
+from transport.protocol.wire.names import (
+    AGENT,
+    COORDINATOR,
+    MAX_UAVS,
+    PLANT,
+    RECORDER,
+    WATCHER,
+    agent_name,
+)
 
 # Limits of a message; anything beyond them is refused, from any sender.
 MAX_HORIZON, MAX_NEGOTIATION_ITERATIONS = 10_000, 20
@@ -30,10 +38,14 @@ Agent = Annotated[int, Meta(ge=1, le=MAX_UAVS)]
 Ids = Annotated[tuple[Agent, ...], Meta(max_length=MAX_UAVS)]
 Counts = Annotated[tuple[Count, ...], Meta(max_length=MAX_UAVS)]
 Ages = Annotated[tuple[Age, ...], Meta(max_length=MAX_UAVS)]
-PlanTicks = Annotated[tuple[Annotated[int, Meta(ge=-3, le=MAX_TICK)], ...], Meta(max_length=MAX_UAVS)]
+PlanTicks = Annotated[
+    tuple[Annotated[int, Meta(ge=-3, le=MAX_TICK)], ...], Meta(max_length=MAX_UAVS)
+]
 Finite = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
-KeyEnds = Annotated[tuple[Annotated[str, Meta(max_length=MAX_KEY)], ...], Meta(max_length=MAX_PARTS)]
+KeyEnds = Annotated[
+    tuple[Annotated[str, Meta(max_length=MAX_KEY)], ...], Meta(max_length=MAX_PARTS)
+]
 Names = Annotated[tuple[Annotated[str, Meta(max_length=MAX_NAME)], ...], Meta(max_length=MAX_NAMES)]
 Parts = Annotated[tuple[bytes, ...], Meta(max_length=MAX_PARTS)]
 
@@ -48,13 +60,21 @@ class Route:
     sender: str | None  # role that publishes it; None for any process
     receivers: tuple[str, ...]  # roles that subscribe to it
     key: str = ""  # beginning of its key: the kind, unless it shares the key of another kind
-    each: str = ""  # field that ends the key, "agent" or "sender"; empty where there is one key for all
-    unshared_key: str = ""  # beginning of the key if its field `shared` is false; agents do not subscribe to that
-    grows: str = "sequence"  # field that grows from message to message: "sequence", "tick" or one of its own
+    each: str = (
+        ""  # field that ends the key, "agent" or "sender"; empty where there is one key for all
+    )
+    unshared_key: str = (
+        ""  # beginning of the key if its field `shared` is false; agents do not subscribe to that
+    )
+    grows: str = (
+        "sequence"  # field that grows from message to message: "sequence", "tick" or one of its own
+    )
     falls: str = ""  # field that falls while the other stays the same
 
 
-class Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, kw_only=True):
+class Message(
+    msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, kw_only=True
+):
     """Fields of every message; subclasses give their kind as `tag`."""
 
     kind: ClassVar[str]
@@ -68,9 +88,16 @@ class Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
     tick: Count  # the sampling instant it belongs to, from 0
 
     def check(self) -> None:
-        """Check arrays, and fields against each other. Raises: MessageError: with field, expected and got."""
+        """Check arrays, and fields against each other.
+
+        Raises: MessageError: with field, expected and got.
+        """
         for field in self.as_long[1:]:
-            first, given, got = self.as_long[0], getattr(self, self.as_long[0]), getattr(self, field)
+            first, given, got = (
+                self.as_long[0],
+                getattr(self, self.as_long[0]),
+                getattr(self, field),
+            )
             if len(got) != len(given):
                 text = f"{field}: expected one for each of {len(given)} {first}, got {len(got)}"
                 raise MessageError("wrong_shape", text)
@@ -81,10 +108,14 @@ class Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
                 length not in (None, got) for got, length in zip(value.shape, expected, strict=True)
             ):
                 shown = ", ".join("any" if length is None else str(length) for length in expected)
-                raise MessageError("wrong_shape", f"{field}: expected shape ({shown}), got {value.shape}")
+                raise MessageError(
+                    "wrong_shape", f"{field}: expected shape ({shown}), got {value.shape}"
+                )
             # The first test takes one pass, but overflows for large numbers.
             if not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
-                raise MessageError("not_finite", f"{field}: expected finite numbers, got nan or infinity")
+                raise MessageError(
+                    "not_finite", f"{field}: expected finite numbers, got nan or infinity"
+                )
 
     @property
     def place(self) -> tuple[int, int]:
@@ -93,11 +124,12 @@ class Message(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
         return getattr(self, route.grows), -getattr(self, route.falls) if route.falls else 0
 
 
-Outcome = Literal["completed", "diverged", "aborted"]
+Outcome = Literal["completed", "failed", "diverged", "aborted"]
 PlanStatus = Literal["solved", "infeasible", "limit", "numerical"]
 FaultOrigin = Literal["script", "person", "unknown"]
 
-# Stages of an agent's step: waiting for the measurement, the computation, publishing; the total is of the computation.
+# Stages of an agent's step: waiting for the measurement, the computation, publishing; the total is
+# of the computation.
 STAGES = ("wait", "estimate", "linearise", "discretise", "condense", "solve", "publish", "total")
 
 _ALL = (AGENT, PLANT, RECORDER, WATCHER)
@@ -109,7 +141,10 @@ def _per_uav(numbers: int) -> ShapeOf:
 
 def _states_or(sensed: int) -> ShapeOf:
     """States of the message's UAVs, or that many numbers of their own sensors: a run has either."""
-    return lambda message: (len(message.uavs), sensed if message.uav_states.shape[-1:] == (sensed,) else PER_UAV)
+    return lambda message: (
+        len(message.uavs),
+        sensed if message.uav_states.shape[-1:] == (sensed,) else PER_UAV,
+    )
 
 
 def _steps(message: Any) -> tuple[int | None, ...]:
@@ -122,15 +157,17 @@ def _steps(message: Any) -> tuple[int | None, ...]:
 class Tick(Message, tag="tick", frozen=True, kw_only=True):
     """Coordinator to plant: tick k is open."""
 
-    route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(PLANT, RECORDER, WATCHER), grows="tick")
+    route: ClassVar[Route] = Route(
+        sender=COORDINATOR, receivers=(PLANT, RECORDER, WATCHER), grows="tick"
+    )
 
     members: Ids  # agents whose plans of this tick the clock will wait for
     answered: Ids  # agents whose plans of tick k - 1 count: users of plans of k - 1 wait for these
     shared: Ids  # those of them that sent the plan to the other agents as well
     roster: Count  # version of the roster in force: a receiver with an older one waits for it
     late_ns: Count  # in real time, how long after its deadline the tick was opened; else 0
-    # In real time, by how much the latest plan received since the last tick missed its deadline, the opening of the
-    # tick after its own; else 0.
+    # In real time, by how much the latest plan received since the last tick missed its deadline,
+    # the opening of the tick after its own; else 0.
     overrun_ns: Count
 
 
@@ -142,18 +179,25 @@ class Roster(Message, tag="roster", frozen=True, kw_only=True):
 
     version: Count  # grows with every change
     agents: Ids  # agents on the roster
-    incarnations: Counts  # their incarnations, in the same order; messages of other incarnations are refused
+    incarnations: (
+        Counts  # their incarnations, in the same order; messages of other incarnations are refused
+    )
     off: Ids  # UAVs whose motors give no thrust and no moments, 1-based ids, ascending; the released ones too
     released: Ids  # UAVs that are no longer on their rods, 1-based ids, ascending
     reason: Text  # why it changed, for people
 
 
 class LinkChange(Message, tag="link", frozen=True, kw_only=True):
-    """Coordinator to all: from this tick on links differ. With the key of the roster it arrives before the next."""
+    """Coordinator to all: from this tick on links differ.
+
+    With the key of the roster it arrives before the next.
+    """
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
 
-    number: Annotated[int, Meta(ge=1)]  # of the change in its run: a process that joins late receives all of them again
+    number: Annotated[
+        int, Meta(ge=1)
+    ]  # of the change in its run: a process that joins late receives all of them again
     source: str  # name of an end; empty for any agent
     target: str  # the same
     settings: Text  # keys of a link and their new values, a JSON object (docs/keys.md, `links`)
@@ -163,9 +207,14 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
     """Coordinator to all: from this tick on the payload leaves its path for a target, or a curve that begins there."""
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=_ALL, key="roster")
-    shapes: ClassVar[Mapping[str, ShapeOf]] = {"points": lambda _: (None, 3), "times": lambda one: (len(one.points),)}
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {
+        "points": lambda _: (None, 3),
+        "times": lambda one: (len(one.points),),
+    }
 
-    number: Annotated[int, Meta(ge=1)]  # of the target in its run; sent again to processes that join late
+    number: Annotated[
+        int, Meta(ge=1)
+    ]  # of the target in its run; sent again to processes that join late
     points: Array  # the target and further way points, (k, 3), inertial frame, m
     times: Array  # times of the points since the target is reached, (k,), s; zeros where one speed holds
     approach_s: Finite  # time until the target is reached
@@ -177,7 +226,9 @@ class Target(Message, tag="target", frozen=True, kw_only=True):
         """Check the number of points."""
         Message.check(self)
         if not 1 <= len(self.points) <= MAX_POINTS:
-            raise MessageError("wrong_shape", f"points: expected 1 to {MAX_POINTS}, got {len(self.points)}")
+            raise MessageError(
+                "wrong_shape", f"points: expected 1 to {MAX_POINTS}, got {len(self.points)}"
+            )
 
 
 class Control(Message, tag="control", frozen=True, kw_only=True):
@@ -196,7 +247,9 @@ class Control(Message, tag="control", frozen=True, kw_only=True):
 class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
     """Plant to one agent: the measurements of tick k. It opens the tick for that agent."""
 
-    route: ClassVar[Route] = Route(sender=PLANT, receivers=(AGENT, RECORDER), each="agent", grows="tick")
+    route: ClassVar[Route] = Route(
+        sender=PLANT, receivers=(AGENT, RECORDER), each="agent", grows="tick"
+    )
     shapes: ClassVar[Mapping[str, ShapeOf]] = {
         "payload": lambda message: (0 if message.uav_states.shape[-1:] == (SENSED,) else PAYLOAD,),
         "uav_states": _states_or(SENSED),
@@ -209,14 +262,17 @@ class Measurement(Message, tag="measurement", frozen=True, kw_only=True):
     roster: Count  # forwarded from the tick: the version of the roster in force
     payload: Array  # states r0, v0, Theta0, omega0, (12,), SI; (0,) with `plant.sensors` vehicle
     uavs: Ids  # owned UAVs, 1-based ids, ascending
-    # Their states e, Omega, Theta, omega, (owned, 12), SI; with `plant.sensors` vehicle the measurements of their
-    # sensors, r, v, Theta, omega, specific force, (owned, 15), SI.
+    # Their states e, Omega, Theta, omega, (owned, 12), SI; with `plant.sensors` vehicle the
+    # measurements of their sensors, r, v, Theta, omega, specific force, (owned, 15), SI.
     uav_states: Array
     inputs: Array  # inputs their actuators applied until now, (owned, 4), N and N m or rad/s
 
 
 class Plan(Message, tag="plan", frozen=True, kw_only=True):
-    """Agent to plant and coordinator, if shared also to the other agents: states of its UAVs and inputs to apply."""
+    """Agent to plant and coordinator, if shared also to the other agents.
+
+    States of its UAVs and inputs to apply.
+    """
 
     route: ClassVar[Route] = Route(
         sender=AGENT,
@@ -234,11 +290,14 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
 
     agent: Agent  # the agent that planned
     start_tick: Count  # first sampling instant the inputs are for
-    negotiation: Annotated[int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)]  # exchanges that follow within the tick
+    negotiation: Annotated[
+        int, Meta(ge=0, le=MAX_NEGOTIATION_ITERATIONS - 1)
+    ]  # exchanges that follow within the tick
     shared: bool  # whether the other agents receive it: it travels under another key if not
     uavs: Ids  # owned UAVs, 1-based ids, ascending
-    # Their states at `tick`, (owned, 12), SI; with `plant.sensors` vehicle the measurements and inputs of the last four
-    # ticks, (owned, 80), so that a lost message takes none of them (`model.state.REPORTED`).
+    # Their states at `tick`, (owned, 12), SI; with `plant.sensors` vehicle the measurements and
+    # inputs of the last four ticks, (owned, 80), so that a lost message takes none of them
+    # (`model.state.REPORTED`).
     uav_states: Array
     inputs: Array  # absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m or rad/s
     corrections: Array  # corrections of these inputs to the shared control law, (N_p, 4 owned); no rows without one
@@ -251,7 +310,9 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
         Message.check(self)
         steps = len(self.inputs)
         if not 1 <= steps <= MAX_HORIZON:
-            raise MessageError("out_of_range", f"inputs: expected 1 to {MAX_HORIZON} steps, got {steps}")
+            raise MessageError(
+                "out_of_range", f"inputs: expected 1 to {MAX_HORIZON} steps, got {steps}"
+            )
         if len(self.corrections) not in (0, steps):
             text = f"corrections: expected none or {steps} steps, got {len(self.corrections)}"
             raise MessageError("wrong_shape", text)
@@ -263,8 +324,13 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
 class StepReport(Message, tag="report", frozen=True, kw_only=True):
     """Agent to the record: one step, with the result of its solve."""
 
-    route: ClassVar[Route] = Route(sender=AGENT, receivers=(RECORDER, WATCHER), each="agent", grows="tick")
-    shapes: ClassVar[Mapping[str, ShapeOf]] = {"force": lambda _: (3,), "times_ms": lambda _: (len(STAGES),)}
+    route: ClassVar[Route] = Route(
+        sender=AGENT, receivers=(RECORDER, WATCHER), each="agent", grows="tick"
+    )
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {
+        "force": lambda _: (3,),
+        "times_ms": lambda _: (len(STAGES),),
+    }
     as_long: ClassVar[tuple[str, ...]] = "peers", "plan_ages", "state_ages"
 
     agent: Agent
@@ -299,7 +365,9 @@ class Note(Message, tag="note", frozen=True, kw_only=True):
 class PlantState(Message, tag="plant_state", frozen=True, kw_only=True):
     """Plant to the record and the coordinator: the true state at tick k and the inputs until k + 1."""
 
-    route: ClassVar[Route] = Route(sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER), grows="tick")
+    route: ClassVar[Route] = Route(
+        sender=PLANT, receivers=(COORDINATOR, RECORDER, WATCHER), grows="tick"
+    )
     shapes: ClassVar[Mapping[str, ShapeOf]] = {
         "x": lambda message: (PAYLOAD + PER_UAV * len(message.plan_ticks),),
         "u": lambda message: (INPUTS * len(message.plan_ticks),),
@@ -319,16 +387,24 @@ class ActualInputs(Message, tag="actual_inputs", frozen=True, kw_only=True):
     """
 
     route: ClassVar[Route] = Route(sender=PLANT, receivers=(RECORDER,), grows="tick")
-    shapes: ClassVar[Mapping[str, ShapeOf]] = {"inputs": _per_uav(INPUTS), "tensions": lambda one: (len(one.cables),)}
+    shapes: ClassVar[Mapping[str, ShapeOf]] = {
+        "inputs": _per_uav(INPUTS),
+        "tensions": lambda one: (len(one.cables),),
+    }
 
     uavs: Ids  # all of them, 1-based ids, ascending
     inputs: Array  # (N, 4), N and N m
     cables: Ids = ()  # UAVs on cables, in the order of `uavs`; none with rods
-    tensions: Array = msgspec.field(default_factory=lambda: np.zeros(0))  # of these, N, 0 while slack
+    tensions: Array = msgspec.field(
+        default_factory=lambda: np.zeros(0)
+    )  # of these, N, 0 while slack
 
 
 class FaultNote(Message, tag="fault", frozen=True, kw_only=True):
-    """Fault injected into a process, or a process that ended by itself; written to the log only, never sent."""
+    """Fault injected into a process, or a process that ended by itself.
+
+    Written to the log only, never sent.
+    """
 
     route: ClassVar[Route] = Route(sender=RECORDER, receivers=())
 
@@ -338,21 +414,30 @@ class FaultNote(Message, tag="fault", frozen=True, kw_only=True):
 
 
 class Rejected(Message, tag="rejected", frozen=True, kw_only=True):
-    """Any process to the record: it has refused messages; not reproducible. Sequence numbers count this kind alone."""
+    """Any process to the record.
+
+    It has refused messages; not reproducible. Sequence numbers count this kind alone.
+    """
 
     route: ClassVar[Route] = Route(sender=None, receivers=(RECORDER, WATCHER), each="sender")
 
     offender: Text  # sender according to the messages, or the key they came under
     reason: Reason  # why they were refused
-    count: Annotated[int, Meta(ge=1, le=10_000_000)]  # how many since the last message about this offender and reason
+    count: Annotated[
+        int, Meta(ge=1, le=10_000_000)
+    ]  # how many since the last message about this offender and reason
     example: Text  # the error of the first of all of them, for people
 
 
-# Bundles: messages that travel together in lockstep; receivers check each of them as if it had come alone
+# Bundles: messages that travel together in lockstep; receivers check each of them as if it had come
+# alone
 
 
 class Bundle(Message, frozen=True, kw_only=True):
-    """Messages as bytes, each with its key; `carries` has the kinds that a kind of bundle may carry."""
+    """Messages as bytes, each with its key.
+
+    `carries` has the kinds that a kind of bundle may carry.
+    """
 
     carries: ClassVar[tuple[type[Message], ...]] = ()
     as_long: ClassVar[tuple[str, ...]] = "keys", "parts"
@@ -369,14 +454,19 @@ class Bundle(Message, frozen=True, kw_only=True):
 class Answer(Bundle, tag="answer", frozen=True, kw_only=True):
     """Agent to coordinator: the plan and the report of a tick."""
 
-    route: ClassVar[Route] = Route(sender=AGENT, receivers=(COORDINATOR,), each="agent", grows="tick")
+    route: ClassVar[Route] = Route(
+        sender=AGENT, receivers=(COORDINATOR,), each="agent", grows="tick"
+    )
     carries: ClassVar[tuple[type[Message], ...]] = (Plan, StepReport)
 
     agent: Agent
 
 
 class Relay(Bundle, tag="relay", frozen=True, kw_only=True):
-    """Coordinator to plant and record: the answers of a tick, and the tick after it once that is open."""
+    """Coordinator to plant and record.
+
+    The answers of a tick, and the tick after it once that is open.
+    """
 
     route: ClassVar[Route] = Route(sender=COORDINATOR, receivers=(PLANT, RECORDER, WATCHER))
     carries: ClassVar[tuple[type[Message], ...]] = (Plan, StepReport, Tick)
@@ -402,8 +492,8 @@ def _by_kind(base: type[Message]) -> dict[str, type[Message]]:
     return {cls.kind: cls for cls in base.__subclasses__() if cls is not Bundle}
 
 
-# Message classes by kind, in the order of their definition: codec, keys, log and exports are built from them. Nodes and
-# logs never see bundles.
+# Message classes by kind, in the order of their definition: codec, keys, log and exports are built
+# from them. Nodes and logs never see bundles.
 KINDS, BUNDLES = _by_kind(Message), _by_kind(Bundle)
 
 

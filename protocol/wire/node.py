@@ -1,4 +1,7 @@
-"""Interface of a node, a state machine without I/O; the numbering of its messages, and what they must fit."""
+"""Interface of a node, a state machine without I/O.
+
+The numbering of its messages, and what they must fit.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,9 +10,9 @@ from typing import Any, Protocol, TypeVar
 import msgspec
 import numpy as np
 
-from model.arrays import Array
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from protocol.wire.messages import Control, Event, Message
+from transport.model.arrays import Array
+from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.messages import Control, Event, Message
 
 M = TypeVar("M", bound=Message)
 
@@ -19,17 +22,23 @@ class RunShape:
     """What the messages of a run must fit, from its scenario (`protocol.scenario.setup.Setup.shape`)."""
 
     owned: Mapping[int, tuple[int, ...]]  # ids of the UAVs of each agent, both 1-based
-    limits: Mapping[int, tuple[Array, Array]]  # smallest and largest inputs of each agent, (4 owned,), SI
+    limits: Mapping[
+        int, tuple[Array, Array]
+    ]  # smallest and largest inputs of each agent, (4 owned,), SI
     uavs: int
     ticks: int
     delay: int  # ticks from a plan to its first input
     negotiation_iterations: int
-    vehicle_sensors: bool  # whether UAVs are told by the measurements of their own sensors, not by states
+    vehicle_sensors: (
+        bool  # whether UAVs are told by the measurements of their own sensors, not by states
+    )
     relayed: bool  # whether plans come in bundles
 
 
 class Node(Protocol):
-    """A role in a run as a state machine: accepted messages, other events and time in, messages out.
+    """A role in a run as a state machine.
+
+    Accepted messages, other events and time in, messages out.
 
     Times are nanoseconds of a monotonic clock; in lockstep nothing in the messages depends on them.
     """
@@ -47,7 +56,10 @@ class Node(Protocol):
         """Return the latest time of the next call of `poll`; None while only events matter."""
 
     def check_moment(self, message: Message) -> None:
-        """Raise MessageError for a message of an earlier start, or that cannot be used: the last check of a gate."""
+        """Raise MessageError for a message of an earlier start, or that cannot be used.
+
+        The last check of a gate.
+        """
 
     def receive(self, event: Event, now_ns: int) -> Sequence[Message]:
         """Handle one event and return the messages to send. Messages have passed all checks."""
@@ -64,11 +76,16 @@ class Outbox:
         self._sequence = 0
 
     def stamp(self, kind: type[M], **fields: Any) -> M:
-        """Return a message of this sender with the next sequence number; its arrays are read-only copies."""
+        """Return a message of this sender with the next sequence number.
+
+        Its arrays are read-only copies.
+        """
         for field in kind.shapes:
             fields[field] = np.array(fields[field], dtype=np.float64)
             fields[field].setflags(write=False)
-        message = kind(sender=self.sender, incarnation=self.incarnation, sequence=self._sequence, **fields)
+        message = kind(
+            sender=self.sender, incarnation=self.incarnation, sequence=self._sequence, **fields
+        )
         self._sequence += 1
         return message
 
@@ -80,4 +97,6 @@ class Outbox:
 
 def lost(outbox: Outbox, tick: int, reason: str) -> Control:
     """Return the end of a run for a node that has lost the coordinator, and with it the sender of that message."""
-    return outbox.stamp(Control, tick=max(tick, 0), outcome="aborted", reason=reason, exit_code=EXIT_UNREACHABLE)
+    return outbox.stamp(
+        Control, tick=max(tick, 0), outcome="aborted", reason=reason, exit_code=EXIT_UNREACHABLE
+    )

@@ -1,17 +1,22 @@
-"""Announced inputs: plans shifted by their true age and held at their end, for any order of arrival.
+"""Announced inputs: plans shifted by their age and held at their end, for any order of arrival.
 
-Past inputs of the others: the first step of a plan as announced, then the shared control law with its corrections.
+Past inputs of the others: the first step of a plan as announced, then the shared control law with
+    its corrections.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.announced import Alignment, AnnouncedInputs, Law
-from model.arrays import Array
-from model.state import input_indices
-from mpc.settings import ControllerSettings, Limits
-from protocol.wire.messages import Plan
+from transport.agent.announced import Alignment, AnnouncedInputs, SharedLaw
+from transport.model.arrays import Array
+from transport.model.state import input_indices
+from transport.mpc.settings import ControllerSettings, Limits
+from transport.protocol.wire.messages import Plan
+
+Law = Callable[[int, Array], Array | None]
 
 OWNED = ((0, 2), (1,))  # agent 1 owns UAV1 and UAV3, agent 2 owns UAV2
 U_HOVER = -np.arange(1.0, 13.0)
@@ -58,14 +63,17 @@ def test_hover_before_any_plan() -> None:
     inputs = announced(labelled(1, 0))
     U = inputs.sequence(1, STEPS, before=1)
     np.testing.assert_array_equal(rows(2, U), np.tile(U_HOVER[4:8], (STEPS, 1)))
-    np.testing.assert_array_equal(rows(2, inputs.at(0, before=1)), U_HOVER[4:8])
-    np.testing.assert_array_equal(announced().at(0, before=0), U_HOVER)
+    np.testing.assert_array_equal(rows(2, inputs.in_force(0, before=1)), U_HOVER[4:8])
+    np.testing.assert_array_equal(announced().in_force(0, before=0), U_HOVER)
 
 
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_shift_and_hold(age: int, delay: int) -> None:
-    """A plan is shifted by the ticks since its start and held at its last step. Source: docs/equations.md (32)."""
+    """A plan is shifted by the ticks since its start and held at its last step.
+
+    Source: docs/equations.md (32).
+    """
     made = 7
     plan = labelled(1, made, delay=delay)
     start = plan.start_tick + age
@@ -77,7 +85,7 @@ def test_shift_and_hold(age: int, delay: int) -> None:
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_corrections_end(age: int, delay: int) -> None:
-    """Corrections to the shared control law are shifted like inputs but zero after their end, and before any plan."""
+    """Corrections are shifted like inputs but zero after their end, and before any plan."""
     plan = labelled(1, 7, delay=delay)
     start = plan.start_tick + age
     c = announced(plan).corrections(start, STEPS, before=start + 1)
@@ -87,14 +95,23 @@ def test_corrections_end(age: int, delay: int) -> None:
 
 
 def test_early_plans_wait() -> None:
-    """A plan of tick k that is here before tick k + 1 is not used before: the network's speed has no effect."""
+    """A plan of tick k that is here before tick k + 1 is not used before.
+
+    The network's speed has no effect.
+    """
     early, older = labelled(1, 5), labelled(1, 4)
     inputs = announced(older, early)
     assert inputs.newest(1, before=5) is older
     assert inputs.newest(1, before=6) is early
-    np.testing.assert_array_equal(inputs.sequence(5, STEPS, before=5), announced(older).sequence(5, STEPS, before=5))
-    np.testing.assert_array_equal(inputs.at(5, before=5), announced(older).at(5, before=5))
-    np.testing.assert_array_equal(rows(1, inputs.corrections(5, 1, before=5))[0], older.corrections[1])
+    np.testing.assert_array_equal(
+        inputs.sequence(5, STEPS, before=5), announced(older).sequence(5, STEPS, before=5)
+    )
+    np.testing.assert_array_equal(
+        inputs.in_force(5, before=5), announced(older).in_force(5, before=5)
+    )
+    np.testing.assert_array_equal(
+        rows(1, inputs.corrections(5, 1, before=5))[0], older.corrections[1]
+    )
     np.testing.assert_array_equal(rows(1, inputs.sequence(6, STEPS, before=6))[0], early.inputs[1])
 
 
@@ -105,7 +122,7 @@ def test_in_force_is_the_newest_that_had_started() -> None:
     expected = [plans[0].inputs[0], plans[0].inputs[1], plans[0].inputs[2]]
     expected += [plans[1].inputs[min(step, STEPS - 1)] for step in range(STEPS + 2)]
     for k, u in enumerate(expected):
-        np.testing.assert_array_equal(rows(1, inputs.at(k, before=100)), u)
+        np.testing.assert_array_equal(rows(1, inputs.in_force(k, before=100)), u)
 
 
 X = np.linspace(-1.0, 1.0, 48)
@@ -121,7 +138,8 @@ def under_law(
     *plans: Plan, own: int = 0, law: Law = by_law, settings: ControllerSettings | None = None
 ) -> AnnouncedInputs:
     """Return announced inputs under a shared control law after some plans."""
-    inputs = AnnouncedInputs(OWNED, U_HOVER, own=own, law=law, settings=settings)
+    shared = SharedLaw(inputs=law)
+    inputs = AnnouncedInputs(OWNED, U_HOVER, own=own, law=shared, settings=settings)
     for plan in plans:
         inputs.add(plan)
     return inputs
@@ -130,10 +148,10 @@ def under_law(
 @pytest.mark.parametrize("age", range(STEPS + 3))
 @pytest.mark.parametrize("delay", [0, 1])
 def test_later_inputs_follow_the_law(age: int, delay: int) -> None:
-    """After the first step of a plan its agent followed the control law with the announced corrections, (32a)."""
+    """After the first step of a plan its agent followed the law with its corrections, (32a)."""
     plan = labelled(1, 7, delay=delay)
     k = plan.start_tick + age
-    u = rows(1, under_law(plan).at(k, before=k + 1, x=X))
+    u = rows(1, under_law(plan).in_force(k, before=k + 1, x=X))
     if age == 0:
         np.testing.assert_array_equal(u, plan.inputs[0])
     else:
@@ -142,29 +160,34 @@ def test_later_inputs_follow_the_law(age: int, delay: int) -> None:
 
 
 def test_own_inputs_are_known() -> None:
-    """The own plan counts as announced, not by the control law, as in the plant's schedule, (32a)."""
+    """The own plan counts as announced, as in the plant's schedule, (32a)."""
     plan = labelled(1, 7)
     inputs = under_law(plan, labelled(2, 7), own=1)
     for age in range(STEPS + 2):
-        u = inputs.at(7 + age, before=20, x=X)
+        u = inputs.in_force(7 + age, before=20, x=X)
         np.testing.assert_array_equal(rows(1, u), plan.inputs[min(age, STEPS - 1)])
         if age:
-            assert rows(2, u)[0] == by_law(7 + age, X)[4] + (labelled(2, 7).corrections[age][0] if age < STEPS else 0.0)
+            assert rows(2, u)[0] == by_law(7 + age, X)[4] + (
+                labelled(2, 7).corrections[age][0] if age < STEPS else 0.0
+            )
 
 
 def test_plans_under_another_law_are_played_as_announced() -> None:
-    """Corrections belong to the control law of their time: older plans count by their inputs, (46)."""
+    """Corrections belong to the law of their time: older plans count by inputs, (46)."""
     older, newer = labelled(1, 7), labelled(2, 9)
     inputs = under_law(older, newer)
     inputs.law_since = 9
     assert inputs.under_previous_law(before=12) == [1]
-    u = inputs.at(10, before=12, x=X)
+    u = inputs.in_force(10, before=12, x=X)
     np.testing.assert_array_equal(rows(1, u), older.inputs[3])
     np.testing.assert_array_equal(rows(2, u), by_law(10, X)[COLUMNS[2]] + newer.corrections[1])
 
 
 def test_inputs_taken_to_be_in_force_are_within_limits() -> None:
-    """No input in force is assumed beyond the limits of the actuators: by plan, law or hover, (32a)."""
+    """No input in force is assumed beyond the limits of the actuators.
+
+    By plan, law or hover, (32a).
+    """
     settings = ControllerSettings(limits=Limits(thrust_N=(0.0, 30.0), moments_Nm=(1.0, 2.0, 3.0)))
     low, high = settings.lower(3), settings.upper(3)
     rng = np.random.default_rng(0)
@@ -174,10 +197,10 @@ def test_inputs_taken_to_be_in_force_are_within_limits() -> None:
 
     inputs = under_law(labelled(1, 7), law=wild, settings=settings)
     for k in (6, 7, 8, 9, 30):
-        u = inputs.at(k, before=50, x=X)
+        u = inputs.in_force(k, before=50, x=X)
         assert (low <= u).all()
         assert (u <= high).all()
     modest = replace(labelled(1, 7), corrections=np.full((STEPS, 8), 0.25))
     within = np.array([15.0, 0.5, -0.5, 0.5] * 3)
     inputs = under_law(modest, law=lambda _tick, _x: within, settings=settings)
-    np.testing.assert_array_equal(rows(1, inputs.at(8, before=9, x=X)), within[:8] + 0.25)
+    np.testing.assert_array_equal(rows(1, inputs.in_force(8, before=9, x=X)), within[:8] + 0.25)

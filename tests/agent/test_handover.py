@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.handover import SHARED, Mixture, News, Silence, mixed
+from transport.agent.handover import SHARED, Mixture, News, Silence, mixed
 
 PERIOD_S = 0.05
 RULES = [Silence.of(PERIOD_S, is_filtered=filtered) for filtered in (True, False)]
@@ -17,14 +17,14 @@ def test_news_as_usual_change_nothing(rule: Silence) -> None:
     """Until the rule begins no share is alone and the errors of agents are correlated as always."""
     for overdue in range(int(rule.begins) + 1):
         assert rule.alone(overdue) == 0.0
-        assert rule.shared(overdue) == SHARED
+        assert rule.correlation(overdue) == SHARED
 
 
 @pytest.mark.parametrize("rule", RULES)
 def test_share_grows_and_correlation_falls_with_the_age(rule: Silence) -> None:
     """The share grows steadily to one, the correlation falls to zero."""
     ages = np.arange(0.0, 40.0 * rule.complete)
-    shares, shared = ([of(age) for age in ages] for of in (rule.alone, rule.shared))
+    shares, shared = ([of(age) for age in ages] for of in (rule.alone, rule.correlation))
     assert (np.diff(shares) >= 0.0).all()
     assert shares[-1] == 1.0
     assert (np.diff(shared) <= 0.0).all()
@@ -33,7 +33,10 @@ def test_share_grows_and_correlation_falls_with_the_age(rule: Silence) -> None:
 
 def test_a_heartbeat_is_no_silence() -> None:
     """Where plans are sent on change, an agent waits for the heartbeat before it counts ages."""
-    plain, shared = (Silence.of(PERIOD_S, is_filtered=False, heartbeat_s=heartbeat_s) for heartbeat_s in (0.0, 1.0))
+    plain, shared = (
+        Silence.of(PERIOD_S, is_filtered=False, heartbeat_s=heartbeat_s)
+        for heartbeat_s in (0.0, 1.0)
+    )
     assert shared.begins == pytest.approx(plain.begins + 1.0 / PERIOD_S)
 
 
@@ -42,7 +45,7 @@ def test_usual_age_is_the_least_recent_one(ages: list[int]) -> None:
     """The usual age is the smallest in the window, so that a constant delay is no silence."""
     news = News((2,), RULES[0])
     for age in ages:
-        news.observe({2: age})
+        news.observe(2, age)
     window = round(3.0 * RULES[0].complete)
     assert news.usual(2) == min(ages[-window:])
 
@@ -52,7 +55,7 @@ def test_a_silence_for_good_stays_one(rule: Silence) -> None:
     """Ages that grow for ever never become usual: the window is longer than the age at which an agent acts alone."""
     news = News((2,), rule)
     for age in range(1, 5000):
-        news.observe({2: age})
+        news.observe(2, age)
     assert rule.alone(4999 - news.usual(2)) == 1.0
 
 

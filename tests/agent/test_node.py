@@ -3,18 +3,20 @@
 import numpy as np
 import pytest
 
-from model import state
-from model.arrays import Array
-from mpc.controller import Controller
-from mpc.prediction import Linear
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, Plan, Presence, StepReport
 from tests.support.nodes import AgentNode
 from tests.support.runs import end, integrated, measurement, plan, roster, setup
+from transport.model import state
+from transport.model.arrays import Array
+from transport.mpc.controller import Controller
+from transport.mpc.prediction import Linear
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, Plan, Presence, StepReport
 
 SHORT_HORIZON = "controller.horizon=5"  # a step of a millisecond: these tests are about messages
 OTHERS = (2, 3, 4)
-ESTIMATE_TOLERANCE = 1e-8  # N and N m: the agent's integration steps are its own, 1e-12 apart from those here
+ESTIMATE_TOLERANCE = (
+    1e-8  # N and N m: the agent's integration steps are its own, 1e-12 apart from those here
+)
 
 
 @pytest.fixture
@@ -54,7 +56,13 @@ def step(run: Setup, node: AgentNode, k: int) -> tuple[Plan, StepReport]:
 def test_answers_a_measurement(run: Setup, node: AgentNode) -> None:
     """One measurement is answered by one plan and one report."""
     made, report = answer(tell(node, measurement(run, 1, 0)))
-    assert (made.sender, made.agent, made.tick, made.start_tick, made.uavs) == ("agent1", 1, 0, 0, (1,))
+    assert (made.sender, made.agent, made.tick, made.start_tick, made.uavs) == (
+        "agent1",
+        1,
+        0,
+        0,
+        (1,),
+    )
     assert (made.sequence, report.sequence) == (0, 1)
     assert made.inputs.shape == (5, 4)
     assert made.status == report.status == "solved"
@@ -82,16 +90,24 @@ def test_report(run: Setup, node: AgentNode) -> None:
 
 
 def test_plan_is_the_controllers(run: Setup, node: AgentNode) -> None:
-    """The plan is the controller's at the estimate, the inputs in force and the announced plans of the others."""
+    """The plan is the controller's at the estimate, inputs in force, and announced plans."""
     first, _ = step(run, node, 0)
     shove: Array = np.tile(run.hover.u[:4], (5, 1)) + np.array([2.0, 0.01, 0.0, 0.0])
     made, _ = answer(
-        tell(node, plan(run, 2, 0, inputs=shove), plan(run, 3, 0), plan(run, 4, 0), measurement(run, 1, 1))
+        tell(
+            node,
+            plan(run, 2, 0, inputs=shove),
+            plan(run, 3, 0),
+            plan(run, 4, 0),
+            measurement(run, 1, 1),
+        )
     )
     # All others are measured to be where they started; UAV2 has since done what it announced.
     u0 = run.hover.u.copy()
     u0[4:8] = shove[0]
-    x, _ = run.model.integrate(run.initial_state(), np.concatenate([first.inputs[0], u0[4:]]), 0.05, 2)
+    x, _ = run.model.integrate(
+        run.initial_state(), np.concatenate([first.inputs[0], u0[4:]]), 0.05, 2
+    )
     x[:24] = run.initial_state()[:24]
     U = np.tile(run.hover.u, (5, 1))
     U[:, :4] = np.vstack([first.inputs[1:], first.inputs[-1:]])
@@ -134,7 +150,7 @@ def test_end_of_the_run(run: Setup, node: AgentNode) -> None:
 
 @pytest.mark.parametrize("steps", [0, 2])
 def test_coordinator_is_gone(run: Setup, node: AgentNode, steps: int) -> None:
-    """Without a coordinator the run is aborted with exit code 4, before the first tick and later."""
+    """Without a coordinator the run is aborted with exit code 4, at any tick."""
     for k in range(steps):
         step(run, node, k)
     assert tell(node, Presence("coordinator", 0, alive=False)) == []

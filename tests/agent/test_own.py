@@ -1,4 +1,7 @@
-"""A controller of the user: found, called with what its links have delivered, checked in all it returns."""
+"""A controller of the user.
+
+Found, called with what its links have delivered, checked in all it returns.
+"""
 
 import sys
 from collections.abc import Sequence
@@ -8,42 +11,65 @@ import numpy as np
 import pytest
 
 import transport
-from agent.own import Run, checked_controller
-from model.arrays import Array
-from protocol.scenario.errors import ScenarioError
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Message, Note, Plan, StepReport
 from tests.support.nodes import AgentNode
-from tests.support.runs import SHORT, end, measurement, plant_states, recorded, reproducible, roster, setup
+from tests.support.runs import (
+    SHORT,
+    end,
+    measurement,
+    plant_states,
+    recorded,
+    reproducible,
+    roster,
+    setup,
+)
+from transport.agent.own import checked_controller
+from transport.agent.own_run import Run
 from transport.flight.memory import simulate
+from transport.model.arrays import Array
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Measurement, Message, Note, Plan, StepReport
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 
-# The payload's largest attitude with the examples, deg: half of what a diverging flight passes within a second.
+# The payload's largest attitude with the examples, deg: half of what a diverging flight passes
+# within a second.
 LEVEL_DEG = 8.0
 
 # What a step returns, and why that is a failure.
 IMPORT = "its import from {folder} or the installed packages raised "
+FINITE = "step: expected finite inputs and numbers for the log, got "
 WRONG = {
     "raise ZeroDivisionError('no air')": "step raised ZeroDivisionError: no air (my_own.py:6)",
     "import sys; sys.exit(3)": "step raised SystemExit: 3 (my_own.py:6)",
     "return self.u[:3]": "step: expected shape (4,) or (1 to 20, 4), got (3,)",
     "return np.tile(self.u, (21, 1))": "step: expected shape (4,) or (1 to 20, 4), got (21, 4)",
     "return np.zeros((0, 4))": "step: expected shape (4,) or (1 to 20, 4), got (0, 4)",
-    "return self.u * np.nan": "step: expected finite inputs and numbers for the log, got input [0, 0] = nan",
+    "return self.u * np.nan": FINITE + "input [0, 0] = nan",
     "return self.u + 0j": "step raised TypeError: Cannot cast array data from dtype('complex128')",
     "return 'up'": "step raised TypeError: Cannot cast scalar from dtype('<U2')",
     "return None": "step raised TypeError: Cannot cast scalar from dtype('O')",
-    "return self.u, {'e': float('inf')}": "step: expected finite inputs and numbers for the log, got e = inf",
+    "return self.u, {'e': float('inf')}": FINITE + "e = inf",
     "return self.u, {'e': 'x'}": "step raised ValueError: could not convert string to float: 'x'",
 }
 
 
-def own(folder: Path, monkeypatch: pytest.MonkeyPatch, step: str, start: str = "pass", *changes: str) -> Setup:
-    """Return a short run of a controller whose step and start are given as text; `self.k` counts the steps."""
+def own(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, step: str, start: str = "pass", *changes: str
+) -> Setup:
+    """Return a short run of a controller whose step and start are given as text.
+
+    `self.k` counts the steps.
+    """
     lines = ["import numpy as np; ended = []", "class Mine:"]
-    lines += [f"    def start(self, run): self.run, self.u, self.k = run, run.u_hover[:4], -1; {start}"]
-    lines += ["    def step(self, measurement, messages):", "        self.k += 1", f"        {step}"]
+    lines += [
+        f"    def start(self, run): self.run, self.u, self.k = run, run.u_hover[:4], -1; {start}"
+    ]
+    lines += [
+        "    def step(self, measurement, messages):",
+        "        self.k += 1",
+        f"        {step}",
+    ]
     lines += ["    def stop(self): ended.append(self.run.agent)"]
     (folder / "my_own.py").write_text("\n".join(lines) + "\n", encoding="utf-8")
     monkeypatch.chdir(folder)
@@ -62,10 +88,18 @@ def stepped(run: Setup, count: int) -> list[Message]:
 
 @pytest.mark.parametrize(
     ("name", "changes"),
-    [("pid:PID", ("clock.actuation=next_tick",)), ("predicting:Predicting", ("links.delay_s=0.4", "links.loss=0.3"))],
+    [
+        ("pid:PID", ("clock.actuation=next_tick",)),
+        ("predicting:Predicting", ("links.delay_s=0.4", "links.loss=0.3")),
+    ],
 )
-def test_the_examples_fly(name: str, changes: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each completes the paper's maneuver, on an impaired network, without a failed step; twice with the same bits."""
+def test_the_examples_fly(
+    name: str, changes: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each completes the paper's maneuver, on an impaired network, without a failed step.
+
+    Twice with the same bits.
+    """
     monkeypatch.chdir(EXAMPLES)
     messages = recorded(setup(f"agents.controller={name}", *changes))
     x = np.array([message.x for message in plant_states(messages)])
@@ -79,14 +113,25 @@ def test_the_examples_fly(name: str, changes: tuple[str, ...], monkeypatch: pyte
 
 
 @pytest.mark.parametrize("step", WRONG)
-def test_a_wrong_step_is_a_failure(step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is named, and counted in the report; the plan is the previous one: here the rows of the first."""
-    run = own(tmp_path, monkeypatch, f"if self.k == 0: return np.outer([1.0, 1.1, 1.2], self.u)\n        {step}")
+def test_a_wrong_step_is_a_failure(
+    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is named, and counted in the report.
+
+    The plan is the previous one: here the rows of the first.
+    """
+    run = own(
+        tmp_path,
+        monkeypatch,
+        f"if self.k == 0: return np.outer([1.0, 1.1, 1.2], self.u)\n        {step}",
+    )
     messages = stepped(run, 4)
     plans = [message for message in messages if isinstance(message, Plan)]
     notes = [message for message in messages if isinstance(message, Note)]
     assert [plan.status for plan in plans] == ["solved", "numerical", "numerical", "numerical"]
-    assert [message.status for message in messages if isinstance(message, StepReport)] == [p.status for p in plans]
+    assert [message.status for message in messages if isinstance(message, StepReport)] == [
+        p.status for p in plans
+    ]
     shares = [[1.0, 1.1, 1.2], [1.1, 1.2], [1.2], [1.2]]
     for plan, share in zip(plans, shares, strict=True):
         np.testing.assert_allclose(plan.inputs, np.outer(share, run.hover.u[:4]), rtol=1e-15)
@@ -94,11 +139,18 @@ def test_a_wrong_step_is_a_failure(step: str, tmp_path: Path, monkeypatch: pytes
     assert [note.tick for note in notes] == [1, 2, 3]
     for note in notes:
         assert note.problem.startswith(f"controller my_own:Mine: {text}")
-    assert simulate(run).outcome == "completed"
+    end_of_run = simulate(run)
+    assert end_of_run.outcome == "failed"
+    assert "agent1, agent2, agent3, agent4 failed" in end_of_run.reason
 
 
-def test_inputs_are_clipped_and_numbers_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Inputs beyond the limits would be refused by the others: the agent clips them. Numbers go to the record."""
+def test_inputs_are_clipped_and_numbers_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Inputs beyond the limits would be refused by the others.
+
+    The agent clips them. Numbers go to the record.
+    """
     messages = stepped(own(tmp_path, monkeypatch, "return 1e9 * np.ones(4), {'k': self.k}"), 3)
     plan = next(message for message in messages if isinstance(message, Plan))
     np.testing.assert_array_equal(plan.inputs, setup().settings.upper(1)[None])
@@ -126,16 +178,22 @@ class Hover:
 def test_a_class_in_python() -> None:
     """`fly` takes the class itself."""
     phases = [{"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]}]
-    run = transport.fly("resilient", controller=Hover, phases=phases, owned=[[1, 2], [3, 4]], progress=False)
+    run = transport.fly(
+        "resilient", controller=Hover, phases=phases, owned=[[1, 2], [3, 4]], progress=False
+    )
     assert run.summary["controller"]["name"] == f"{__name__}:Hover 3"
     assert run.completed
 
 
-def test_it_knows_what_its_links_have_delivered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measurements and plans come as late as their links say, plans once; the present tick is that of the run."""
-    data = (
-        "{'age': now - measurement.tick, 'plans': len(messages), 'late': now - min([p.tick for p in messages] or [0])}"
-    )
+def test_it_knows_what_its_links_have_delivered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Measurements and plans come as late as their links say, plans once.
+
+    The present tick is that of the run.
+    """
+    late = "now - min([p.tick for p in messages] or [0])"
+    data = f"{{'age': now - measurement.tick, 'plans': len(messages), 'late': {late}}}"
     run = own(
         tmp_path,
         monkeypatch,
@@ -150,10 +208,22 @@ def test_it_knows_what_its_links_have_delivered(tmp_path: Path, monkeypatch: pyt
 
 
 def test_start_and_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every agent starts and ends its object once; an agent that comes back has a new one, with the present roster."""
-    faults = "faults.event=[{at_s=0.3,do='stop',target='agent2'},{at_s=0.6,do='continue',target='agent2'}]"
+    """Every agent starts and ends its object once.
+
+    An agent that comes back has a new one, with the present roster.
+    """
+    stop = "{at_s=0.3,do='stop',target='agent2'}"
+    resume = "{at_s=0.6,do='continue',target='agent2'}"
+    faults = f"faults.event=[{stop},{resume}]"
     data = "{'k': self.k, 'agents': len(self.run.agents)}"
-    run = own(tmp_path, monkeypatch, f"return self.u, {data}", "pass", faults, "clock.on_agent_loss=continue")
+    run = own(
+        tmp_path,
+        monkeypatch,
+        f"return self.u, {data}",
+        "pass",
+        faults,
+        "clock.on_agent_loss=continue",
+    )
     notes = [m for m in recorded(run) if isinstance(m, Note)]
     steps = [int(note.values[0]) for note in notes if note.agent == 2]
     assert steps == [*range(6), *range(len(steps) - 6)]
@@ -171,7 +241,9 @@ def test_start_and_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         ("pathlib:Path", "expected the methods start, step, stop, got no start"),
     ],
 )
-def test_what_cannot_fly_is_refused(name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_fly_is_refused(
+    name: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Before anything starts, and with the same words where an agent is built."""
     own(tmp_path, monkeypatch, "return self.u", "raise RuntimeError('no gains')")
     run = setup(SHORT, f"agents.controller={name}")
@@ -182,7 +254,9 @@ def test_what_cannot_fly_is_refused(name: str, text: str, tmp_path: Path, monkey
         assert refused.value.problem.startswith(text.format(folder=tmp_path))
 
 
-@pytest.mark.parametrize("setting", ["controller.share=on_change", "controller.negotiation_iterations=2"])
+@pytest.mark.parametrize(
+    "setting", ["controller.share=on_change", "controller.negotiation_iterations=2"]
+)
 def test_settings_that_a_class_cannot_follow(setting: str) -> None:
     """A class has no corrections and no proposals."""
     closed = ("controller.prediction=closed_loop", "controller.received_plans=by_age")

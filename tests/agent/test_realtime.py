@@ -1,13 +1,16 @@
-"""An agent in real time: it does not wait, uses the newest measurement, and applies delays by its own clock."""
+"""An agent in real time.
+
+It does not wait, uses the newest measurement, and applies delays by its own clock.
+"""
 
 from collections.abc import Sequence
 
 import pytest
 
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, Plan, StepReport
 from tests.support.nodes import AgentNode
 from tests.support.runs import measurement, plan, roster, setup
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, Plan, StepReport
 
 S, MS = 10**9, 10**6  # ns
 START_NS = 3 * S  # a steady clock starts anywhere
@@ -74,7 +77,7 @@ def test_others_may_be_ahead() -> None:
 
 @pytest.mark.parametrize(("speed", "held_ms"), [(1.0, 120), (2.0, 60), (0.5, 240)])
 def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
-    """A plan over a link with delay d is used d / speed seconds after its arrival on the agent's clock, not before."""
+    """A plan over a link with delay d is used d / speed seconds after its arrival, not before."""
     run, node = realtime("links.delay_s=0.12", speed=speed)
     arrived_ns = START_NS + 3 * MS
     tell(node, [measurement(run, 1, 0)], START_NS)
@@ -91,7 +94,7 @@ def test_a_delayed_plan_is_held_back(speed: float, held_ms: int) -> None:
 
 
 def test_a_delayed_measurement_is_held_back() -> None:
-    """A measurement opens its tick when received, but its content counts only after the delay of its link."""
+    """A measurement opens its tick at once; its content counts after the delay of its link."""
     run, node = realtime("links.measurement.delay_s=0.08")
     ages = []
     for k in range(5):
@@ -109,7 +112,11 @@ def test_an_agent_off_the_roster_begins_anew() -> None:
     node = AgentNode(run, 1, incarnation=1)
     tell(node, [roster(), measurement(run, 1, 0)], START_NS)
     answer(node, START_NS)
-    tell(node, [measurement(run, 1, 1), roster({2: 1, 3: 1, 4: 1}, k=1, version=2)], START_NS + 50 * MS)
+    tell(
+        node,
+        [measurement(run, 1, 1), roster({2: 1, 3: 1, 4: 1}, k=1, version=2)],
+        START_NS + 50 * MS,
+    )
     assert node.incarnation == 2
     assert list(node.poll(START_NS + 50 * MS)) == []  # it is off the roster
     tell(node, [roster({1: 2, 2: 1, 3: 1, 4: 1}, k=2, version=3)], START_NS + 100 * MS)

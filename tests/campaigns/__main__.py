@@ -1,10 +1,12 @@
-"""Campaigns search for defects by many random runs: `python -m tests.campaigns NAME`, `make campaigns` for all.
+"""Campaigns search for defects by many random runs.
+
+`python -m tests.campaigns NAME`, `make campaigns` for all.
 
   scenarios  mutates scenarios, validates and simulates them
   signals    kills, freezes and interrupts every process of a run, also that of the report
 
-`python -m tests.campaigns.wire` sends bad messages, and `python -m tests.campaigns.soak` watches resources for long.
-Exit code 1 if any run has a problem; each run can be repeated by its number.
+`python -m tests.campaigns.wire` sends bad messages, and `python -m tests.campaigns.soak` watches
+resources for long. Exit code 1 if any run has a problem; each run can be repeated by its number.
 """
 
 import argparse
@@ -23,14 +25,20 @@ CAMPAIGNS: dict[str, tuple[harness.Execute, int, int]] = {
 def main() -> int:
     """Conduct a campaign with the options of the command line; return its exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m tests.campaigns", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m tests.campaigns",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("name", choices=CAMPAIGNS)
     parser.add_argument("--runs", type=int, help="number of runs")
-    parser.add_argument("--first", type=int, default=0, help="number of the first run, to repeat one")
+    parser.add_argument(
+        "--first", type=int, default=0, help="number of the first run, to repeat one"
+    )
     parser.add_argument("--seed", type=int, default=0, help="random seed of all runs")
     parser.add_argument("--jobs", type=int, help="runs at a time")
-    parser.add_argument("--out", type=Path, help="folder for runs with problems; runs/NAME-SEED by default")
+    parser.add_argument(
+        "--out", type=Path, help="folder for runs with problems; runs/NAME-SEED by default"
+    )
     options = parser.parse_args()
     execute, runs, jobs = CAMPAIGNS[options.name]
     options.runs = runs if options.runs is None else options.runs

@@ -1,7 +1,7 @@
 """One campaign: many runs drawn from a seed and their numbers, executed several at a time, tabulated and judged.
 
-A campaign is a function that executes one run in a folder of its own and returns a `Result`. Every run can be repeated
-by its number. Folders of runs with problems are kept.
+A campaign is a function that executes one run in a folder of its own and returns a `Result`. Every
+run can be repeated by its number. Folders of runs with problems are kept.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,11 +48,18 @@ def table(results: Sequence[Result]) -> Iterator[str]:
     for result in results:
         rows.setdefault(result.label, Counter()).update([result.outcome, *result.problems])
     for label, counts in sorted(rows.items()):
-        yield f"{label:<46}" + ", ".join(f"{count} x {outcome}" for outcome, count in sorted(counts.items()))
+        yield f"{label:<46}" + ", ".join(
+            f"{count} x {outcome}" for outcome, count in sorted(counts.items())
+        )
 
 
-def execute_all(execute: Execute, seed: int, numbers: Sequence[int], folder: Path, jobs: int = 1) -> Iterator[Result]:
-    """Execute runs, `jobs` at a time, and yield their results as they come; keep the folders of those with problems."""
+def execute_all(
+    execute: Execute, seed: int, numbers: Sequence[int], folder: Path, jobs: int = 1
+) -> Iterator[Result]:
+    """Execute runs, `jobs` at a time, and yield their results as they come.
+
+    Keep the folders of those with problems.
+    """
     stop = threading.Event()
 
     def one(number: int) -> Result:
@@ -82,7 +89,8 @@ def conduct(name: str, execute: Execute, options: argparse.Namespace) -> int:
     Returns: 1 if any run has a problem, 130 after an interrupt, otherwise 0.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    # The commands inherit these: they would ignore SIGINT in the background of a shell, and SIGHUP under nohup.
+    # The commands inherit these: they would ignore SIGINT in the background of a shell, and SIGHUP
+    # under nohup.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     folder = (options.out or Path("runs") / f"{name}-{options.seed}").resolve()
@@ -96,7 +104,9 @@ def conduct(name: str, execute: Execute, options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     lines = list(table(results))
-    bad = sorted((result for result in results if result.problems), key=lambda result: result.number)
+    bad = sorted(
+        (result for result in results if result.problems), key=lambda result: result.number
+    )
     for result in bad:
         number = result.number
         again = f"python -m tests.campaigns {name} --seed {options.seed} --first {number} --runs 1"

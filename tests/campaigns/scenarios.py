@@ -1,10 +1,11 @@
 """Scenarios campaign: mutates scenarios, validates and simulates them.
 
-Each mutated scenario goes through `transport validate` in a process of its own with limits on memory and processor
-time; a scenario that is accepted is simulated in memory for a few ticks. Neither may end with a traceback, use more
-than 1 GB, or compute for 10 s without a sign. Where the simulation has a large team in one process, it may use what the
-budget allows to such a process, while each process of `transport run` is within 1 GB. The limits are of processor time,
-so the result does not depend on the load of the host.
+Each mutated scenario goes through `transport validate` in a process of its own with limits on
+memory and processor time; a scenario that is accepted is simulated in memory for a few ticks.
+Neither may end with a traceback, use more than 1 GB, or compute for 10 s without a sign. Where the
+simulation has a large team in one process, it may use what the budget allows to such a process,
+while each process of `transport run` is within 1 GB. The limits are of processor time, so the
+result does not depend on the load of the host.
 """
 
 import contextlib
@@ -21,14 +22,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from protocol.scenario.budget import estimate
-from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, PlantState
 from tests.campaigns.harness import Result
 from tests.support.mutations import mutated
 from transport.cli.scenario import validate
 from transport.flight.memory import simulate
+from transport.protocol.scenario.budget import estimate
+from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, PlantState
 
 READY = ("paper", "centralized", "resilient", "precise", "windy", "collision")
 TICKS = 5
@@ -47,7 +48,10 @@ class _Enough(Exception):  # noqa: N818  # no error
 
 
 def attempt(content: bytes, folder: Path, ticks: int = TICKS) -> tuple[str, str, int, float]:
-    """Validate and simulate a scenario in a forked process; return outcome, text, peak memory and processor time."""
+    """Validate and simulate a scenario in a forked process.
+
+    Return outcome, text, peak memory and processor time.
+    """
     path = folder / "scenario.toml"
     path.write_bytes(content)
     reads, writes = os.pipe()
@@ -66,10 +70,16 @@ def attempt(content: bytes, folder: Path, ticks: int = TICKS) -> tuple[str, str,
     outcome, text, most_bytes = json.loads(line or b'["traceback", "no result", 0]')
     if os.WIFSIGNALED(status):
         number = signal.Signals(os.WTERMSIG(status))
-        outcome, text = "silent" if number in (signal.SIGPROF, signal.SIGALRM) else "traceback", number.name
+        outcome, text = (
+            "silent" if number in (signal.SIGPROF, signal.SIGALRM) else "traceback",
+            number.name,
+        )
     peak = used.ru_maxrss * 1024
     if outcome not in ("silent", "traceback") and peak > most_bytes:
-        outcome, text = "over 1 GB", f"{peak / 1e6:,.0f} MB, expected at most {most_bytes / 1e6:,.0f} MB"
+        outcome, text = (
+            "over 1 GB",
+            f"{peak / 1e6:,.0f} MB, expected at most {most_bytes / 1e6:,.0f} MB",
+        )
     return outcome, text, peak, used.ru_utime + used.ru_stime
 
 
@@ -96,7 +106,11 @@ def _outcome(path: Path, ticks: int) -> tuple[str, str, float]:
     try:
         refusal = _refusal(path)
         if refusal is not None:
-            clear = refusal.startswith("transport: ") and refusal.count("\n") == 1 and "Error(" not in refusal
+            clear = (
+                refusal.startswith("transport: ")
+                and refusal.count("\n") == 1
+                and "Error(" not in refusal
+            )
             return (REFUSED if clear else "no clear line"), refusal, LARGEST_BYTES
         _sign()
         scenario = read_scenario(path)
@@ -137,7 +151,9 @@ def _simulated(setup: Setup, ticks: int) -> tuple[str, str]:
 def scenario(seed: int, number: int) -> tuple[bytes, str]:
     """Return a mutated scenario and the kind of its mutation."""
     rng = random.Random(f"{seed}/{number}")  # noqa: S311  # no secret
-    tree: dict[str, Any] = tomllib.loads(find_scenario(rng.choice(READY)).read_text(encoding="utf-8"))
+    tree: dict[str, Any] = tomllib.loads(
+        find_scenario(rng.choice(READY)).read_text(encoding="utf-8")
+    )
     return mutated(tree, rng)
 
 
@@ -149,11 +165,15 @@ def _prepare() -> None:
         Setup.of(read_scenario(path), str(path)).model  # noqa: B018
 
 
-def execute(seed: int, number: int, folder: Path, _stop: threading.Event | None = None, ticks: int = TICKS) -> Result:
+def execute(
+    seed: int, number: int, folder: Path, _stop: threading.Event | None = None, ticks: int = TICKS
+) -> Result:
     """Validate and simulate the mutated scenario of a number."""
     _prepare()
     (folder / "delays.csv").write_text("0.01 0.02 0.05", encoding="utf-8")
-    (folder / "path.csv").write_text("t_s,x_m,y_m,z_m\n0,0,0,0\n2,0,0,-1\n4,1,0,-1\n", encoding="utf-8")
+    (folder / "path.csv").write_text(
+        "t_s,x_m,y_m,z_m\n0,0,0,0\n2,0,0,-1\n4,1,0,-1\n", encoding="utf-8"
+    )
     content, kind = scenario(seed, number)
     outcome, text, peak, cpu_s = attempt(content, folder, ticks)
     used = f"{peak / 1024**2:.0f} MiB of memory, {cpu_s:.1f} s of processor time"

@@ -1,7 +1,7 @@
 """Signals campaign: kills, freezes and interrupts processes of random runs.
 
-After each run the command must have ended in time, no process may be left, no output may have a traceback, the log must
-open and the exit code must fit.
+After each run the command must have ended in time, no process may be left, no output may have a
+traceback, the log must open and the exit code must fit.
 """
 
 import os
@@ -15,26 +15,37 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from protocol.network.parent import python
-from protocol.wire.exit_codes import EXIT_INTERRUPTED
-from protocol.wire.messages import Control
 from tests.campaigns.harness import Result
 from tests.support.commands import command_of
 from tests.support.commands import wait_for as wait
 from transport.log.run_log import read_log
+from transport.protocol.network.parent import python
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.messages import Control
 
 # The command itself contains the recorder, and its exit code is the run's.
 COMMAND, REPORT = "transport", "report"
-TARGETS = ("coordinator", "plant", "agent1", "agent2", "agent3", "agent4", "fork-server", REPORT, COMMAND)
+TARGETS = (
+    "coordinator",
+    "plant",
+    "agent1",
+    "agent2",
+    "agent3",
+    "agent4",
+    "fork-server",
+    REPORT,
+    COMMAND,
+)
 KINDS = ("KILL", "STOP", "STOP", "STOP", "SEGV", "TERM", "INT", "HUP")
-# Times after which a stopped process goes on, s: within every timeout, near Zenoh's 10 s, beyond, never. The command
-# waits for fork server and report without a look at their state.
+# Times after which a stopped process goes on, s: within every timeout, near Zenoh's 10 s, beyond,
+# never. The command waits for fork server and report without a look at their state.
 RESUMED_S = (1.0, 7.0, 20.0, None)
 
-# Share of signals before the first tick, and their latest time after the start of the process; the latest time after
-# the first tick: a run takes 3 s, so some come while the report is written, s.
+# Share of signals before the first tick, and their latest time after the start of the process; the
+# latest time after the first tick: a run takes 3 s, so some come while the report is written, s.
 _BEFORE, _JOINING_S, _LATEST_S = 0.3, 1.5, 3.5
-# Time for the run to begin, for a command to end after the last signal, and for its processes to end after it, s.
+# Time for the run to begin, for a command to end after the last signal, and for its processes to
+# end after it, s.
 _BEGIN_S, _END_S, _ORPHANS_S = 60.0, 90.0, 20.0
 # A command that is frozen for good is killed after this time, s.
 _FROZEN_S = 8.0
@@ -72,7 +83,9 @@ class Injection:
 
     def __str__(self) -> str:
         since = "its start" if self.is_early else "the first tick"
-        resumed = "" if self.kind != "STOP" else f", CONT after {self.resumed_s or float('inf'):g} s"
+        resumed = (
+            "" if self.kind != "STOP" else f", CONT after {self.resumed_s or float('inf'):g} s"
+        )
         return f"{self.kind}{resumed} to {self.target} {self.after_s:.2f} s after {since}"
 
 
@@ -80,7 +93,10 @@ def random_run(seed: int, number: int) -> tuple[list[str], list[Injection]]:
     """Draw settings and one or two injections of a run from the seed and its number."""
     rng = random.Random(f"{seed}/{number}")  # noqa: S311  # no secret
     pace = rng.choice(("fast", "paced", "realtime"))
-    settings = ["clock.barrier_timeout_s=1.0", f"clock.on_agent_loss={rng.choice(('abort', 'continue'))}"]
+    settings = [
+        "clock.barrier_timeout_s=1.0",
+        f"clock.on_agent_loss={rng.choice(('abort', 'continue'))}",
+    ]
     settings += [_UNPACED] if pace == "fast" else [_PACED, "clock.speed=1.0"]
     if pace == "realtime":
         settings += ["clock.mode=realtime", f"clock.on_overrun={rng.choice(('continue', 'hold'))}"]
@@ -93,11 +109,14 @@ def random_run(seed: int, number: int) -> tuple[list[str], list[Injection]]:
 
 def _random_injection(rng: random.Random) -> Injection:
     target, kind = rng.choice(TARGETS), rng.choice(KINDS)
-    # The fork server has done its work by the first tick; the command has its handlers a while after its start.
+    # The fork server has done its work by the first tick; the command has its handlers a while
+    # after its start.
     is_early = target == "fork-server" or (target != COMMAND and rng.random() < _BEFORE)
     resumed_s = rng.choice(RESUMED_S[: 3 if target in ("fork-server", REPORT) else 4])
     after_s = rng.uniform(0.0, _JOINING_S if is_early or target == REPORT else _LATEST_S)
-    return Injection(target=target, kind=kind, is_early=is_early, after_s=after_s, resumed_s=resumed_s)
+    return Injection(
+        target=target, kind=kind, is_early=is_early, after_s=after_s, resumed_s=resumed_s
+    )
 
 
 def execute(seed: int, number: int, folder: Path, stop: threading.Event) -> Result:
@@ -107,7 +126,9 @@ def execute(seed: int, number: int, folder: Path, stop: threading.Event) -> Resu
     first, *others = injections
     label = "two at once" if others else f"{first.kind} to {first.target.rstrip('1234')}"
     details = (*map(str, injections), *settings)
-    return Result(number=number, label=label, outcome=f"exit {exit_code}", problems=problems, details=details)
+    return Result(
+        number=number, label=label, outcome=f"exit {exit_code}", problems=problems, details=details
+    )
 
 
 def execute_run(
@@ -123,14 +144,22 @@ def execute_run(
     words += [word for setting in settings for word in ("--set", setting)]
     with output.open("wb") as file:
         command = subprocess.Popen(
-            words, cwd=folder, stdin=subprocess.DEVNULL, stdout=file, stderr=file, start_new_session=True
+            words,
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=file,
+            start_new_session=True,
         )
 
     def is_over() -> bool:
         return command.poll() is not None or stop.is_set()
 
     try:
-        threads = [threading.Thread(target=_inject, args=(each, command, run, is_over)) for each in injections]
+        threads = [
+            threading.Thread(target=_inject, args=(each, command, run, is_over))
+            for each in injections
+        ]
         for thread in threads:
             thread.start()
         for thread in threads:
@@ -144,17 +173,28 @@ def execute_run(
     return command.returncode, dict(_problems(folder, injections, command.returncode, hangs=hangs))
 
 
-def _inject(injection: Injection, command: "subprocess.Popen[bytes]", run: Path, is_over: Callable[[], bool]) -> None:
+def _inject(
+    injection: Injection, command: "subprocess.Popen[bytes]", run: Path, is_over: Callable[[], bool]
+) -> None:
     """Send the signals of one injection in time, if the process exists by then."""
 
     def pid() -> int | None:
-        return command.pid if injection.target == COMMAND else _processes_below(run.parent).get(injection.target)
+        return (
+            command.pid
+            if injection.target == COMMAND
+            else _processes_below(run.parent).get(injection.target)
+        )
 
     joined = run / "logs" / "coordinator.log"
     if injection.is_early or injection.target == REPORT:
         wait(lambda: pid() is not None or is_over(), _BEGIN_S)
     else:
-        wait(lambda: (joined.exists() and '"joined"' in joined.read_text(errors="replace")) or is_over(), _BEGIN_S)
+        wait(
+            lambda: (
+                (joined.exists() and '"joined"' in joined.read_text(errors="replace")) or is_over()
+            ),
+            _BEGIN_S,
+        )
     wait(is_over, injection.after_s)
     found = pid()
     if is_over() or found is None:
@@ -183,10 +223,14 @@ def _name_of(words: list[str]) -> str:
     if after[:1] == ["agent"] and "--id" in after:
         return f"agent{after[after.index('--id') + 1]}"
     known = {"run": COMMAND, "plot": REPORT, "coordinator": "coordinator", "plant": "plant"}
-    return known.get(" ".join(after[:1]), "fork-server" if "fork-server" in words else " ".join(words))
+    return known.get(
+        " ".join(after[:1]), "fork-server" if "fork-server" in words else " ".join(words)
+    )
 
 
-def _problems(folder: Path, injections: list[Injection], code: int, *, hangs: bool) -> Iterator[tuple[str, str]]:
+def _problems(
+    folder: Path, injections: list[Injection], code: int, *, hangs: bool
+) -> Iterator[tuple[str, str]]:
     """Yield what is wrong after a run, by kind; end the processes that are left."""
     if hangs:
         yield "hang", f"the command has not ended within {_END_S:g} s"
@@ -208,9 +252,15 @@ def _problems(folder: Path, injections: list[Injection], code: int, *, hangs: bo
             yield "unreadable log", f"{type(error).__name__}: {error}"
     expected = {0, 4, 6}
     for injection in injections:
-        if injection.target == COMMAND and (injection.freezes_the_command or injection.kind in ("KILL", "SEGV")):
+        if injection.target == COMMAND and (
+            injection.freezes_the_command or injection.kind in ("KILL", "SEGV")
+        ):
             expected |= {-signal.SIGKILL, -signal.SIGSEGV}
-        if injection.target in (COMMAND, "coordinator") and injection.kind in ("TERM", "INT", "HUP"):
+        if injection.target in (COMMAND, "coordinator") and injection.kind in (
+            "TERM",
+            "INT",
+            "HUP",
+        ):
             expected.add(EXIT_INTERRUPTED)
     if code not in expected and not hangs:
         yield "wrong exit code", f"{code}, expected one of {sorted(expected)}"

@@ -1,8 +1,11 @@
-"""Soak test: a long run in real time whose resources must not grow. `python -m tests.campaigns.soak --minutes 30`.
+"""Soak test: a long run in real time whose resources must not grow.
 
-The team hovers in real time while the resources of each process are sampled. The medians of the first and the last
-third are compared, after a first tenth in which caches fill. Exit code 0 only if memory is flat, and threads and open
-files stay the same. The summary of the run tells the deadlines missed.
+`python -m tests.campaigns.soak --minutes 30`.
+
+The team hovers in real time while the resources of each process are sampled. The medians of the
+first and the last third are compared, after a first tenth in which caches fill. Exit code 0 only if
+memory is flat, and threads and open files stay the same. The summary of the run tells the deadlines
+missed.
 
 Memory is anonymous memory only: the system decides how much of a mapped file is resident.
 """
@@ -28,7 +31,8 @@ from transport.flight import live
 # Share of the time left out, in which caches fill.
 _WARM_UP = 0.1
 
-# Largest growth of the median memory over two thirds of the time, by the larger of both: fluctuation of an allocator.
+# Largest growth of the median memory over two thirds of the time, by the larger of both:
+# fluctuation of an allocator.
 GROWTH, GROWTH_BYTES = 0.02, 2 * 1024**2
 
 # Change in threads; those of an idle pool come and go.
@@ -54,7 +58,9 @@ class Record:
     files: list[float] = field(default_factory=list)
 
 
-def soak(minutes: float, every_s: float, settings: Sequence[str], folder: Path) -> dict[str, Record]:
+def soak(
+    minutes: float, every_s: float, settings: Sequence[str], folder: Path
+) -> dict[str, Record]:
     """Run in real time and sample the resources.
 
     Args:
@@ -67,7 +73,16 @@ def soak(minutes: float, every_s: float, settings: Sequence[str], folder: Path) 
     """
     hover = f"maneuver.phase=[{{name='hover',duration_s={60.0 * minutes},displacement_m=[0.0,0.0,0.0]}}]"
     chosen = ["clock.mode=realtime", "clock.speed=1", hover, *settings]
-    command = [sys.executable, "-m", "transport", "run", "resilient", "--out", str(folder), "--no-figures"]
+    command = [
+        sys.executable,
+        "-m",
+        "transport",
+        "run",
+        "resilient",
+        "--out",
+        str(folder),
+        "--no-figures",
+    ]
     command += [part for setting in chosen for part in ("--set", setting)]
     with (folder.parent / _OUTPUT).open("wb") as output:
         run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, stderr=output)
@@ -78,20 +93,32 @@ def soak(minutes: float, every_s: float, settings: Sequence[str], folder: Path) 
         run.terminate()
         run.wait()
     if code != 0:
-        raise BenchmarkError(f"transport run: expected exit code 0, got {code}: {_last_line(folder)}")
+        raise BenchmarkError(
+            f"transport run: expected exit code 0, got {code}: {_last_line(folder)}"
+        )
     return records
 
 
-def judge(records: Mapping[str, Record], growth_bytes: float = GROWTH_BYTES) -> tuple[list[str], list[str]]:
+def judge(
+    records: Mapping[str, Record], growth_bytes: float = GROWTH_BYTES
+) -> tuple[list[str], list[str]]:
     """Return a line for each process, and those of what has grown by more than `growth_bytes`, `THREADS` or a file."""
     lines, wrong = [], []
     for name, record in records.items():
         cells = []
-        for resource, values in (("memory", record.memory), ("threads", record.threads), ("files", record.files)):
+        for resource, values in (
+            ("memory", record.memory),
+            ("threads", record.threads),
+            ("files", record.files),
+        ):
             first, last = thirds(values)
             scale = 1024**2 if resource == "memory" else 1
             cells.append(f"{resource} {first / scale:.1f} -> {last / scale:.1f}")
-            allowed = {"memory": max(GROWTH * first, growth_bytes), "threads": THREADS, "files": 0.0}[resource]
+            allowed = {
+                "memory": max(GROWTH * first, growth_bytes),
+                "threads": THREADS,
+                "files": 0.0,
+            }[resource]
             if last - first > allowed:
                 wrong.append(f"{name}: {cells[-1]}")
         lines.append(f"{name}: {', '.join(cells)}")
@@ -112,10 +139,16 @@ def thirds(values: Sequence[float]) -> tuple[float, float]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = argparse.ArgumentParser(prog="python -m tests.support.soak", description=(__doc__ or "").split("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.support.soak", description=(__doc__ or "").split("\n")[0]
+    )
     parser.add_argument("--minutes", type=float, default=30.0)
-    parser.add_argument("--every", type=float, default=None, help="seconds between samples (a 100th of the time)")
-    parser.add_argument("--growth", type=float, default=GROWTH_BYTES / 1024**2, help="largest growth of memory, MiB")
+    parser.add_argument(
+        "--every", type=float, default=None, help="seconds between samples (a 100th of the time)"
+    )
+    parser.add_argument(
+        "--growth", type=float, default=GROWTH_BYTES / 1024**2, help="largest growth of memory, MiB"
+    )
     parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
     every_s = options.every if options.every is not None else 0.6 * options.minutes
@@ -140,10 +173,12 @@ def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict
             raise BenchmarkError(f"the run does not begin: {_last_line(folder)}")
         time.sleep(0.1)
     logs = folder / "logs"
-    while live.read(folder) is not None and not all('"joined"' in log.read_text() for log in logs.glob("*.log")):
+    while live.read(folder) is not None and not all(
+        '"joined"' in log.read_text() for log in logs.glob("*.log")
+    ):
         time.sleep(0.1)
-    # A busy host stops the recorder now and then; messages that queue up meanwhile take memory, part of which it keeps.
-    # Stop it once at the beginning, so that this does not count as growth.
+    # A busy host stops the recorder now and then; messages that queue up meanwhile take memory,
+    # part of which it keeps. Stop it once at the beginning, so that this does not count as growth.
     run.send_signal(signal.SIGSTOP)
     time.sleep(_STANDSTILL_S)
     run.send_signal(signal.SIGCONT)
@@ -152,7 +187,10 @@ def _sampled(run: subprocess.Popen[bytes], folder: Path, every_s: float) -> dict
         for name, process in {"recorder": run.pid, **processes_of(folder.name)}.items():
             memory_bytes = _anonymous_bytes(process)
             with suppress(psutil.Error):  # the process has just ended
-                threads, files = psutil.Process(process).num_threads(), psutil.Process(process).num_fds()
+                threads, files = (
+                    psutil.Process(process).num_threads(),
+                    psutil.Process(process).num_fds(),
+                )
                 if memory_bytes is not None:
                     record = records.setdefault(name, Record())
                     record.memory.append(memory_bytes)
@@ -174,7 +212,9 @@ def _anonymous_bytes(process: int) -> float | None:
 
 def _last_line(folder: Path) -> str:
     """Return the last output line of the run's command."""
-    lines = (folder.parent / _OUTPUT).read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    lines = (
+        (folder.parent / _OUTPUT).read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    )
     return lines[-1] if lines else "no output"
 
 

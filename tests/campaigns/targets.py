@@ -1,9 +1,11 @@
-"""Ten targets in a row, a figure-eight by hand: `python -m tests.campaigns.targets [WAY ...] [--gusts]`.
+"""Ten targets in a row, a figure-eight by hand.
 
-By each way (command, Python, a page of the viewer in a browser, another implementation of ROS 2), on a perfect network
-and with 200 ms delay, 30 % packet loss and an agent that is killed and restarted. Exit code 0 only if the payload
-has reached every target within 5 cm, and the replays of all agents have the same bits. It prints a table of
-docs/results.md.
+`python -m tests.campaigns.targets [WAY ...] [--gusts]`.
+
+By each way (command, Python, a page of the viewer in a browser, another implementation of ROS 2),
+on a perfect network and with 200 ms delay, 30 % packet loss and an agent that is killed and
+restarted. Exit code 0 only if the payload has reached every target within 5 cm, and the replays of
+all agents have the same bits. It prints a table of docs/results.md.
 """
 
 import argparse
@@ -19,7 +21,6 @@ import numpy as np
 
 import transport
 from docs import tables
-from protocol.wire.messages import PlantState, Target
 from tests.support.browser import browser
 from tests.support.commands import free_base, processes_of, settings, start, wait_for
 from tests.support.commands import transport as command
@@ -30,14 +31,20 @@ from transport.analysis.metrics import SETTLED_S
 from transport.analysis.replay import Comparison, Replay
 from transport.flight import live
 from transport.log.run_log import open_run
+from transport.protocol.wire.messages import PlantState, Target
 
 Place = tuple[float, float, float]
 PHASES = np.linspace(0.0, 2.0 * np.pi, 9)[1:]
-PLACES = [*zip(np.sin(PHASES).round(2), (0.5 * np.sin(2.0 * PHASES)).round(2), [-10.0] * 8, strict=True)]
+PLACES = [
+    *zip(np.sin(PHASES).round(2), (0.5 * np.sin(2.0 * PHASES)).round(2), [-10.0] * 8, strict=True)
+]
 PLACES += [(0.5, -0.5, -10.5), (0.0, 0.0, -10.0)]
 REACHED_M = 0.05
 LATE = ("links.delay_s=0.2", "links.loss=0.3")
-VICTIM, FAULTS = "agent3", {3: "kill", 6: "restart"}  # before the targets with these numbers, from 0
+VICTIM, FAULTS = (
+    "agent3",
+    {3: "kill", 6: "restart"},
+)  # before the targets with these numbers, from 0
 ROUTER_PORT = free_base()  # the other implementation has one session in a process
 _KNOWN_S = 20.0
 
@@ -62,7 +69,9 @@ def by(way: str, folder: Path, address: str) -> Iterator[Callable[[Place], objec
         import zenoh_ros2_sdk
 
         router = f"tcp/127.0.0.1:{ROUTER_PORT}"
-        bridge = start("ros2", "--run", folder, "--domain", str(DOMAIN), "--connect", router, cwd=folder)
+        bridge = start(
+            "ros2", "--run", folder, "--domain", str(DOMAIN), "--connect", router, cwd=folder
+        )
         try:
             with closing(Publisher(zenoh_ros2_sdk, ROUTER_PORT)) as publisher:
                 yield lambda place: publisher.send(*place, frame="inertial")
@@ -74,8 +83,15 @@ def by(way: str, folder: Path, address: str) -> Iterator[Callable[[Place], objec
 def flown(way: str, late: bool, gusts: bool, folder: Path) -> tuple[list[float], int, int]:
     """Fly to all targets; return the payload's distances from them, m, numbers of plans, and of equal replayed ones."""
     calm = () if gusts else ("plant.wind.gust_mps=[0,0,0]",)
-    options = ("--no-figures", "--out", folder.name, *(("--view", "--port", "0") if way == "viewer" else ()))
-    run = start("run", "playground", *settings(*calm, *(LATE if late else ())), *options, cwd=folder.parent)
+    options = (
+        "--no-figures",
+        "--out",
+        folder.name,
+        *(("--view", "--port", "0") if way == "viewer" else ()),
+    )
+    run = start(
+        "run", "playground", *settings(*calm, *(LATE if late else ())), *options, cwd=folder.parent
+    )
     try:
         address = page_of(run) if way == "viewer" else ""
         assert wait_for(lambda: live.read(folder) is not None)
@@ -89,7 +105,10 @@ def flown(way: str, late: bool, gusts: bool, folder: Path) -> tuple[list[float],
 
                 def is_known(place: Place = place) -> bool:
                     give(place)  # again, if nothing listens yet
-                    return wait_for(lambda: [t.points[0].tolist() for t in log.of(Target)][-1:] == [[*place]], _KNOWN_S)
+                    return wait_for(
+                        lambda: [t.points[0].tolist() for t in log.of(Target)][-1:] == [[*place]],
+                        _KNOWN_S,
+                    )
 
                 assert wait_for(is_known)
                 target = log.of(Target)[-1]
@@ -104,14 +123,20 @@ def flown(way: str, late: bool, gusts: bool, folder: Path) -> tuple[list[float],
         for step in Replay(whole.setup, whole.log, agent).steps():
             comparison.add(step)
     errors_m = [target["error_m"] for target in transport.load(folder).summary["targets"]]
-    return [error_m for error_m in errors_m if error_m is not None], comparison.plans, comparison.identical
+    return (
+        [error_m for error_m in errors_m if error_m is not None],
+        comparison.plans,
+        comparison.identical,
+    )
 
 
 def main() -> int:
     """Fly by the ways of the command line; print a row for each flight and return the exit code."""
     ways = ("command", "Python", "viewer", "ROS 2")
     parser = argparse.ArgumentParser(prog="python -m tests.campaigns.targets", description=__doc__)
-    parser.add_argument("ways", nargs="*", default=ways, help=f"of {', '.join(ways)}; all by default")
+    parser.add_argument(
+        "ways", nargs="*", default=ways, help=f"of {', '.join(ways)}; all by default"
+    )
     parser.add_argument("--gusts", action="store_true", help="with the gusts of playground")
     options = parser.parse_args()
     rows, done = list[tuple[str, ...]](), True
@@ -119,17 +144,29 @@ def main() -> int:
     try:
         for way, late in product(options.ways, (False, True)):
             with TemporaryDirectory() as folder:
-                errors_m, plans, identical = flown(way, late, options.gusts, Path(folder) / "targets")
+                errors_m, plans, identical = flown(
+                    way, late, options.gusts, Path(folder) / "targets"
+                )
             near = sum(error_m < REACHED_M for error_m in errors_m)
             network = "200 ms, 30 % loss, an agent killed and restarted" if late else "perfect"
-            counts = (f"{near} of {len(errors_m)}", f"{100.0 * max(errors_m):.1f}", f"{identical} of {plans}")
+            counts = (
+                f"{near} of {len(errors_m)}",
+                f"{100.0 * max(errors_m):.1f}",
+                f"{identical} of {plans}",
+            )
             rows.append((way, network, *counts))
             sys.stderr.write(f"{way}, {network}: {', '.join(counts)}\n")
             done &= near == len(errors_m) >= len(PLACES) and plans == identical > 0
     finally:
         router.terminate()
         router.communicate()
-    columns = ("targets by", "network", "reached within 5 cm", "largest error, cm", "replayed plans with the same bits")
+    columns = (
+        "targets by",
+        "network",
+        "reached within 5 cm",
+        "largest error, cm",
+        "replayed plans with the same bits",
+    )
     sys.stdout.write(f"{tables.table(columns, rows)}\n")
     return 0 if done else 1
 

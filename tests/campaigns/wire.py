@@ -1,8 +1,9 @@
 """Campaign of hostile messages: `python -m tests.campaigns.wire --messages N --seed S`.
 
-Intruders send bad messages of every sort to all processes of runs: open ones, with and without their recorder, and some
-with certificates, where the intruder has those of agent 1. A run has to end with the bits of one without intruder, and
-its processes have to count refusals. Sessions without secret or certificate must not connect. Exit code 1 otherwise.
+Intruders send bad messages of every sort to all processes of runs: open ones, with and without
+their recorder, and some with certificates, where the intruder has those of agent 1. A run has to
+end with the bits of one without intruder, and its processes have to count refusals. Sessions
+without secret or certificate must not connect. Exit code 1 otherwise.
 """
 
 import argparse
@@ -20,8 +21,6 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from protocol.network.endpoints import process_names
-from protocol.wire.keys import RECORDER, Keys
 from tests.support import attacker
 from tests.support.attacker import bombard, intruding, proofs_of_connection, table
 from tests.support.commands import free_base, settings, start, wait_for
@@ -29,9 +28,12 @@ from tests.support.garbage import Garbage
 from tests.support.keyrings import keyring
 from tests.support.logs import record_run
 from tests.support.runs import ready
+from transport.protocol.network.endpoints import process_names
+from transport.protocol.wire.keys import RECORDER, Keys
 from transport.report.report import write_report
 
-# The last messages are sent well before the end, so that they arrive during the run, also on a busy machine.
+# The last messages are sent well before the end, so that they arrive during the run, also on a busy
+# machine.
 _TICKS, _UNTIL = 800, 0.75
 # Messages of three ticks: older ones have reached all processes.
 _DELAY = 60
@@ -42,7 +44,10 @@ _ACCESS = ("open", "recorder", "secret", "certificates")
 
 @dataclass(slots=True)
 class Result:
-    """Result of the runs with one kind of access: their number, messages sent by sort, refusals by process."""
+    """Result of the runs with one kind of access.
+
+    Their number, messages sent by sort, refusals by process.
+    """
 
     runs: int = 0
     sent: Counter[str] = field(default_factory=Counter)
@@ -51,7 +56,10 @@ class Result:
 
 
 def campaign(access: str, messages: int, seed: int, folder: Path, *, ticks: int = _TICKS) -> Result:
-    """Attack runs with one kind of access until so many messages are sent; where none connects, one run."""
+    """Attack runs with one kind of access until so many messages are sent.
+
+    Where none connects, one run.
+    """
     result = Result()
     while result.sent.total() < messages:
         before = result.sent.total()
@@ -63,15 +71,28 @@ def campaign(access: str, messages: int, seed: int, folder: Path, *, ticks: int 
     return result
 
 
-def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, result: Result, ticks: int) -> None:
+def _attack(
+    access: str, messages: int, rng: np.random.Generator, folder: Path, result: Result, ticks: int
+) -> None:
     """Attack one run; it is paced to real time at the most, so that intruders have time."""
     name, base = f"{access}-{result.runs}", free_base()
-    climb = f"maneuver.phase=[{{name='climb',duration_s={0.05 * ticks},displacement_m=[0.0,0.0,-1.0]}}]"
+    climb = (
+        f"maneuver.phase=[{{name='climb',duration_s={0.05 * ticks},displacement_m=[0.0,0.0,-1.0]}}]"
+    )
     flight = (climb, "controller.horizon=5", "clock.speed=1.0")
-    network = {"secret": (), "certificates": (f"network.keys={keyring('one')}",)}.get(access, ("network.secret=false",))
+    network = {"secret": (), "certificates": (f"network.keys={keyring('one')}",)}.get(
+        access, ("network.secret=false",)
+    )
     run, keys = ready("paper", *flight), Keys(name)
     names = [*process_names(run.scenario), *([] if access == "open" else [RECORDER])]
-    command = ["run", "paper", *settings(*flight, f"network.base_port={base}", *network), "--out", name, "--no-figures"]
+    command = [
+        "run",
+        "paper",
+        *settings(*flight, f"network.base_port={base}", *network),
+        "--out",
+        name,
+        "--no-figures",
+    ]
     process = start(*command, "--format", "json", cwd=folder)
     result.runs += 1
     try:
@@ -89,17 +110,23 @@ def _attack(access: str, messages: int, rng: np.random.Generator, folder: Path, 
                 hears = keys.subscriptions("agent1")
             with intruding(keys, endpoints, secure, hears) as mesh:
                 until = round(_UNTIL * ticks)
-                result.sent.update(bombard(mesh, source, process, awaited, shots=messages, until_tick=until))
+                result.sent.update(
+                    bombard(mesh, source, process, awaited, shots=messages, until_tick=until)
+                )
                 if process.poll() is not None:
                     result.findings.append(f"{name}: the run ended before the attack")
-                wait_for(lambda: process.poll() is not None, _RUN_S)  # the end of the session would drop messages
+                wait_for(
+                    lambda: process.poll() is not None, _RUN_S
+                )  # the end of the session would drop messages
         printed, errors = process.communicate(timeout=_RUN_S)
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
             process.communicate(timeout=_RUN_S)
     if process.returncode != 0:
-        result.findings.append(f"{name}: exit code {process.returncode}: {errors.strip().splitlines()[-1:]}")
+        result.findings.append(
+            f"{name}: exit code {process.returncode}: {errors.strip().splitlines()[-1:]}"
+        )
         return
     for entry in json.loads(printed)["rejections"]:
         result.refused[entry["by"]] += entry["count"]
@@ -130,9 +157,13 @@ def _calm(folder: Path, flight: Sequence[str]) -> list[dict[str, str]]:
 def main() -> int:
     """Run the campaign with the options of the command line; return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m tests.campaigns.wire", description=__doc__)
-    parser.add_argument("--messages", type=int, default=1_000_000, help="messages in all, half of them to open runs")
+    parser.add_argument(
+        "--messages", type=int, default=1_000_000, help="messages in all, half of them to open runs"
+    )
     parser.add_argument("--seed", type=int, default=0, help="random seed of the messages")
-    parser.add_argument("--access", choices=_ACCESS, action="append", help="kinds of access; all by default")
+    parser.add_argument(
+        "--access", choices=_ACCESS, action="append", help="kinds of access; all by default"
+    )
     options = parser.parse_args()
     chosen = options.access or _ACCESS
     each = options.messages // len([access for access in chosen if access != "secret"] or [1])
@@ -141,7 +172,9 @@ def main() -> int:
         for access in chosen:
             result = campaign(access, each, options.seed, Path(folder))
             sent, refused = result.sent.total(), result.refused.total()
-            lines.append(f"{access:<14}{result.runs:>4} runs {sent:>10} messages sent {refused:>10} refused")
+            lines.append(
+                f"{access:<14}{result.runs:>4} runs {sent:>10} messages sent {refused:>10} refused"
+            )
             findings += result.findings
     lines += findings or ["all runs equal bit for bit to one without intruder"]
     sys.stdout.write("\n".join(lines) + "\n")

@@ -2,7 +2,6 @@
 
 import pytest
 
-from protocol.wire.messages import Roster, Tick
 from tests.support.coordinator_clock import (
     CONTINUE,
     MS,
@@ -16,6 +15,7 @@ from tests.support.coordinator_clock import (
     tell,
 )
 from tests.support.runs import ALL, plan, setup
+from transport.protocol.wire.messages import Roster, Tick
 
 PACED = "clock.speed=1"
 

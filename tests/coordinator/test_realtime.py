@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control, Message, Plan, PlantState, Roster, Tick
 from tests.support.coordinator_clock import CONTINUE, MS, START_NS, S, kinds, started, tell
 from tests.support.nodes import CoordinatorNode
 from tests.support.runs import ALL, plan, plant_state, setup, ticks
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Control, Message, Plan, PlantState, Roster, Tick
 
 REALTIME = ("clock.mode=realtime", "clock.speed=1")
 PERIOD_NS = 50 * MS
@@ -47,11 +47,15 @@ def test_deadlines_do_not_drift(speed: float) -> None:
     A tick is opened at the first awakening at or after its deadline, and says how late that was.
     """
     count = 10_000
-    run = setup(ticks(count), "clock.mode=realtime", f"clock.speed={speed}", "clock.barrier_timeout_s=1e6")
+    run = setup(
+        ticks(count), "clock.mode=realtime", f"clock.speed={speed}", "clock.barrier_timeout_s=1e6"
+    )
     node = started(CoordinatorNode(run))
     rng = np.random.default_rng(1)
     # Usually some tenths of a millisecond, now and then more than a period.
-    lateness_ns = (rng.exponential(0.3 * MS, count) + (rng.random(count) < 0.01) * 120 * MS).astype(int)
+    lateness_ns = (rng.exponential(0.3 * MS, count) + (rng.random(count) < 0.01) * 120 * MS).astype(
+        int
+    )
     now_ns = START_NS
     for k in range(1, count):
         deadline_ns = START_NS + round(k * PERIOD_NS / speed)
@@ -85,7 +89,10 @@ def test_the_coordinators_own_absence_restarts_the_timeouts(mode: tuple[str, ...
 
 
 def test_missed_deadlines_are_counted() -> None:
-    """With "continue" ticks open on time; they name the agents that answered, and the worst lateness."""
+    """With "continue" ticks open on time.
+
+    They name the agents that answered, and the worst lateness.
+    """
     run, node = realtime()
     tell(node, answers(run, 0, (1, 2)), due(0) + 20 * MS)
     assert only_tick(node.poll(due(1))).answered == (1, 2)
@@ -104,7 +111,12 @@ def test_hold() -> None:
     assert node.poll(due(1)) == ()
     assert node.poll(due(1) + 69 * MS) == ()
     first = only_tick(tell(node, answers(run, 0, (4,)), due(1) + 70 * MS))
-    assert (first.tick, first.answered, first.late_ns, first.overrun_ns) == (1, ALL, 70 * MS, 70 * MS)
+    assert (first.tick, first.answered, first.late_ns, first.overrun_ns) == (
+        1,
+        ALL,
+        70 * MS,
+        70 * MS,
+    )
     assert tell(node, answers(run, 1), due(1) + 80 * MS) == []
     assert node.wake_ns == due(2) + 70 * MS
     assert only_tick(node.poll(due(2) + 70 * MS)).late_ns == 0
@@ -122,7 +134,9 @@ def test_abort_by_count(limit: int) -> None:
     (end,) = node.poll(due(limit + 1))
     assert isinstance(end, Control)
     assert (end.outcome, end.exit_code) == ("aborted", 5)
-    assert end.reason.startswith(f"agent4 missed the deadline of tick {limit} at t = {0.05 * (limit + 1):.2f} s")
+    assert end.reason.startswith(
+        f"agent4 missed the deadline of tick {limit} at t = {0.05 * (limit + 1):.2f} s"
+    )
     assert end.reason.endswith(f": {limit + 1} missed in total, {limit} allowed")
 
 
@@ -139,8 +153,13 @@ def test_abort_by_size() -> None:
     assert end.reason == "tick 3 was 0.031 s late, 0.03 s allowed"
 
 
-def run_until(run: Setup, node: CoordinatorNode, until_ns: int, silent: Sequence[str]) -> tuple[list[Message], int]:
-    """Let all but the silent processes answer every tick at once; return the first messages besides ticks, and when."""
+def run_until(
+    run: Setup, node: CoordinatorNode, until_ns: int, silent: Sequence[str]
+) -> tuple[list[Message], int]:
+    """Let all but the silent processes answer every tick at once.
+
+    Return the first messages besides ticks, and when.
+    """
     sent_else: list[Message] = []
     agents = [agent for agent in ALL if f"agent{agent}" not in silent]
     while node.finished is None and node.wake_ns is not None and node.wake_ns < until_ns:
@@ -155,7 +174,10 @@ def run_until(run: Setup, node: CoordinatorNode, until_ns: int, silent: Sequence
 
 
 def test_a_frozen_agent_is_taken_off_the_roster() -> None:
-    """An agent that is silent for the barrier timeout leaves the roster; ticks open on time before and after."""
+    """An agent that is silent for the barrier timeout leaves the roster.
+
+    Ticks open on time before and after.
+    """
     run, node = realtime(CONTINUE)
     tell(node, [*answers(run, 0), plant_state(run, 0)])
     sent, now_ns = run_until(run, node, due(400), ["agent4"])

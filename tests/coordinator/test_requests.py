@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from protocol.wire.messages import LinkChange, Message, Request, Roster
 from tests.support.coordinator_clock import (
     CONTINUE,
     START_NS,
@@ -20,9 +19,12 @@ from tests.support.coordinator_clock import (
 )
 from tests.support.coordinator_clock import ready as is_ready
 from tests.support.nodes import CoordinatorNode
+from transport.protocol.wire.messages import LinkChange, Message, Request, Roster
 
 
-def answer_to(node: CoordinatorNode, what: str, **given: Any) -> tuple[Mapping[str, Any], list[Message]]:
+def answer_to(
+    node: CoordinatorNode, what: str, **given: Any
+) -> tuple[Mapping[str, Any], list[Message]]:
     """The one answer to a request, and what is sent because of it."""
     replies: list[Mapping[str, Any]] = []
     sent = list(node.receive(Request(what, given, replies.append), START_NS))
@@ -40,11 +42,17 @@ def test_status() -> None:
     """Status is tick, length, members and observers, before the first tick, later, and after the loss of an agent."""
     node = coordinator(CONTINUE, observers=["recorder"])
     assert answer_to(node, "status")[0]["tick"] == -1
-    tell(node, [is_ready(name) for name in ("recorder", "plant", "agent1", "agent2", "agent3", "agent4")])
+    tell(
+        node,
+        [is_ready(name) for name in ("recorder", "plant", "agent1", "agent2", "agent3", "agent4")],
+    )
     expected = {"tick": 0, "ticks": 3, "members": [1, 2, 3, 4], "observers": ["recorder"]}
     assert answer_to(node, "status") == (expected, [])
     tell(node, [gone("agent2"), gone("recorder"), *answers(0, (1, 3, 4))])
-    assert answer_to(node, "status") == ({"tick": 1, "ticks": 3, "members": [1, 3, 4], "observers": []}, [])
+    assert answer_to(node, "status") == (
+        {"tick": 1, "ticks": 3, "members": [1, 3, 4], "observers": []},
+        [],
+    )
 
 
 def test_a_change_of_links() -> None:
@@ -75,7 +83,11 @@ def test_all_changes_are_repeated_for_joining_agents() -> None:
     for repeated, message in zip(sent, changes, strict=False):
         assert isinstance(repeated, LinkChange)
         assert isinstance(message, LinkChange)
-        assert (repeated.number, repeated.tick, repeated.settings) == (message.number, message.tick, message.settings)
+        assert (repeated.number, repeated.tick, repeated.settings) == (
+            message.number,
+            message.tick,
+            message.settings,
+        )
     assert len({message.sequence for message in [*changes, *sent]}) == 6  # numbered anew
 
 
@@ -85,11 +97,23 @@ def test_all_changes_are_repeated_for_joining_agents() -> None:
         ({"settings": {}}, "expected at least one key of a link, got none"),
         ({}, "expected a JSON object of a link's keys"),
         ({"settings": {"lag": 2.0}}, "lag"),
-        ({"from": "agent9", "settings": {"loss": 0.1}}, "from: expected one of plant, agent1, agent2"),
-        ({"to": "coordinator", "settings": {"loss": 0.1}}, "to: expected one of plant, agent1, agent2"),
+        (
+            {"from": "agent9", "settings": {"loss": 0.1}},
+            "from: expected one of plant, agent1, agent2",
+        ),
+        (
+            {"to": "coordinator", "settings": {"loss": 0.1}},
+            "to: expected one of plant, agent1, agent2",
+        ),
         ({"settings": {"samples": "x.csv"}}, "samples: expected a valid list, got 'x.csv'"),
-        ({"settings": {"delay_s": 1e308}}, "delay_s: expected a magnitude of at most 1e+09, got 1e+308"),
-        ({"settings": {"samples": [0.125] * 200}}, "settings: expected at most 1000 characters, got 1"),
+        (
+            {"settings": {"delay_s": 1e308}},
+            "delay_s: expected a magnitude of at most 1e+09, got 1e+308",
+        ),
+        (
+            {"settings": {"samples": [0.125] * 200}},
+            "settings: expected at most 1000 characters, got 1",
+        ),
         ({"settings": {"loss": 2.0}}, "loss: expected less than or equal to 1, got 2.0"),
     ],
 )

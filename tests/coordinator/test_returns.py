@@ -4,14 +4,27 @@ from collections.abc import Sequence
 
 from msgspec.structs import replace
 
-from protocol.wire.messages import Control, Message, Roster, Tick
-from tests.support.coordinator_clock import CONTINUE, MS, START_NS, TIMEOUT_S, S, gone, kinds, ready, started, tell
+from tests.support.coordinator_clock import (
+    CONTINUE,
+    MS,
+    START_NS,
+    TIMEOUT_S,
+    S,
+    gone,
+    kinds,
+    ready,
+    started,
+    tell,
+)
 from tests.support.nodes import CoordinatorNode
 from tests.support.runs import ALL, plan, plant_state, setup, ticks
+from transport.protocol.wire.messages import Control, Message, Roster, Tick
 
 BARRIER_NS = round(TIMEOUT_S * S)
 JOIN_NS = 30 * S  # clock.join_timeout_s, the default
-KILLED = "faults.event=[{at_s=0.05,do='kill',target='agent2'},{at_s=0.15,do='restart',target='agent2'}]"
+KILLED = (
+    "faults.event=[{at_s=0.05,do='kill',target='agent2'},{at_s=0.15,do='restart',target='agent2'}]"
+)
 SIX = ticks(6)
 ITERATIONS = "controller.negotiation_iterations=3"
 LEFT = (1, 3, 4)
@@ -23,7 +36,10 @@ def answers(k: int, agents: Sequence[int] = ALL, incarnation: int = 1) -> list[M
 
 
 def held() -> CoordinatorNode:
-    """Agent 2 was killed when tick 1 opened; tick 2 is answered by the others, and tick 3 is to have it back."""
+    """Agent 2 was killed when tick 1 opened.
+
+    Tick 2 is answered by the others, and tick 3 is to have it back.
+    """
     node = started(CoordinatorNode(setup(SIX, CONTINUE, KILLED)))
     tell(node, [*answers(0), gone("agent2")])
     for k in (1, 2):
@@ -57,7 +73,9 @@ def test_a_tick_is_held_no_longer_than_the_join_timeout() -> None:
 
 def proposals(agents: Sequence[int], negotiation: int) -> list[Message]:
     """Plans of tick 0 that are still negotiated."""
-    return [replace(plan(setup(SIX, ITERATIONS), agent, 0), negotiation=negotiation) for agent in agents]
+    return [
+        replace(plan(setup(SIX, ITERATIONS), agent, 0), negotiation=negotiation) for agent in agents
+    ]
 
 
 def test_all_agents_stuck_in_a_negotiation() -> None:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from protocol.wire.messages import Message, Presence
 from tests.support.coordinator_clock import (
     CONTINUE,
     MS,
@@ -22,11 +21,14 @@ from tests.support.coordinator_clock import (
 )
 from tests.support.nodes import CoordinatorNode
 from tests.support.runs import plant_state, setup, ticks
+from transport.protocol.wire.messages import Message, Presence
 
 AGENTS = [f"agent{agent}" for agent in (1, 2, 3, 4)]
 TOO_LATE_NS = START_NS + round(TIMEOUT_S * 1e9)
 DEADLINE_NS = START_NS + 50 * MS
-KILLED = "faults.event=[{at_s=0.05,do='kill',target='agent2'},{at_s=0.1,do='restart',target='agent2'}]"
+KILLED = (
+    "faults.event=[{at_s=0.05,do='kill',target='agent2'},{at_s=0.1,do='restart',target='agent2'}]"
+)
 REALTIME = ("clock.mode=realtime", "clock.speed=1", "clock.on_overrun=abort")
 REASON = "UAV1 roll of 90 deg"
 
@@ -95,7 +97,10 @@ def over(*settings: str) -> CoordinatorNode:
 
 
 def tilted(*settings: str) -> CoordinatorNode:
-    """Tick 0 is open and the plant has diverged: the tick is still answered and the next one opened."""
+    """Tick 0 is open and the plant has diverged.
+
+    The tick is still answered and the next one opened.
+    """
     node = opened(*settings)
     tell(node, [plant_state(setup(), 0, REASON)])
     return node
@@ -113,7 +118,12 @@ class Case:
     settings: tuple[str, ...] = ()
 
 
-ABORTED, DIVERGED, COMPLETED, INTERRUPTED = ("aborted", 4), ("diverged", 6), ("completed", 0), ("aborted", 130)
+ABORTED, DIVERGED, COMPLETED, INTERRUPTED = (
+    ("aborted", 4),
+    ("diverged", 6),
+    ("completed", 0),
+    ("aborted", 130),
+)
 OVERRUN = ("aborted", 5)
 LOST, TILTED = plant_state(setup(), 0, REASON), f"{REASON} at t = 0.00 s"
 LATE = "agent4 did not answer tick 0 in time at t = 0.00 s"
@@ -123,11 +133,29 @@ TABLE = [
     Case(state=waiting, event=plant_state(setup(), 0)),
     Case(state=waiting, event="a day passes"),
     Case(
-        state=waiting, event=gone("agent3"), sent=["control 0"], outcome=ABORTED, reason="agent3 is gone at t = 0.00 s"
+        state=waiting,
+        event=gone("agent3"),
+        sent=["control 0"],
+        outcome=ABORTED,
+        reason="agent3 is gone at t = 0.00 s",
     ),
-    Case(state=waiting, event=gone("agent3"), sent=["control 0"], outcome=ABORTED, settings=(CONTINUE,)),
-    Case(state=waiting, event=gone("plant"), sent=["control 0"], outcome=ABORTED, reason="plant is gone"),
-    Case(state=waiting, event="interrupt", sent=["control 0"], outcome=INTERRUPTED, reason="Ctrl-C"),
+    Case(
+        state=waiting,
+        event=gone("agent3"),
+        sent=["control 0"],
+        outcome=ABORTED,
+        settings=(CONTINUE,),
+    ),
+    Case(
+        state=waiting,
+        event=gone("plant"),
+        sent=["control 0"],
+        outcome=ABORTED,
+        reason="plant is gone",
+    ),
+    Case(
+        state=waiting, event="interrupt", sent=["control 0"], outcome=INTERRUPTED, reason="Ctrl-C"
+    ),
     #
     Case(state=opened, event=answers(0)[3], sent=["tick 1"]),
     Case(state=opened, event=answers(0)[0]),
@@ -136,15 +164,33 @@ TABLE = [
     Case(state=opened, event="timeout", sent=["control 0"], outcome=ABORTED, reason=LATE),
     Case(state=opened, event="timeout", sent=["roster 0", "tick 1"], settings=(CONTINUE,)),
     Case(
-        state=opened, event=gone("agent4"), sent=["control 0"], outcome=ABORTED, reason="agent4 is gone at t = 0.00 s"
+        state=opened,
+        event=gone("agent4"),
+        sent=["control 0"],
+        outcome=ABORTED,
+        reason="agent4 is gone at t = 0.00 s",
     ),
     Case(state=opened, event=gone("agent4"), sent=["roster 0", "tick 1"], settings=(CONTINUE,)),
     Case(state=opened, event=gone("agent1"), sent=["roster 0"], settings=(CONTINUE,)),
     Case(state=opened, event=gone("agent4", 0)),
-    Case(state=opened, event=gone("plant"), sent=["control 0"], outcome=ABORTED, reason="plant is gone"),
-    Case(state=opened, event=gone("plant"), sent=["control 0"], outcome=ABORTED, settings=(CONTINUE,)),
+    Case(
+        state=opened,
+        event=gone("plant"),
+        sent=["control 0"],
+        outcome=ABORTED,
+        reason="plant is gone",
+    ),
+    Case(
+        state=opened, event=gone("plant"), sent=["control 0"], outcome=ABORTED, settings=(CONTINUE,)
+    ),
     Case(state=opened, event=LOST),
-    Case(state=tilted, event=answers(0)[3], sent=["tick 1", "control 1"], outcome=DIVERGED, reason=TILTED),
+    Case(
+        state=tilted,
+        event=answers(0)[3],
+        sent=["tick 1", "control 1"],
+        outcome=DIVERGED,
+        reason=TILTED,
+    ),
     Case(state=tilted, event="timeout", sent=["control 0"], outcome=DIVERGED, reason=TILTED),
     Case(state=opened, event="interrupt", sent=["control 0"], outcome=INTERRUPTED, reason="Ctrl-C"),
     #
@@ -165,16 +211,40 @@ TABLE = [
         reason="plant did not answer tick 2 in time",
     ),
     Case(state=recorded, event=answers(2)[3], sent=["control 2"], outcome=COMPLETED),
-    Case(state=recorded, event=gone("agent4"), sent=["roster 2", "control 2"], outcome=COMPLETED, settings=(CONTINUE,)),
-    Case(state=recorded, event="timeout", sent=["roster 2", "control 2"], outcome=COMPLETED, settings=(CONTINUE,)),
+    Case(
+        state=recorded,
+        event=gone("agent4"),
+        sent=["roster 2", "control 2"],
+        outcome=COMPLETED,
+        settings=(CONTINUE,),
+    ),
+    Case(
+        state=recorded,
+        event="timeout",
+        sent=["roster 2", "control 2"],
+        outcome=COMPLETED,
+        settings=(CONTINUE,),
+    ),
     Case(state=recorded, event="interrupt", sent=["control 2"], outcome=INTERRUPTED),
     #
     Case(state=waiting, event=ready("agent4"), sent=["roster 0", "tick 0"], settings=(ticks(1),)),
     Case(state=opened, event=answers(0)[3], sent=["tick 1"], settings=(ticks(2),)),
     Case(state=opened_in_real_time, event="deadline", sent=["control 0"], outcome=OVERRUN),
-    Case(state=opened_in_real_time, event="deadline", sent=["control 0"], outcome=OVERRUN, settings=(ticks(1),)),
+    Case(
+        state=opened_in_real_time,
+        event="deadline",
+        sent=["control 0"],
+        outcome=OVERRUN,
+        settings=(ticks(1),),
+    ),
     Case(state=diverged_in_real_time, event="deadline", sent=["control 0"], outcome=OVERRUN),
-    Case(state=tilted, event=answers(0)[3], sent=["tick 1", "control 1"], outcome=DIVERGED, settings=(ticks(2),)),
+    Case(
+        state=tilted,
+        event=answers(0)[3],
+        sent=["tick 1", "control 1"],
+        outcome=DIVERGED,
+        settings=(ticks(2),),
+    ),
     Case(state=tilted, event=gone("plant"), sent=["control 0"], outcome=ABORTED),
     Case(state=tilted, event="interrupt", sent=["control 0"], outcome=INTERRUPTED),
     #
@@ -182,9 +252,16 @@ TABLE = [
     Case(state=held, event=ready("agent2", 2), sent=["roster 2", "tick 2"]),
     Case(state=held, event=ready("agent2", 2), sent=["roster 2", "tick 2"], settings=(ticks(4),)),
     Case(state=held, event=gone("agent4"), sent=["roster 1"]),
-    Case(state=held, event=gone("plant"), sent=["control 1"], outcome=ABORTED, reason="plant is gone"),
+    Case(
+        state=held, event=gone("plant"), sent=["control 1"], outcome=ABORTED, reason="plant is gone"
+    ),
     Case(state=held, event="interrupt", sent=["control 1"], outcome=INTERRUPTED),
-    Case(state=held, event=plant_state(setup(), 1, REASON), sent=["tick 2", "control 2"], outcome=DIVERGED),
+    Case(
+        state=held,
+        event=plant_state(setup(), 1, REASON),
+        sent=["tick 2", "control 2"],
+        outcome=DIVERGED,
+    ),
     #
     *[
         Case(state=over, event=event, outcome=INTERRUPTED, reason="Ctrl-C")
@@ -211,7 +288,9 @@ def happen(node: CoordinatorNode, event: Message | Presence | str) -> list[Messa
     return tell(node, [event])
 
 
-@pytest.mark.parametrize("case", TABLE, ids=lambda case: f"{case.state.__name__}-{str(case.event)[:45]}")
+@pytest.mark.parametrize(
+    "case", TABLE, ids=lambda case: f"{case.state.__name__}-{str(case.event)[:45]}"
+)
 def test_transition(case: Case) -> None:
     """In each state each event causes the messages of the table, and the outcome is the table's."""
     node = case.state(*case.settings)

@@ -9,9 +9,9 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from deploy.hosts import DeployError
-from deploy.keys import AUTHORITY_KEY, LOOPBACK, make_certificates
-from protocol.network.security import AUTHORITY, Security, SecurityError, exposed
+from transport.deploy.hosts import DeployError
+from transport.deploy.keys import AUTHORITY_KEY, LOOPBACK, make_certificates
+from transport.protocol.network.security import AUTHORITY, Security, SecurityError, exposed
 
 
 def certificate(file: Path) -> x509.Certificate:
@@ -26,7 +26,11 @@ def test_a_certificate_has_name_and_addresses(tmp_path: Path) -> None:
     own.verify_directly_issued_by(authority)
     assert own.subject.rfc4514_string() == "CN=agent1"
     names = own.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    assert [str(ip) for ip in names.get_values_for_type(x509.IPAddress)] == ["127.0.0.1", "::1", "192.0.2.7"]
+    assert [str(ip) for ip in names.get_values_for_type(x509.IPAddress)] == [
+        "127.0.0.1",
+        "::1",
+        "192.0.2.7",
+    ]
     assert names.get_values_for_type(x509.DNSName) == ["localhost", "uav.example"]
     usages = own.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
     assert {usage.dotted_string for usage in usages} == {"1.3.6.1.5.5.7.3.1", "1.3.6.1.5.5.7.3.2"}
@@ -51,7 +55,9 @@ def test_more_keys_later(tmp_path: Path) -> None:
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
     make_certificates(tmp_path, {"agent1": LOOPBACK, "agent2": LOOPBACK}, days=1)
     assert {name: (tmp_path / name).read_bytes() for name in before} == before
-    certificate(tmp_path / "agent2.pem").verify_directly_issued_by(certificate(tmp_path / AUTHORITY))
+    certificate(tmp_path / "agent2.pem").verify_directly_issued_by(
+        certificate(tmp_path / AUTHORITY)
+    )
 
 
 def test_half_an_authority_is_refused(tmp_path: Path) -> None:
@@ -82,7 +88,10 @@ def test_keys_that_cannot_be_used(tmp_path: Path) -> None:
     make_certificates(other, {"coordinator": LOOPBACK}, days=1)
     for end in ("pem", "key"):
         (tmp_path / f"coordinator.{end}").write_bytes((other / f"coordinator.{end}").read_bytes())
-    with pytest.raises(SecurityError, match=r"coordinator\.pem: expected a certificate of ca\.pem that is valid now"):
+    with pytest.raises(
+        SecurityError,
+        match=r"coordinator\.pem: expected a certificate of ca\.pem that is valid now",
+    ):
         Security(tmp_path, names).check("coordinator")
     old = tmp_path / "old"
     make_certificates(old, {"agent1": LOOPBACK}, days=-1)
@@ -92,7 +101,9 @@ def test_keys_that_cannot_be_used(tmp_path: Path) -> None:
     with pytest.raises(SecurityError, match="and its key"):
         Security(tmp_path, names).check("plant")
     with pytest.raises(ssl.SSLError):  # TLS agrees
-        ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(tmp_path / "plant.pem", tmp_path / "plant.key")
+        ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(
+            tmp_path / "plant.pem", tmp_path / "plant.key"
+        )
 
 
 @pytest.mark.parametrize(

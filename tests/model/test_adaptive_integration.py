@@ -1,16 +1,19 @@
-"""Adaptive integration: accurate at the plant's defaults, in calm and violent motion, with the same bits everywhere."""
+"""Adaptive integration.
+
+Accurate at the plant's defaults, in calm and violent motion, with the same bits everywhere.
+"""
 
 import numpy as np
 import pytest
 
-from model import linearisation, state
-from model.arrays import Array
-from model.linearisation import Model
-from model.state import StateView
-from protocol.scenario.plant_sections import PlantSection
 from tests.model.test_integration import HELD_THRUST, TRAJECTORY_TOLERANCE, deviation, exact
 from tests.support import reference
 from tests.support.random_systems import random_input, random_state, random_system
+from transport.model import linearisation, state
+from transport.model.arrays import Array
+from transport.model.linearisation import Model
+from transport.model.state import StateView
+from transport.protocol.scenario.plant_sections import PlantSection
 
 PERIOD_S, PERIODS = 0.05, 2
 DEFAULT = PlantSection()

@@ -4,11 +4,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from model.compiled import Compiled
+from transport.model.compiled import Compiled
 
 
 def test_compiled_functions_take_exactly_their_arguments() -> None:
-    """Arrays of the wrong length are refused; a missing argument raises instead of reusing the last one."""
+    """Arrays of the wrong length are refused.
+
+    A missing argument raises instead of reusing the last one.
+    """
     a, b = ca.SX.sym("a", 2), ca.SX.sym("b")
     scale = Compiled(ca.Function("scale", [a, b], [a * b, ca.vertcat(a.T, b * a.T)]))
     vector, matrix = scale(np.array([1.0, 2.0]), 3.0)

@@ -6,14 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from model.arrays import Array, ShapeError
-from model.discretisation import euler, zero_order_hold
-from model.linearisation import Linearisation, Model
 from tests.support import naive
 from tests.support.random_systems import random_input, random_state, random_system
+from transport.model.arrays import Array, ShapeError
+from transport.model.discretisation import euler, zero_order_hold
+from transport.model.linearisation import Linearisation, Model
 
 PERIODS_S = [0.001, 0.02, 0.05, 0.3, 1.0, 2.0]
-# Both sides round; relative to the largest entry, which grows to 1e6 over 2 s far from equilibrium. Measured 1e-14.
+# Both sides round; relative to the largest entry, which grows to 1e6 over 2 s far from equilibrium.
+# Measured 1e-14.
 EXPONENTIAL_TOLERANCE = 1e-12
 # Closed forms of 2 x 2 systems.
 CLOSED_FORM_TOLERANCE = 1e-14
@@ -64,7 +65,9 @@ def test_another_drift_with_known_matrices_is_the_same_hold(N: int, period_s: fl
 def test_double_integrator_in_closed_form() -> None:
     """A = [1 T; 0 1], B = [T^2 / 2; T]: the series ends where the nilpotent matrix does."""
     T = 0.7
-    own = zero_order_hold(plain(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([0.0, 2.0])), T)
+    own = zero_order_hold(
+        plain(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([0.0, 2.0])), T
+    )
     assert np.abs(own.A - np.array([[1.0, T], [0.0, 1.0]])).max() <= CLOSED_FORM_TOLERANCE
     assert np.abs(own.B - np.array([[T**2 / 2.0], [T]])).max() <= CLOSED_FORM_TOLERANCE
     assert np.abs(own.f_d - np.array([T**2, 2.0 * T])).max() <= CLOSED_FORM_TOLERANCE
@@ -74,7 +77,9 @@ def test_double_integrator_in_closed_form() -> None:
 def test_numbers_that_are_not_finite_are_refused(bad: float) -> None:
     """A linearisation at a singular state raises and names A_c, instead of cutting the period for ever."""
     with pytest.raises(ShapeError, match="A_c: expected finite numbers"):
-        zero_order_hold(plain(np.array([[0.0, bad], [bad, 0.0]]), np.zeros((2, 1)), np.zeros(2)), 0.05)
+        zero_order_hold(
+            plain(np.array([[0.0, bad], [bad, 0.0]]), np.zeros((2, 1)), np.zeros(2)), 0.05
+        )
 
 
 @pytest.mark.parametrize("N", [2, 4])
@@ -83,6 +88,10 @@ def test_euler_is_the_hold_to_second_order(N: int) -> None:
     linear, period_s = random_linearisation(N), 1e-3
     half = 0.5 * period_s**2 * linear.A_c
     own, exact = euler(linear, period_s), zero_order_hold(linear, period_s)
-    pairs = ((own.A, exact.A, linear.A_c), (own.B, exact.B, linear.B_c), (own.f_d, exact.f_d, linear.f))
+    pairs = (
+        (own.A, exact.A, linear.A_c),
+        (own.B, exact.B, linear.B_c),
+        (own.f_d, exact.f_d, linear.f),
+    )
     for found, right, factor in pairs:
         assert deviation(right - found, half @ factor) < 0.02

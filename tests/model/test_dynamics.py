@@ -5,16 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from model.linearisation import Model
-from model.parameters import Payload
-from model.state import StateView
 from tests.support import paper_form, reference
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
+from transport.model.arrays import Array
+from transport.model.linearisation import Model
+from transport.model.parameters import Payload
+from transport.model.state import StateView
 
 # The stored values carry up to 1.3e-11 of the engines' own error, in the same measure.
 REFERENCE_TOLERANCE = 1e-8
-# Two exact formulations: rounding times the condition number of M_0q, which stays below 1e5 in the draws.
+# Two exact formulations: rounding times the condition number of M_0q, which stays below 1e5 in the
+# draws.
 PAPER_TOLERANCE = 1e-10
 
 
@@ -79,9 +80,17 @@ def test_accelerations_solve_the_papers_linear_system(N: int) -> None:
 def test_further_mass_is_the_payloads(N: int) -> None:
     """A mass after the forces gives derivative and tensions of a payload of that mass, inertia in proportion."""
     rng = np.random.default_rng(370 + N)
-    system, x, u, F = random_system(rng, N), random_state(rng, N), random_input(rng, N), random_forces(rng, N)
+    system, x, u, F = (
+        random_system(rng, N),
+        random_state(rng, N),
+        random_input(rng, N),
+        random_forces(rng, N),
+    )
     model, known = Model(system), system.payload
     heavier = replace(system, payload=Payload(mass=1.3 * known.mass, inertia=1.3 * known.inertia))
     further = np.append(F, 0.3 * known.mass)
-    for of, expected in ((model.derivative, Model(heavier).derivative), (model.tensions, Model(heavier).tensions)):
+    for of, expected in (
+        (model.derivative, Model(heavier).derivative),
+        (model.tensions, Model(heavier).tensions),
+    ):
         assert deviation(of(x, u, forces=further), expected(x, u, forces=F)) < PAPER_TOLERANCE

@@ -3,16 +3,23 @@
 import numpy as np
 import pytest
 
-from model import state
-from model.arrays import Array
-from model.hover import RELEASED_MASS_KG, failed_hover, hover, motor_off_state, no_inputs, released_state
-from model.linearisation import Model
-from model.parameters import ParameterError, System, table_1
-from model.state import INPUTS, StateView
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
-from protocol.scenario.team import resized
 from tests.support.runs import SCENARIOS
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.hover import (
+    RELEASED_MASS_KG,
+    failed_hover,
+    hover,
+    motor_off_state,
+    no_inputs,
+    released_state,
+)
+from transport.model.linearisation import Model
+from transport.model.parameters import ParameterError, System, table_1
+from transport.model.state import INPUTS, StateView
+from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.team import resized
 
 DEAD = 2  # UAV 3; UAV 1 is opposite, UAVs 2 and 4 are its neighbours
 OPPOSITE, NEIGHBOURS = 0, (1, 3)
@@ -24,14 +31,17 @@ AT_REST = 1e-10
 FORCE_TOLERANCE_N = 1e-10
 # The bob of a released UAV weighs 1e-5 N.
 BOB_TOLERANCE_N = 2.0 * RELEASED_MASS_KG * 9.81
-# That weight moves a payload of 3 kg by 3e-6 m/s^2; within 1 s, with rods that fall over at 2 rad/s, below 1e-5.
+# That weight moves a payload of 3 kg by 3e-6 m/s^2; within 1 s, with rods that fall over at 2
+# rad/s, below 1e-5.
 BOB_DEVIATION = 1e-5
 
 
 def larger(uavs: int) -> System:
     """A team of another size, as `transport scenario new` makes it."""
     ready = read_scenario(SCENARIOS / "resilient.toml")
-    return Setup.of(resized(ready, uavs, group=None, name=None, source="resilient"), "larger").system
+    return Setup.of(
+        resized(ready, uavs, group=None, name=None, source="resilient"), "larger"
+    ).system
 
 
 def thrusts(u: Array) -> Array:
@@ -40,9 +50,14 @@ def thrusts(u: Array) -> Array:
 
 
 def test_three_hold_a_payload_without_the_fourth() -> None:
-    """Cut loose: the neighbours carry half the payload each, the opposite UAV nothing. docs/equations.md (51)."""
+    """Cut loose: the neighbours carry half the payload each, the opposite UAV nothing.
+
+    Docs/equations.md (51).
+    """
     at = failed_hover(table_1(), {DEAD}, {DEAD})
-    np.testing.assert_allclose(thrusts(at.u)[list(NEIGHBOURS)], 2.0 * WEIGHT_N, atol=BOB_TOLERANCE_N)
+    np.testing.assert_allclose(
+        thrusts(at.u)[list(NEIGHBOURS)], 2.0 * WEIGHT_N, atol=BOB_TOLERANCE_N
+    )
     assert thrusts(at.u)[OPPOSITE] == pytest.approx(WEIGHT_N, abs=BOB_TOLERANCE_N)
     assert thrusts(at.u)[DEAD] == 0.0
     assert np.abs(Model(table_1(), {DEAD}, {DEAD}).derivative(at.x, at.u)).max() < AT_REST
@@ -50,16 +65,23 @@ def test_three_hold_a_payload_without_the_fourth() -> None:
 
 
 def test_with_the_fourth_on_its_rod_the_opposite_one_has_no_thrust() -> None:
-    """Four UAVs, level payload: the opposite one rests on its rod, its neighbours are 0.9 N from their bound."""
+    """Four UAVs, level payload.
+
+    The opposite one rests on its rod, its neighbours are 0.9 N from their bound.
+    """
     at = failed_hover(table_1(), {DEAD}, set())
     assert thrusts(at.u)[OPPOSITE] == 0.0
-    np.testing.assert_allclose(thrusts(at.u)[list(NEIGHBOURS)], 3.0 * WEIGHT_N, atol=FORCE_TOLERANCE_N)
+    np.testing.assert_allclose(
+        thrusts(at.u)[list(NEIGHBOURS)], 3.0 * WEIGHT_N, atol=FORCE_TOLERANCE_N
+    )
     assert pytest.approx(0.855) == MOST_N - 3.0 * WEIGHT_N
     np.testing.assert_allclose(at.tensions[[OPPOSITE, DEAD]], -WEIGHT_N, atol=FORCE_TOLERANCE_N)
     assert np.abs(Model(table_1()).derivative(at.x, at.u)).max() < AT_REST
 
 
-@pytest.mark.parametrize(("uavs", "least", "most"), [(5, 15.2, 40.0), (6, 14.7, 36.8), (8, 17.6, 32.8)])
+@pytest.mark.parametrize(
+    ("uavs", "least", "most"), [(5, 15.2, 40.0), (6, 14.7, 36.8), (8, 17.6, 32.8)]
+)
 def test_five_and_more_hold_a_dead_uav(uavs: int, least: float, most: float) -> None:
     """With five or more a level hover exists in which every other UAV has thrust to spare in both directions."""
     system = larger(uavs)
@@ -91,9 +113,13 @@ def test_the_rest_moves_as_a_system_without_the_released_uav() -> None:
     """Payload and the UAVs that are left follow the trajectory of a system that never had the fourth."""
     system = table_1()
     live = [i for i in range(4) if i != DEAD]
-    three = System(payload=system.payload, uavs=[system.uavs[i] for i in live], gravity=system.gravity)
+    three = System(
+        payload=system.payload, uavs=[system.uavs[i] for i in live], gravity=system.gravity
+    )
     x, u = moving(system)
-    columns = np.concatenate([np.arange(12), *[np.arange(12) + state.uav_slice(i).start for i in live]])
+    columns = np.concatenate(
+        [np.arange(12), *[np.arange(12) + state.uav_slice(i).start for i in live]]
+    )
     with_bob, without = released_state(x, DEAD), x[columns]
     model, reference = Model(system, {DEAD}, {DEAD}), Model(three)
     for _ in range(20):
@@ -104,7 +130,10 @@ def test_the_rest_moves_as_a_system_without_the_released_uav() -> None:
 
 
 def test_a_motor_off_uav_acts_by_its_mass_alone() -> None:
-    """Its inputs have no effect whatever they are, nor has its attitude; a wind on a released UAV has none either."""
+    """Its inputs have no effect whatever they are, nor has its attitude.
+
+    A wind on a released UAV has none either.
+    """
     system = table_1()
     x, u = moving(system)
     x = motor_off_state(x, DEAD)
@@ -119,4 +148,6 @@ def test_a_motor_off_uav_acts_by_its_mass_alone() -> None:
     released, hung = Model(system, {DEAD}, {DEAD}), released_state(x, DEAD)
     gust = np.zeros(15)
     gust[9:12] = [1.0, 2.0, -3.0]
-    np.testing.assert_array_equal(released.derivative(hung, u, forces=gust), released.derivative(hung, u))
+    np.testing.assert_array_equal(
+        released.derivative(hung, u, forces=gust), released.derivative(hung, u)
+    )

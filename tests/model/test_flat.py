@@ -1,24 +1,28 @@
-"""References that a team can fly: the path's derivatives, and the motion of the team that follows from them."""
+"""References that a team can fly.
+
+The path's derivatives, and the motion of the team that follows from them.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from model.curves import Curve
-from model.flat import FlatReference, flight
-from model.hover import failed_hover, hover, with_released
-from model.linearisation import Model
-from model.maneuver import Maneuver, Phase
-from model.parameters import ParameterError, Payload, System, Uav, table_1
-from model.state import input_slice, uav_slice
+from transport.model.arrays import Array
+from transport.model.curves import Curve
+from transport.model.flat import FlatReference, flight
+from transport.model.hover import failed_hover, hover, with_released
+from transport.model.linearisation import Model
+from transport.model.maneuver import Maneuver, Phase
+from transport.model.parameters import ParameterError, Payload, System, Uav, table_1
+from transport.model.state import input_slice, uav_slice
 
 # Central differences of order 8 over steps of 0.3 ms: rounding of numbers up to 10 over the step.
 STEP_S = 3e-4
 STENCIL = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 SAME_RATE = 2e-9
-# Where a difference spans the end of a ramp or a way point of a spline, at which the seventh derivative has a kink.
+# Where a difference spans the end of a ramp or a way point of a spline, at which the seventh
+# derivative has a kink.
 ACROSS_KINKS = 1e-7
 # Accelerations by the pull of a bob, 1e-5 N, on the payload.
 BOB = 1e-3
@@ -30,10 +34,18 @@ ROUNDING = 1e-12
 CURVES = {
     "circle": Curve(kind="circle", duration_s=9.0, ramp_s=3.0, size_I=(2.0, 2.0, 0.5), laps=1.5),
     "eight": Curve(kind="eight", duration_s=16.0, ramp_s=5.0, size_I=(3.8, 1.9, 0.2), laps=2.0),
-    "spline": Curve(kind="spline", duration_s=9.0, ramp_s=2.0, points_I=[[1, 0, 0], [2, 1, 0], [3, -1, -1], [4, 0, 0]]),
+    "spline": Curve(
+        kind="spline",
+        duration_s=9.0,
+        ramp_s=2.0,
+        points_I=[[1, 0, 0], [2, 1, 0], [3, -1, -1], [4, 0, 0]],
+    ),
     "straight": Curve(kind=None, duration_s=3.0, ramp_s=1.5, size_I=(1.0, -0.5, 0.5)),
     "table": Curve(  # no difference of the tests spans a knot
-        kind=None, duration_s=4.75, ramp_s=0.0, table=[[0, 0, 0, 0], [2, 0, 0, 0], [4, 0.1, -0.1, 0], [4.75, 0.1, 0, 0]]
+        kind=None,
+        duration_s=4.75,
+        ramp_s=0.0,
+        table=[[0, 0, 0, 0], [2, 0, 0, 0], [4, 0.1, -0.1, 0], [4.75, 0.1, 0, 0]],
     ),
     "leaning": Curve(kind="spline", duration_s=4.0, ramp_s=2.0, points_I=[[2, 0, 0]]),
 }
@@ -62,7 +74,13 @@ def along(curve: Curve) -> Maneuver:
     end_I = curve.path(np.array([curve.duration_s]), 1)[0, 0]
     rest = Phase(name="rest", duration_s=1.0, displacement_I=[0.0, 0.0, 0.0])
     leaning = [[0.5, 1.3, 0.6], [1.0, 1.0, 1.0]] if curve is CURVES["leaning"] else None
-    way = Phase(name="way", duration_s=curve.duration_s, displacement_I=end_I, curve=curve, formation=leaning)
+    way = Phase(
+        name="way",
+        duration_s=curve.duration_s,
+        displacement_I=end_I,
+        curve=curve,
+        formation=leaning,
+    )
     return Maneuver(start_I=[1.0, 2.0, -9.0], phases=[rest, way, rest], profile="smooth")
 
 
@@ -73,9 +91,16 @@ def difference(values: list[Array]) -> Array:
 
 
 @pytest.mark.parametrize("kind", CURVES)
-@pytest.mark.parametrize(("pushed", "gains"), [(False, None), (True, None), (False, [20.0, 20.0, 8.0])])
-def test_reference_satisfies_the_equations_of_motion(kind: str, *, pushed: bool, gains: list[float] | None) -> None:
-    """f(x_ref, u_ref, F) = x_ref', (13) and (66)-(68): moments, external forces and mass, commanded body rates."""
+@pytest.mark.parametrize(
+    ("pushed", "gains"), [(False, None), (True, None), (False, [20.0, 20.0, 8.0])]
+)
+def test_reference_satisfies_the_equations_of_motion(
+    kind: str, *, pushed: bool, gains: list[float] | None
+) -> None:
+    """f(x_ref, u_ref, F) = x_ref', (13) and (66)-(68).
+
+    Moments, external forces and mass, commanded body rates.
+    """
     system, rng = unequal(gains), np.random.default_rng(3)
     maneuver, at_rest, model = along(CURVES[kind]), hover(system), Model(system)
     forces = rng.uniform(-0.5, 0.5, 4 + 3 * system.N) if pushed else np.zeros(4 + 3 * system.N)
@@ -90,11 +115,15 @@ def test_reference_satisfies_the_equations_of_motion(kind: str, *, pushed: bool,
     f = np.array([model.derivative(*row, forces=forces) for row in zip(x, u, strict=True)])
     errors, curve = np.abs(f - rates).max(axis=1), CURVES[kind]
     kinks = 1.0 + np.array([0.0, curve.ramp_s, curve.duration_s - curve.ramp_s, curve.duration_s])
-    smooth = (np.abs(times[:, None] - kinks).min(axis=1) > 5.0 * STEP_S) & (kind not in ("spline", "table"))
+    smooth = (np.abs(times[:, None] - kinks).min(axis=1) > 5.0 * STEP_S) & (
+        kind not in ("spline", "table")
+    )
     assert errors.max() < ACROSS_KINKS
     assert errors[smooth].max(initial=0.0) < SAME_RATE
     tensions = np.array([model.tensions(*row, forces=forces) for row in zip(x, u, strict=True)])
-    np.testing.assert_allclose(flight(system, at_rest, maneuver.jets(times), forces).tensions, tensions, atol=ROUNDING)
+    np.testing.assert_allclose(
+        flight(system, at_rest, maneuver.jets(times), forces).tensions, tensions, atol=ROUNDING
+    )
     assert np.abs(x - x[0]).max() > 0.1, "the team must move to be judged by its motion"
 
 
@@ -107,18 +136,28 @@ def test_path_has_six_derivatives_and_rests_at_its_ends(kind: str) -> None:
     for order in range(1, len(path)):
         rates = difference([curve.path(times + STEP_S * j)[order - 1] for j in range(-4, 5)])
         scale = 1.0 + np.abs(rates).max()
-        np.testing.assert_allclose(order * path[order], rates, rtol=0.0, atol=10.0 * SAME_RATE * scale)
+        np.testing.assert_allclose(
+            order * path[order], rates, rtol=0.0, atol=10.0 * SAME_RATE * scale
+        )
     reference = FlatReference(system, hover(system), along(curve))
     for t_s in (-1.0, 0.5, curve.duration_s + 1.5):
         resting = flight(system, hover(system), reference.maneuver.jets(np.array([t_s])))
-        at_rest = hover(system).x + np.concatenate([reference.maneuver.path(np.array([t_s]))[0][0], np.zeros(57)])
+        at_rest = hover(system).x + np.concatenate(
+            [reference.maneuver.path(np.array([t_s]))[0][0], np.zeros(57)]
+        )
         np.testing.assert_allclose(resting.x[0], at_rest, atol=ROUNDING)
         np.testing.assert_allclose(resting.u[0], hover(system).u, atol=ROUNDING)
 
 
 def test_smoothed_table_is_close_to_it() -> None:
-    """Rows along a curve with millimetres of noise: the spline is within a millimetre of the curve, ends are kept."""
-    times, noise = np.linspace(0.0, 9.0, 181), np.random.default_rng(1).normal(scale=1e-3, size=(181, 3))
+    """Rows along a curve with millimetres of noise.
+
+    The spline is within a millimetre of the curve, ends are kept.
+    """
+    times, noise = (
+        np.linspace(0.0, 9.0, 181),
+        np.random.default_rng(1).normal(scale=1e-3, size=(181, 3)),
+    )
     noise[[0, -1]] = 0.0
     exact = CURVES["circle"].path(times)
     table = np.column_stack([times, exact[0] + noise]).tolist()
@@ -131,7 +170,10 @@ def test_smoothed_table_is_close_to_it() -> None:
 def test_outputs_are_those_of_the_model() -> None:
     """Outputs along the reference equal h(x_ref), equation (14)."""
     system = unequal()
-    reference, times = FlatReference(system, hover(system), along(CURVES["eight"])), np.linspace(0.0, 18.0, 40)
+    reference, times = (
+        FlatReference(system, hover(system), along(CURVES["eight"])),
+        np.linspace(0.0, 18.0, 40),
+    )
     expected = [Model(system).outputs(x) for x in reference.states(times)]
     np.testing.assert_allclose(reference.outputs(times), expected, atol=ROUNDING)
 
@@ -139,17 +181,24 @@ def test_outputs_are_those_of_the_model() -> None:
 def test_spline_passes_its_way_points_in_time() -> None:
     """Way points with times are passed at these times."""
     times, points = [2.0, 3.5, 5.0, 8.0], np.array([[1.0, 0, 0], [2, 1, 0], [3, -1, -1], [4, 0, 0]])
-    curve = Curve(kind="spline", duration_s=8.0, ramp_s=1.5, points_I=points.tolist(), times_s=times)
+    curve = Curve(
+        kind="spline", duration_s=8.0, ramp_s=1.5, points_I=points.tolist(), times_s=times
+    )
     np.testing.assert_allclose(curve.path(np.array(times), 1)[0], points, atol=1e-9)
 
 
 def test_formation_is_reached() -> None:
-    """At rest length and width of a symmetric team are the multiples asked for, at any height: equation (66a)."""
+    """At rest length and width of a symmetric team are the multiples asked for, at any height.
+
+    Equation (66a).
+    """
     phases = [
         Phase(name="rest", duration_s=2.0, displacement_I=[0, 0, 0], formation=rows)
         for rows in ([[0.5, 1.0, 1.0], [1.0, 1.4, 0.3]], None)
     ]
-    reference = FlatReference(table_1(), hover(table_1()), Maneuver(start_I=[0, 0, -9], phases=phases))
+    reference = FlatReference(
+        table_1(), hover(table_1()), Maneuver(start_I=[0, 0, -9], phases=phases)
+    )
     places = reference.outputs(np.array([0.0, 1.0, 2.0, 3.0]))[:, :12].reshape(4, 4, 3)
     for at, scales in zip(places, [(1, 1), (1, 1), (1.4, 0.3), (1.4, 0.3)], strict=True):
         np.testing.assert_allclose(at[:, :2], places[0, :, :2] * scales, atol=ROUNDING)
@@ -181,7 +230,10 @@ def test_track_shifts_with_forces() -> None:
     """Its derivatives with respect to forces and mass, by an imaginary step, equal differences."""
     system = unequal()
     reference, small = FlatReference(system, hover(system), along(CURVES["circle"])), 1e-4
-    track, path = reference.track(30, 0.1), reference.maneuver.jets(0.1 * np.arange(30, dtype=np.float64))
+    track, path = (
+        reference.track(30, 0.1),
+        reference.maneuver.jets(0.1 * np.arange(30, dtype=np.float64)),
+    )
     for i, unit in enumerate(small * np.eye(16)):
         ends = [flight(system, hover(system), path, sign * unit).x for sign in (1.0, -1.0)]
         np.testing.assert_allclose(
@@ -191,6 +243,8 @@ def test_track_shifts_with_forces() -> None:
 
 def test_path_with_corners_is_refused() -> None:
     """A ramp has no acceleration that a team could follow."""
-    corner = Maneuver(start_I=[0, 0, 0], phases=[Phase(name="out", duration_s=2.0, displacement_I=[1, 0, 0])])
+    corner = Maneuver(
+        start_I=[0, 0, 0], phases=[Phase(name="out", duration_s=2.0, displacement_I=[1, 0, 0])]
+    )
     with pytest.raises(ParameterError, match=r"expected a smooth path, .* got 'ramp'"):
         corner.jets(np.zeros(1))

@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from model.hover import hover
-from model.linearisation import Model
-from model.parameters import ParameterError, Payload, System, Uav, table_1
-from model.state import INPUTS, StateView
 from tests.support.paper_form import K
 from tests.support.random_systems import random_inertia
+from transport.model.arrays import Array
+from transport.model.hover import hover
+from transport.model.linearisation import Model
+from transport.model.parameters import ParameterError, Payload, System, Uav, table_1
+from transport.model.state import INPUTS, StateView
 
-# Accelerations left by the rounding of least squares and of forces of up to 100 N, rad/s^2 and m/s^2.
+# Accelerations left by the rounding of least squares and of forces of up to 100 N, rad/s^2 and
+# m/s^2.
 AT_REST = 1e-10
 # Forces of up to 100 N.
 FORCE_TOLERANCE_N = 1e-11
@@ -21,7 +22,8 @@ FORCE_RATIO_TOLERANCE = 1e-12
 
 def ring_system(rng: np.random.Generator, N: int) -> System:
     """N unequal UAVs attached all around the payload's centre of mass, at different heights and distances."""
-    # Less than half a turn between neighbours keeps the centre of mass between the attachment points.
+    # Less than half a turn between neighbours keeps the centre of mass between the attachment
+    # points.
     angles = 2.0 * np.pi * (np.arange(N) + rng.uniform(-0.2, 0.2, N)) / N
     radii, heights = rng.uniform(0.2, 0.6, N), rng.uniform(-0.3, 0.1, N)
     uavs = [
@@ -33,14 +35,16 @@ def ring_system(rng: np.random.Generator, N: int) -> System:
         )
         for a, radius, z in zip(angles, radii, heights, strict=True)
     ]
-    return System(payload=Payload(mass=rng.uniform(1.0, 5.0), inertia=random_inertia(rng, 0.4)), uavs=uavs)
+    return System(
+        payload=Payload(mass=rng.uniform(1.0, 5.0), inertia=random_inertia(rng, 0.4)), uavs=uavs
+    )
 
 
 def spread_rods(system: System, depth: float) -> Array:
     """Rods leaning outwards, on lines that meet `depth` m below the centre of mass, (N, 3).
 
-    Forces along lines through one point above or below the centre of mass leave no moment there, so only the
-    balance of forces remains, and rods all around the payload can hold it.
+    Forces along lines through one point above or below the centre of mass leave no moment there, so
+    only the balance of forces remains, and rods all around the payload can hold it.
     """
     rods = np.array([depth * K - uav.rho for uav in system.uavs])
     return np.asarray(rods / np.linalg.norm(rods, axis=1, keepdims=True))
@@ -64,7 +68,9 @@ def test_table_1_hovers_with_equal_shares() -> None:
     system = table_1()
     at = hover(system)
     assert_at_rest(system, None)
-    assert at.u[::INPUTS] == pytest.approx((1.5 + 3.0 / 4.0) * system.gravity, rel=FORCE_RATIO_TOLERANCE)
+    assert at.u[::INPUTS] == pytest.approx(
+        (1.5 + 3.0 / 4.0) * system.gravity, rel=FORCE_RATIO_TOLERANCE
+    )
     assert at.tensions == pytest.approx(3.0 / 4.0 * system.gravity, rel=FORCE_RATIO_TOLERANCE)
     assert np.abs(StateView(at.x).Theta).max() < AT_REST
     assert np.array_equal(StateView(at.x).e_P, np.tile(K, (4, 1)))
@@ -98,28 +104,47 @@ def test_one_vehicle_hovers_above_the_centre_of_mass() -> None:
 
 
 def test_one_vehicle_off_axis_is_refused_with_the_imbalance() -> None:
-    """A rod beside the centre of mass leaves a moment; the text has the largest part that no tension removes."""
+    """A rod beside the centre of mass leaves a moment.
+
+    The text has the largest part that no tension removes.
+    """
     d, weight = 0.3, 3.0 * 9.81
     system = System(
         payload=Payload(mass=3.0, inertia=[0.5, 0.5, 0.5]),
         uavs=[Uav(mass=1.5, inertia=[0.03, 0.03, 0.05], rho=[d, 0.0, -0.1], rod_length=2.0)],
         gravity=9.81,
     )
-    # Least squares of [1; -d] T = [W; 0]: T = W / (1 + d^2), which leaves the moment d T and the force d^2 T.
+    # Least squares of [1; -d] T = [W; 0]: T = W / (1 + d^2), which leaves the moment d T and the
+    # force d^2 T.
     moment = d * weight / (1.0 + d**2)
-    with pytest.raises(ParameterError, match=f"no hover equilibrium.*leave {moment:.3g} N or N m on the payload"):
+    with pytest.raises(
+        ParameterError, match=f"no hover equilibrium.*leave {moment:.3g} N or N m on the payload"
+    ):
         hover(system)
 
 
 @pytest.mark.parametrize(
     ("mass", "places", "text"),
     [
-        (1.5, [[0.25, -0.25, -0.1], [0.25, 0.25, -0.1]], "centre of mass must hang between the attachment points"),
-        (0.5, [[0.1, 0.1, 0.0], [0.1, -0.1, 0.0], [0.12, 0.0, 0.0]], "UAV3 would have to push down"),
+        (
+            1.5,
+            [[0.25, -0.25, -0.1], [0.25, 0.25, -0.1]],
+            "centre of mass must hang between the attachment points",
+        ),
+        (
+            0.5,
+            [[0.1, 0.1, 0.0], [0.1, -0.1, 0.0], [0.12, 0.0, 0.0]],
+            "UAV3 would have to push down",
+        ),
     ],
 )
-def test_attachments_on_one_side_are_refused(mass: float, places: list[list[float]], text: str) -> None:
-    """UAVs on one side of the centre of mass cannot balance it with upright rods; one that had to push is named."""
+def test_attachments_on_one_side_are_refused(
+    mass: float, places: list[list[float]], text: str
+) -> None:
+    """UAVs on one side of the centre of mass cannot balance it with upright rods.
+
+    One that had to push is named.
+    """
     uavs = [Uav(mass=mass, inertia=[0.03, 0.03, 0.05], rho=rho, rod_length=2.0) for rho in places]
     system = System(payload=Payload(mass=3.0, inertia=[0.5, 0.5, 0.5]), uavs=uavs)
     with pytest.raises(ParameterError, match=text):

@@ -4,19 +4,23 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from model.arrays import Array
-from model.linearisation import Model
-from model.parameters import System
-from model.state import StateView
 from tests.support import reference
 from tests.support.paper_form import attitude
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
+from transport.model.arrays import Array
+from transport.model.linearisation import Model
+from transport.model.parameters import System
+from transport.model.state import StateView
 
-# Absolute, in the units of each state. The stored samples are good to 1.6e-9, our steps to 1e-9 on the fastest motion.
+# Absolute, in the units of each state. The stored samples are good to 1.6e-9, our steps to 1e-9 on
+# the fastest motion.
 TRAJECTORY_TOLERANCE = 1e-6
-HELD_THRUST = [name for name in reference.TRAJECTORIES if reference.trajectory(name).force_I is None]
+HELD_THRUST = [
+    name for name in reference.TRAJECTORIES if reference.trajectory(name).force_I is None
+]
 
-# Relative and absolute tolerance of the eighth-order integration that stands for the exact solution.
+# Relative and absolute tolerance of the eighth-order integration that stands for the exact
+# solution.
 EXACT = 1e-13
 NOMINAL_ORDER = 5
 ORDER_SLACK = 0.9  # the next orders, 4 and 6, stay outside
@@ -25,7 +29,9 @@ SHORT_STEP_S = 0.0125
 SAME_ROUNDING = 1e-13
 
 
-def exact(model: Model, x: Array, u: Array, duration_s: float, forces: Array | None = None) -> Array:
+def exact(
+    model: Model, x: Array, u: Array, duration_s: float, forces: Array | None = None
+) -> Array:
     """Solution by SciPy's DOP853, an integrator and a step control that are not ours."""
 
     def derivative(_: float, y: Array) -> Array:
@@ -43,7 +49,10 @@ def moving_system(N: int) -> tuple[Model, System, Array, Array]:
 
 
 def deviation(case: reference.TrajectoryCase, sample: int, x: Array) -> float:
-    """Largest difference to the stored sample; attitudes are compared as matrices, which do not wrap."""
+    """Largest difference to the stored sample.
+
+    Attitudes are compared as matrices, which do not wrap.
+    """
     own, stored = StateView(x), StateView(case.x[sample])
     blocks = [
         own.r0_I - stored.r0_I,
@@ -92,7 +101,9 @@ def test_forces_are_held_over_all_steps() -> None:
     for steps in (1, 4):
         found, estimate = model.integrate(x, u, SHORT_STEP_S, steps, forces=F)
         assert np.abs(found - end).max() < estimate
-    assert np.abs(end - exact(model, x, u, SHORT_STEP_S)).max() > 1e3 * estimate  # they do something
+    assert (
+        np.abs(end - exact(model, x, u, SHORT_STEP_S)).max() > 1e3 * estimate
+    )  # they do something
 
 
 @pytest.mark.parametrize("N", [1, 4])
@@ -103,4 +114,7 @@ def test_rods_stay_unit_and_do_not_spin(N: int) -> None:
         x, _ = model.integrate(x, u, 0.05, 20)
         view = StateView(x)
         assert np.abs(np.linalg.norm(view.e_P, axis=-1) - 1.0).max() < SAME_ROUNDING
-        assert np.abs((view.e_P * view.Omega_P).sum(axis=-1)).max() < SAME_ROUNDING * np.abs(view.Omega_P).max()
+        assert (
+            np.abs((view.e_P * view.Omega_P).sum(axis=-1)).max()
+            < SAME_ROUNDING * np.abs(view.Omega_P).max()
+        )

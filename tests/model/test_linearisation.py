@@ -1,23 +1,28 @@
-"""The expansion about a state and input, paper (13): Jacobians against finite differences, outputs by hand."""
+"""The expansion about a state and input, paper (13).
+
+Jacobians against finite differences, outputs by hand.
+"""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from model import state
-from model.arrays import Array
-from model.linearisation import Model
-from model.parameters import System
-from model.state import StateView
 from tests.support.paper_form import attitude
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.linearisation import Model
+from transport.model.parameters import System
+from transport.model.state import StateView
 
-# Sixth-order central differences: truncation ~ h^6 = 6e-17, rounding ~ eps / h = 1e-13 of the largest entry of f.
+# Sixth-order central differences: truncation ~ h^6 = 6e-17, rounding ~ eps / h = 1e-13 of the
+# largest entry of f.
 STEP = 2e-3
 WEIGHTS = {1: 45.0 / 60.0, 2: -9.0 / 60.0, 3: 1.0 / 60.0}
 JACOBIAN_TOLERANCE = 1e-10
-# Relative to the largest entry: rounding of |e| = 1 and e . Omega = 0 in the random state, times entries of that size.
+# Relative to the largest entry: rounding of |e| = 1 and e . Omega = 0 in the random state, times
+# entries of that size.
 ACROSS_TOLERANCE = 1e-9
 # A handful of products and sums per position.
 OUTPUT_TOLERANCE = 1e-13
@@ -30,12 +35,17 @@ def vehicle_motion(system: System, x: Array) -> tuple[Array, Array]:
     rho = np.array([uav.rho for uav in system.uavs])
     rods = np.array([[uav.rod_length] for uav in system.uavs])
     position = view.r0_I + (rho - rods * view.e_P) @ R0.T
-    velocity = (view.v0_P + np.cross(view.omega0_P, rho) - rods * np.cross(view.Omega_P, view.e_P)) @ R0.T
+    velocity = (
+        view.v0_P + np.cross(view.omega0_P, rho) - rods * np.cross(view.Omega_P, view.e_P)
+    ) @ R0.T
     return position, velocity
 
 
 def retracted(x: Array) -> Array:
-    """The state of the manifold next to x: e -> e / |e|, Omega -> Omega - e (e . Omega), docs/equations.md (13a)."""
+    """The state of the manifold next to x.
+
+    E -> e / |e|, Omega -> Omega - e (e . Omega), docs/equations.md (13a).
+    """
     x = x.copy()
     for i in range((len(x) - state.PAYLOAD) // state.PER_UAV):
         block = x[state.uav_slice(i)]
@@ -75,7 +85,10 @@ def test_jacobians_are_those_of_finite_differences(N: int) -> None:
     """A_c = df/dx along the manifold, B_c = df/du and C = dh/dx about a non-equilibrium point, (15); paper (13)."""
     _, model, x, u = drawn(N)
     linear = model.linearise(x, u)
-    assert deviation(linear.A_c, jacobian(lambda z: model.derivative(retracted(z), u), x)) < JACOBIAN_TOLERANCE
+    assert (
+        deviation(linear.A_c, jacobian(lambda z: model.derivative(retracted(z), u), x))
+        < JACOBIAN_TOLERANCE
+    )
     assert deviation(linear.B_c, jacobian(lambda z: model.derivative(x, z), u)) < JACOBIAN_TOLERANCE
     assert deviation(linear.C, jacobian(model.outputs, x)) < JACOBIAN_TOLERANCE
 
@@ -84,7 +97,8 @@ def test_jacobians_are_those_of_finite_differences(N: int) -> None:
 def test_dynamics_do_not_see_rod_length(N: int) -> None:
     """A_c is zero across the manifold, along e_i and along Omega_i parallel to e_i, docs/equations.md (15).
 
-    The equations of motion, simplified with |e| = 1, do answer to rod length: without the projection the test fails.
+    The equations of motion, simplified with |e| = 1, do answer to rod length: without the
+    projection the test fails.
     """
     _, model, x, u = drawn(N)
     A_c = model.linearise(x, u).A_c
@@ -101,14 +115,20 @@ def test_dynamics_do_not_see_rod_length(N: int) -> None:
 
 @pytest.mark.parametrize("N", [1, 4])
 def test_jacobians_under_external_forces(N: int) -> None:
-    """The same with forces from outside, which turn with the payload in (37); df/dF is (38) at any forces."""
+    """The same with forces from outside, which turn with the payload in (37).
+
+    Df/dF is (38) at any forces.
+    """
     _, model, x, u = drawn(N)
     F = random_forces(np.random.default_rng(1450 + N), N)
     linear = model.linearise(x, u, forces=F)
     assert deviation(linear.f, model.derivative(x, u, forces=F)) < OUTPUT_TOLERANCE
     along = jacobian(lambda z: model.derivative(retracted(z), u, forces=F), x)
     assert deviation(linear.A_c, along) < JACOBIAN_TOLERANCE
-    assert deviation(linear.B_c, jacobian(lambda z: model.derivative(x, z, forces=F), u)) < JACOBIAN_TOLERANCE
+    assert (
+        deviation(linear.B_c, jacobian(lambda z: model.derivative(x, z, forces=F), u))
+        < JACOBIAN_TOLERANCE
+    )
     effect = jacobian(lambda z: model.derivative(x, u, forces=z), F)
     assert deviation(model.force_effect(x, u), effect) < JACOBIAN_TOLERANCE
 

@@ -3,22 +3,24 @@
 import numpy as np
 import pytest
 
-from model.arrays import Array, ShapeError
-from model.hover import hover
-from model.linearisation import Model
-from model.maneuver import Maneuver, Phase, Profile, Reference
-from model.parameters import ParameterError, table_1
-from model.state import StateView
 from tests.support.paper_form import K
 from tests.support.systems import paper_maneuver
+from transport.model.arrays import Array, ShapeError
+from transport.model.hover import hover
+from transport.model.linearisation import Model
+from transport.model.maneuver import Maneuver, Phase, Profile, Reference
+from transport.model.parameters import ParameterError, table_1
+from transport.model.state import StateView
 
 PROFILES: list[Profile] = ["ramp", "min_jerk", "step"]
 # Sums of a few displacements of metres.
 PATH_TOLERANCE_M = 1e-13
-# Central differences: step^2 / 6 times the third derivative of the path, up to 3 m/s^3, plus rounding / step.
+# Central differences: step^2 / 6 times the third derivative of the path, up to 3 m/s^3, plus
+# rounding / step.
 DIFFERENCE_STEP_S = 1e-4
 SPEED_TOLERANCE = 1e-7
-# Before the end of a phase, where a step has not yet made its next jump, and how far 1 m/s gets in that time.
+# Before the end of a phase, where a step has not yet made its next jump, and how far 1 m/s gets in
+# that time.
 JUST_BEFORE_S = 1e-12
 JUST_BEFORE_M = 2e-12
 # Positions of 10 m through one rotation and a few products.
@@ -51,12 +53,21 @@ def test_paper_maneuver_passes_its_way_points() -> None:
     ]
     assert r == pytest.approx(np.array(expected), abs=PATH_TOLERANCE_M)
     assert maneuver.duration_s == 25.0
-    assert [phase.name for phase in maneuver.phases] == ["hover", "climb", "translate", "descend", "hover"]
+    assert [phase.name for phase in maneuver.phases] == [
+        "hover",
+        "climb",
+        "translate",
+        "descend",
+        "hover",
+    ]
 
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_every_profile_ends_where_the_phases_add_up(profile: Profile) -> None:
-    """Positions at the ends of phases do not depend on the profile; before and after, the path stands still."""
+    """Positions at the ends of phases do not depend on the profile.
+
+    Before and after, the path stands still.
+    """
     r, v = two_legs(profile).path(np.array([-1.0, 2.0 - JUST_BEFORE_S, 5.0, 100.0]))
     assert r[1] == pytest.approx([2.0, 1.5, -2.75], abs=JUST_BEFORE_M)
     assert r[[0, 2, 3]] == pytest.approx(
@@ -77,11 +88,16 @@ def test_velocity_is_the_derivative_of_the_path(profile: Profile) -> None:
 
 
 def test_min_jerk_is_the_fifth_order_polynomial() -> None:
-    """s = 10 c^3 - 15 c^4 + 6 c^5, docs/equations.md (20): checked away from the ends, where symmetry says less."""
+    """s = 10 c^3 - 15 c^4 + 6 c^5, docs/equations.md (20).
+
+    Checked away from the ends, where symmetry says less.
+    """
     c = np.array([0.1, 0.3, 0.8])
     r, _ = two_legs("min_jerk").path(2.0 * c)
     share = 10.0 * c**3 - 15.0 * c**4 + 6.0 * c**5
-    assert r - [1.0, 2.0, -3.0] == pytest.approx(np.outer(share, [1.0, -0.5, 0.25]), abs=PATH_TOLERANCE_M)
+    assert r - [1.0, 2.0, -3.0] == pytest.approx(
+        np.outer(share, [1.0, -0.5, 0.25]), abs=PATH_TOLERANCE_M
+    )
 
 
 def rods_leaning() -> Array:
@@ -92,8 +108,13 @@ def rods_leaning() -> Array:
 
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("leaning", [False, True])
-def test_reference_outputs_are_those_of_the_reference_states(profile: Profile, leaning: bool) -> None:
-    """y_ref(t) = h(x_ref(t)) of paper (12): what is weighted and what is linearised about do not drift apart."""
+def test_reference_outputs_are_those_of_the_reference_states(
+    profile: Profile, leaning: bool
+) -> None:
+    """y_ref(t) = h(x_ref(t)) of paper (12).
+
+    What is weighted and what is linearised about do not drift apart.
+    """
     system = table_1()
     at = hover(system, rods_leaning() if leaning else None)
     reference = Reference(system, at, two_legs(profile))
@@ -120,7 +141,9 @@ def test_reference_states_move_along_the_path() -> None:
 
 def test_impossible_phases_are_refused() -> None:
     """No vector: the text has the name, what was expected and what came."""
-    with pytest.raises(ShapeError, match=r"phase 'climb' displacement: expected shape \(3\), got \(2\)"):
+    with pytest.raises(
+        ShapeError, match=r"phase 'climb' displacement: expected shape \(3\), got \(2\)"
+    ):
         Phase(name="climb", duration_s=1.0, displacement_I=[0.0, 1.0])
     with pytest.raises(ShapeError, match="maneuver start: expected finite numbers, got nan"):
         Maneuver(start_I=[0.0, 0.0, float("nan")], phases=paper_maneuver().phases)
@@ -145,9 +168,13 @@ def test_the_payload_stands_while_its_weight_goes_over() -> None:
     """In the first quarter of a take-off and the last of a landing the path stands still, and is smooth in between."""
     maneuver = delivery()
     r, v = maneuver.path(np.array([0.0, 0.5, 1.0, 4.0, 7.0, 13.0, 14.0, 17.0]))
-    assert r[:, 2] == pytest.approx([-0.125, -0.125, -0.125, -2.125, -2.125, -0.125, -0.125, -0.125])
+    assert r[:, 2] == pytest.approx(
+        [-0.125, -0.125, -0.125, -2.125, -2.125, -0.125, -0.125, -0.125]
+    )
     assert np.abs(v[[0, 1, 2, 5, 6, 7], 2]).max() == 0.0
-    assert maneuver.path(np.array([2.5]))[1][0, 2] == pytest.approx(-2.0 / 3.0 * 15.0 / 8.0)  # the fastest: half-way
+    assert maneuver.path(np.array([2.5]))[1][0, 2] == pytest.approx(
+        -2.0 / 3.0 * 15.0 / 8.0
+    )  # the fastest: half-way
 
 
 def test_what_controllers_follow_is_below_the_path_on_the_ground() -> None:
@@ -157,7 +184,9 @@ def test_what_controllers_follow_is_below_the_path_on_the_ground() -> None:
     depth, rate = maneuver.press(times_s)
     assert depth[times_s == 0.0] == depth[-1] == 0.2
     assert np.abs(depth[(times_s >= 1.0) & (times_s <= 13.0)]).max() < PATH_TOLERANCE_M
-    ahead, behind = (maneuver.press(times_s + step)[0] for step in (DIFFERENCE_STEP_S, -DIFFERENCE_STEP_S))
+    ahead, behind = (
+        maneuver.press(times_s + step)[0] for step in (DIFFERENCE_STEP_S, -DIFFERENCE_STEP_S)
+    )
     assert np.abs((ahead - behind) / (2.0 * DIFFERENCE_STEP_S) - rate).max() < SPEED_TOLERANCE
     system = table_1()
     reference = Reference(system, hover(system), maneuver)
@@ -167,7 +196,9 @@ def test_what_controllers_follow_is_below_the_path_on_the_ground() -> None:
     lower[[2, 5, 8, 11, -4]] = 1.0
     faster = np.zeros(system.p)
     faster[-1] = 1.0
-    np.testing.assert_allclose(y - flown_y, np.outer(depth, lower) + np.outer(rate, faster), atol=PATH_TOLERANCE_M)
+    np.testing.assert_allclose(
+        y - flown_y, np.outer(depth, lower) + np.outer(rate, faster), atol=PATH_TOLERANCE_M
+    )
     assert (x - flown_x)[:, [2, 5]] == pytest.approx(np.column_stack([depth, rate]))
     assert np.abs(np.delete(x - flown_x, [2, 5], axis=1)).max() == 0.0
 
@@ -176,5 +207,7 @@ def test_after_a_landing_comes_a_take_off() -> None:
     """A payload on the ground is not dragged along."""
     land = Phase(name="down", kind="land", duration_s=8.0, displacement_I=[0.0, 0.0, 2.0])
     along = Phase(name="along", duration_s=3.0, displacement_I=[3.0, 0.0, 0.0])
-    with pytest.raises(ParameterError, match="phase 'along': expected a take-off, or no way, after a landing"):
+    with pytest.raises(
+        ParameterError, match="phase 'along': expected a take-off, or no way, after a landing"
+    ):
         Maneuver(start_I=[0.0, 0.0, -2.125], phases=[land, along])

@@ -7,16 +7,17 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from model.arrays import Array
-from model.discretisation import _zero_order_hold, zero_order_hold
-from model.linearisation import Model
-from model.motors import decay, integrate, lagged
-from model.parameters import table_1
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
+from transport.model.arrays import Array
+from transport.model.discretisation import _zero_order_hold, zero_order_hold
+from transport.model.linearisation import Model
+from transport.model.motors import decay, integrate, lagged
+from transport.model.parameters import table_1
 
 PERIOD_S = 0.05
 LAGS_S = (0.005, 0.03, 0.1)
-# Deviation of the commands from the actual inputs at the beginning, N and N m: a tenth of the range of the inputs.
+# Deviation of the commands from the actual inputs at the beginning, N and N m: a tenth of the range
+# of the inputs.
 JUMP = np.tile([4.5, 0.2, 0.2, 0.1], 4)
 
 # Relative to the largest entry; rounding of a series of some twenty terms.
@@ -31,7 +32,13 @@ def case() -> tuple[Model, Array, Array, Array, Array]:
     rng = np.random.default_rng(4)
     system = table_1()
     x, a = random_state(rng, system.N, rate=0.5), random_input(rng, system.N)
-    return Model(system), x, a, a + JUMP * rng.uniform(-1.0, 1.0, len(a)), random_forces(rng, system.N)
+    return (
+        Model(system),
+        x,
+        a,
+        a + JUMP * rng.uniform(-1.0, 1.0, len(a)),
+        random_forces(rng, system.N),
+    )
 
 
 def reference(lag_s: float) -> Array:
@@ -43,7 +50,9 @@ def reference(lag_s: float) -> Array:
         return np.concatenate([model.derivative(z[:n], z[n:], forces=forces), (u - z[n:]) / lag_s])
 
     start = np.concatenate([x, a])
-    found = solve_ivp(slope, (0.0, PERIOD_S), start, method="DOP853", rtol=1e-12, atol=1e-13, max_step=lag_s / 2.0)
+    found = solve_ivp(
+        slope, (0.0, PERIOD_S), start, method="DOP853", rtol=1e-12, atol=1e-13, max_step=lag_s / 2.0
+    )
     return np.asarray(found.y[:, -1])
 
 

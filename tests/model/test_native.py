@@ -10,22 +10,27 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from model import compiler, native
-from model.compiled import Compiled, compile_functions, functions
-from model.discretisation import _zero_order_hold, zero_order_hold
-from model.hover import hover
-from model.linearisation import Linearisation, Model
-from mpc.prediction import free_response
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 from tests.support.systems import ring
+from transport.model import compiler, native
+from transport.model.compiled import Compiled, compile_functions, functions
+from transport.model.discretisation import _zero_order_hold, zero_order_hold
+from transport.model.hover import hover
+from transport.model.linearisation import Linearisation, Model
+from transport.mpc.prediction import free_response
 
-needs_compiler = pytest.mark.skipif(compiler.find_compiler() is None, reason="no C compiler on this machine")
-needs_kernels = pytest.mark.skipif(not native.AVAILABLE, reason="no compiled kernels: no C compiler, or switched off")
+needs_compiler = pytest.mark.skipif(
+    compiler.find_compiler() is None, reason="no C compiler on this machine"
+)
+needs_kernels = pytest.mark.skipif(
+    not native.AVAILABLE, reason="no compiled kernels: no C compiler, or switched off"
+)
 
 # Sums of the same products in another order: rounding, relative to the largest entry.
 ROUNDING = 1e-13
 
-# Around the width of a vector, of four, of eight; with zeros, as a mechanical system has, and without.
+# Around the width of a vector, of four, of eight; with zeros, as a mechanical system has, and
+# without.
 SIZES = [1, 2, 7, 8, 9, 24, 33, 60, 65]
 
 
@@ -34,7 +39,9 @@ def linearisation(n: int, m: int, filled: float, growth: float, seed: int) -> Li
     rng = np.random.default_rng(seed)
     A_c = np.where(rng.random((n, n)) < filled, rng.standard_normal((n, n)), 0.0)
     A_c *= growth / max(1e-9, float(np.abs(A_c).sum(axis=0).max()))
-    return Linearisation.of(rng.standard_normal(n), A_c, rng.standard_normal((n, m)), np.zeros(1), np.zeros((1, n)))
+    return Linearisation.of(
+        rng.standard_normal(n), A_c, rng.standard_normal((n, m)), np.zeros(1), np.zeros((1, n))
+    )
 
 
 @needs_kernels
@@ -69,12 +76,17 @@ def bits(built: dict[str, ca.Function], N: int) -> list[bytes]:
 
 @pytest.mark.slow
 @needs_compiler
-def test_compiled_functions_give_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_functions_give_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A compiled model gives the same bits as an interpreted one, so processes with and without it can run together."""
     monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
     monkeypatch.delenv("PAYLOAD_TRANSPORT_NATIVE", raising=False)
     interpreted = functions(2)
-    assert {function.class_name() for function in interpreted.values()} == {"SXFunction", "MXFunction"}
+    assert {function.class_name() for function in interpreted.values()} == {
+        "SXFunction",
+        "MXFunction",
+    }
     assert compile_functions(2)
     compiled = functions(2)
     assert {function.class_name() for function in compiled.values()} == {"External"}
@@ -108,12 +120,19 @@ def test_a_rollout_in_one_call_is_one_in_steps() -> None:
 
 @pytest.mark.parametrize(
     "environment",
-    [{"PAYLOAD_TRANSPORT_NATIVE": "0"}, {"PATH": "/nowhere", "CC": ""}, {"PATH": "/nowhere", "CC": "/bin/false"}],
+    [
+        {"PAYLOAD_TRANSPORT_NATIVE": "0"},
+        {"PATH": "/nowhere", "CC": ""},
+        {"PATH": "/nowhere", "CC": "/bin/false"},
+    ],
 )
 def test_everything_works_without_a_compiler(environment: dict[str, str], tmp_path: Path) -> None:
-    """Switched off, not there, or failing: the twins in Python do the work, and nothing is left in the cache."""
+    """Switched off, not there, or failing.
+
+    The twins in Python do the work, and nothing is left in the cache.
+    """
     code = (
-        "from model import native; from model.compiled import compile_functions, functions;"
+        "from transport.model import native; from transport.model.compiled import compile_functions, functions;"
         "print(native.AVAILABLE, compile_functions(1), functions(1)['derivative'].class_name())"
     )
     output = subprocess.run(
@@ -126,7 +145,9 @@ def test_everything_works_without_a_compiler(environment: dict[str, str], tmp_pa
 
 
 @needs_compiler
-def test_a_library_of_another_user_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_of_another_user_is_not_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In a cache folder that others can write to, only what the user or root put there counts."""
     library = tmp_path / "library.so"
     assert compiler.compile_library(library, b"int one(void) { return 1; }", ())
@@ -137,3 +158,28 @@ def test_a_library_of_another_user_is_not_loaded(tmp_path: Path, monkeypatch: py
     else:
         os.chown(library, 12345, -1)
         assert not compiler.intact(library)
+
+
+@needs_compiler
+@pytest.mark.parametrize("kept", [0, 1000], ids=["emptied", "cut"])
+def test_a_damaged_library_is_compiled_again(kept: int, tmp_path: Path) -> None:
+    """A library that a full disk emptied or cut is not loaded but rebuilt, with the same content."""
+    library = tmp_path / "library.so"
+    source = b"int one(void) { return 1; }"
+    assert compiler.compile_library(library, source, ())
+    whole = library.read_bytes()
+    library.write_bytes(whole[:kept])
+    assert not compiler.intact(library)
+    assert compiler.compile_library(library, source, ())
+    assert compiler.intact(library)
+    assert len(library.read_bytes()) == len(whole)
+
+
+@needs_compiler
+def test_a_cache_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
+    """Without a place for libraries the plain kernels are used, and a warning names the folder."""
+    no_folder = tmp_path / "file"
+    no_folder.write_text("", encoding="utf-8")
+    with pytest.warns(RuntimeWarning, match="plain ones are used") as warned:
+        assert not compiler.compile_library(no_folder / "library.so", b"int one;", ())
+    assert str(no_folder) in str(warned[0].message)

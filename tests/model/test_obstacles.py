@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from model.arrays import Array
-from model.hover import hover
-from model.obstacles import Obstacle, Solid, clearances
-from model.parameters import table_1
-from model.rotations import rotation
+from transport.model.arrays import Array
+from transport.model.hover import hover
+from transport.model.obstacles import Obstacle, Solid, clearances
+from transport.model.parameters import table_1
+from transport.model.rotations import rotation
 
 # Of the least-squares problem.
 SAME_M = 1e-7
@@ -16,19 +16,32 @@ SAME_M = 1e-7
 SAME_SLOPE = 1e-4
 
 
-def nearest(centre: Array, R: Array, half: Array, other: Array, R_other: Array, other_half: Array) -> float:
-    """Return the distance of two boxes: the smallest of c + R a - c' - R' b over |a| <= h, |b| <= h'."""
+def nearest(
+    centre: Array, R: Array, half: Array, other: Array, R_other: Array, other_half: Array
+) -> float:
+    """Return the distance of two boxes.
+
+    The smallest of c + R a - c' - R' b over |a| <= h, |b| <= h'.
+    """
     bounds = np.minimum(np.concatenate([half, other_half]), 1e3) + 1e-12
     best = lsq_linear(np.hstack([R, -R_other]), other - centre, bounds=(-bounds, bounds), tol=1e-15)
     return float(np.sqrt(2.0 * best.cost))
 
 
-@pytest.mark.parametrize("half", [[0, 0, 0], [0, 0, np.inf], [0.4, 0.1, 0.7], [0.1, np.inf, np.inf]])
+@pytest.mark.parametrize(
+    "half", [[0, 0, 0], [0, 0, np.inf], [0.4, 0.1, 0.7], [0.1, np.inf, np.inf]]
+)
 def test_distances_are_those_of_a_least_squares_problem(half: list[float]) -> None:
     """Distances of points, segments and boxes, apart and overlapping, from sphere, cylinder, box and wall: (69a)."""
     rng = np.random.default_rng(5)
-    solid = Solid(centre_I=rng.normal(size=3), heading_rad=0.7, half=np.array(half, dtype=float), radius=0.05)
-    r, size, touching = 0.7 * rng.normal(size=(60, 3)) + solid.centre_I, np.array([0.5, 0.3, 0.1]), 0
+    solid = Solid(
+        centre_I=rng.normal(size=3), heading_rad=0.7, half=np.array(half, dtype=float), radius=0.05
+    )
+    r, size, touching = (
+        0.7 * rng.normal(size=(60, 3)) + solid.centre_I,
+        np.array([0.5, 0.3, 0.1]),
+        0,
+    )
     R = np.array([rotation(Theta) for Theta in rng.normal(size=(60, 3))])
     for what in (size, size * [1, 0, 0], 0.0 * size):
         ends = r + R @ (what * [1, 0, 0]), r - R @ (what * [1, 0, 0])
@@ -51,8 +64,12 @@ def test_clearances_of_a_team_by_hand() -> None:
     """UAVs, rods and payload of the hovering team beside a wall at y = 1 m and under a ball above the payload."""
     system = table_1()
     x = hover(system).x[None] + np.concatenate([[0.0, 0.0, -10.0], np.zeros(57)])
-    wall = Solid(centre_I=np.array([0.0, 2.0, 0.0]), heading_rad=0.0, half=np.array([np.inf, 1.0, np.inf]))
-    ball = Solid(centre_I=np.array([0.0, 0.0, -11.0]), heading_rad=0.0, half=np.zeros(3), radius=0.2)
+    wall = Solid(
+        centre_I=np.array([0.0, 2.0, 0.0]), heading_rad=0.0, half=np.array([np.inf, 1.0, np.inf])
+    )
+    ball = Solid(
+        centre_I=np.array([0.0, 0.0, -11.0]), heading_rad=0.0, half=np.zeros(3), radius=0.2
+    )
 
     def clear_of(*solids: Solid) -> Array:
         obstacle = Obstacle(name="", solids=solids, margin_m=0.3, load_margin_m=0.1, penalty=1.0)
@@ -60,6 +77,10 @@ def test_clearances_of_a_team_by_hand() -> None:
         return found
 
     np.testing.assert_allclose(clear_of(wall), [0.75, 1.25, 1.25, 0.75] * 2 + [0.75], atol=SAME_M)
-    from_ball = [np.hypot(np.hypot(0.25, 0.25), 2.325) - 0.2] * 4 + [np.hypot(0.25, 0.25) - 0.2] * 4 + [0.675]
+    from_ball = (
+        [np.hypot(np.hypot(0.25, 0.25), 2.325) - 0.2] * 4
+        + [np.hypot(0.25, 0.25) - 0.2] * 4
+        + [0.675]
+    )
     np.testing.assert_allclose(clear_of(ball), from_ball, atol=SAME_M)
     np.testing.assert_array_equal(clear_of(wall, ball), np.minimum(clear_of(wall), clear_of(ball)))

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from model.arrays import ArrayLike, ShapeError
-from model.parameters import Payload, Uav, table_1
+from transport.model.arrays import ArrayLike, ShapeError
+from transport.model.parameters import Payload, Uav, table_1
 
 NAN, INF = float("nan"), float("inf")
 
@@ -17,17 +17,27 @@ BAD_INERTIA: list[tuple[ArrayLike, str]] = [
     (np.ones((2, 3, 3)), "expected shape (3, 3), got (2, 3, 3)"),
     ([NAN, 1.0, 1.0], "expected finite numbers, got nan"),
     (np.diag([1.0, INF, 1.0]), "expected finite numbers, got inf"),
-    ([[1.0, 0.1, 0.0], [0.2, 1.0, 0.0], [0.0, 0.0, 1.0]], "expected a symmetric matrix, got [[1.0, 0.1, 0.0], [0.2"),
+    (
+        [[1.0, 0.1, 0.0], [0.2, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        "expected a symmetric matrix, got [[1.0, 0.1, 0.0], [0.2",
+    ),
     ([1.0, 1.0, -0.5], "expected positive principal moments, got [-0.5, 1.0, 1.0] kg m^2"),
     ([1.0, 1.0, 0.0], "expected positive principal moments, got [0.0, 1.0, 1.0] kg m^2"),
-    # Positive entries, but a determinant below zero: the principal moments decide, not the diagonal.
+    # Positive entries, but a determinant below zero: the principal moments decide, not the
+    # diagonal.
     ([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "expected positive principal moments"),
-    ([1.0, 1.0, 2.1], "no body has principal moments [1.0, 1.0, 2.1] kg m^2: the largest exceeds the sum"),
+    (
+        [1.0, 1.0, 2.1],
+        "no body has principal moments [1.0, 1.0, 2.1] kg m^2: the largest exceeds the sum",
+    ),
 ]
 
 
 def uav(
-    mass: float = 1.5, inertia: ArrayLike = (0.03, 0.03, 0.05), rho: ArrayLike = (0.2, 0.1, -0.1), rod: float = 3.0
+    mass: float = 1.5,
+    inertia: ArrayLike = (0.03, 0.03, 0.05),
+    rho: ArrayLike = (0.2, 0.1, -0.1),
+    rod: float = 3.0,
 ) -> Uav:
     """A UAV that is fine but for what the test changes."""
     return Uav(mass=mass, inertia=inertia, rho=rho, rod_length=rod)
@@ -35,7 +45,10 @@ def uav(
 
 @pytest.mark.parametrize(("value", "text"), BAD_INERTIA)
 def test_impossible_inertias_are_refused(value: ArrayLike, text: str) -> None:
-    """J_0 and J_i must be symmetric, positive and obey the triangle inequality; the text says which failed."""
+    """J_0 and J_i must be symmetric, positive and obey the triangle inequality.
+
+    The text says which failed.
+    """
     with pytest.raises(ValueError, match=re.escape(f"payload inertia: {text}")):
         Payload(mass=1.0, inertia=value)
     with pytest.raises(ValueError, match=re.escape(f"UAV inertia: {text}")):

@@ -7,13 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from model.arrays import Array
-from model.rotations import euler_angles, euler_rates, rotation
 from tests.support.random_systems import random_attitude
+from transport.model.arrays import Array
+from transport.model.rotations import euler_angles, euler_rates, rotation
 
 # Entries are sums of two products of numbers up to 1.
 ROUNDING = 1e-15
-# arcsin loses half the digits near 90 deg of pitch; up to PITCH_MAX they are amplified by 1 / cos(1.5) = 14.
+# arcsin loses half the digits near 90 deg of pitch; up to PITCH_MAX they are amplified by 1 /
+# cos(1.5) = 14.
 PITCH_MAX = 1.5
 ANGLE_TOLERANCE = 1e-13
 SINGULAR_TOLERANCE = 1e-7  # half the digits, and what they do to the entries
@@ -53,7 +54,10 @@ def test_euler_angles_reproduce_the_matrix(Theta: Array) -> None:
 
 
 def test_euler_angles_reproduce_the_singular_matrix() -> None:
-    """At exactly 90 deg of pitch one of roll and yaw is free; the other still has to carry the turn."""
+    """At exactly 90 deg of pitch one of roll and yaw is free.
+
+    The other still has to carry the turn.
+    """
     sin, cos = np.sin(0.4), np.cos(0.4)
     R = np.array([[0.0, sin, cos], [0.0, cos, -sin], [-1.0, 0.0, 0.0]])
     assert np.abs(rotation(euler_angles(R)) - R).max() < SINGULAR_TOLERANCE

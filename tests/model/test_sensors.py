@@ -1,12 +1,15 @@
-"""Measurements of the UAVs' own sensors: their derivatives, and the specific force against the motion."""
+"""Measurements of the UAVs' own sensors.
+
+Their derivatives, and the specific force against the motion.
+"""
 
 import numpy as np
 
-from model.linearisation import Model
-from model.parameters import table_1
-from model.rotations import rotation
-from model.state import SENSED, SPECIFIC_FORCE, StateView
 from tests.support.runs import setup
+from transport.model.linearisation import Model
+from transport.model.parameters import table_1
+from transport.model.rotations import rotation
+from transport.model.state import SENSED, SPECIFIC_FORCE, StateView
 
 STEP = 1e-6  # of the differences
 SLOPES = 1e-7  # of derivatives of at most 10: the rounding of central differences
@@ -40,7 +43,13 @@ def test_specific_force_is_acceleration_without_gravity() -> None:
     model, x, u, F = _moving()
     step = 1e-5
     ahead = x + step * model.derivative(x, u, forces=F)
-    acceleration = (model.velocities(ahead) - model.velocities(x))[1:] / step - [0.0, 0.0, model.system.gravity]
-    expected = [rotation(Theta).T @ a for Theta, a in zip(StateView(x).Theta, acceleration, strict=True)]
+    acceleration = (model.velocities(ahead) - model.velocities(x))[1:] / step - [
+        0.0,
+        0.0,
+        model.system.gravity,
+    ]
+    expected = [
+        rotation(Theta).T @ a for Theta, a in zip(StateView(x).Theta, acceleration, strict=True)
+    ]
     found = model.sense(x, u, forces=F)[0].reshape(-1, SENSED)
     np.testing.assert_allclose(found[:, SPECIFIC_FORCE], expected, atol=FORCE)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from model.curves import ORDERS, Curve
-from model.maneuver import Maneuver, Phase, Target
+from transport.model.curves import ORDERS, Curve
+from transport.model.maneuver import Maneuver, Phase, Target
 
 RAMPS = Maneuver(
     start_I=[0.0, 0.0, -10.0],
@@ -25,19 +25,27 @@ EIGHT = Maneuver(
 )  # fmt: skip
 
 
-def target(since_s: float, point: list[float], duration_s: float = 4.0, way: Curve | None = None) -> Target:
+def target(
+    since_s: float, point: list[float], duration_s: float = 4.0, way: Curve | None = None
+) -> Target:
     """Return a target that is approached in some time."""
-    approach = Curve(kind=None, duration_s=duration_s, ramp_s=duration_s / 2.0, size_I=(1.0, 0.0, 0.0))
+    approach = Curve(
+        kind=None, duration_s=duration_s, ramp_s=duration_s / 2.0, size_I=(1.0, 0.0, 0.0)
+    )
     return Target(since_s=since_s, point_I=np.array(point), approach=approach, way=way)
 
 
 WAY = Curve(kind="spline", duration_s=6.0, ramp_s=2.0, points_I=[[1.0, 0.0, 0.0], [1.0, 1.0, -1.0]])
-TO = [target(6.0, [1.0, 2.0, -11.0]), target(8.0, [-2.0, 0.0, -9.0], 3.0), target(8.5, [3.0, 3.0, -12.0], 5.0, WAY)]
+TO = [
+    target(6.0, [1.0, 2.0, -11.0]),
+    target(8.0, [-2.0, 0.0, -9.0], 3.0),
+    target(8.5, [3.0, 3.0, -12.0], 5.0, WAY),
+]
 
 
 def test_the_path_is_smooth_to_the_order_that_moments_need() -> None:
     """Each jet is the derivative of the one below (equation (75)), also where targets begin, overlap and end."""
-    led = EIGHT.headed(TO[0]).headed(TO[1]).headed(TO[2])
+    led = EIGHT.with_target(TO[0]).with_target(TO[1]).with_target(TO[2])
     h = 1e-4
     for t_s in (6.0, 7.0, 8.0, 8.25, 8.5, 10.9, 11.0, 13.5, 15.0, 19.5, 30.0):
         below, at, above = (led.jets(np.array([t_s + d]))[:, 0] for d in (-h, 0.0, h))
@@ -50,8 +58,11 @@ def test_the_path_is_smooth_to_the_order_that_moments_need() -> None:
 
 @pytest.mark.parametrize("maneuver", [RAMPS, EIGHT], ids=["ramps", "eight"])
 def test_a_target_changes_nothing_before_it_and_stays_between(maneuver: Maneuver) -> None:
-    """Before a target the path is the same bit for bit; then a mean of old path and target, with its velocity."""
-    led, times_s = maneuver.headed(TO[0]), np.linspace(0.0, 20.0, 401)
+    """Before a target the path is the same bit for bit.
+
+    Then a mean of old path and target, with its velocity.
+    """
+    led, times_s = maneuver.with_target(TO[0]), np.linspace(0.0, 20.0, 401)
     (before, _), (path, velocity) = maneuver.path(times_s), led.path(times_s)
     assert (path[times_s <= 6.0] == before[times_s <= 6.0]).all()
     assert (path[times_s >= 10.0] == TO[0].point_I).all()

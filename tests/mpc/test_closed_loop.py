@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from model import motors
-from model.hover import hover
-from model.linearisation import Model
-from model.parameters import table_1
-from mpc.controller import Controller
-from mpc.prediction import Prediction
-from mpc.settings import ControllerSettings
+from transport.model import motors
+from transport.model.hover import hover
+from transport.model.linearisation import Model
+from transport.model.parameters import table_1
+from transport.mpc.controller import Controller
+from transport.mpc.prediction import Prediction
+from transport.mpc.settings import ControllerSettings
 
 ON_THE_TRAJECTORY = 1e-9  # rounding over 40 steps
 
@@ -20,7 +20,11 @@ def test_prediction_along_the_control_law_is_exact_on_it(lag_s: float) -> None:
     system = table_1()
     model, at_rest = Model(system), hover(system)
     settings = ControllerSettings(
-        prediction="closed_loop", terminal="riccati", linearisation="along", horizon=40, motor_lag_s=lag_s
+        prediction="closed_loop",
+        terminal="riccati",
+        linearisation="along",
+        horizon=40,
+        motor_lag_s=lag_s,
     )
     controller = Controller(model, at_rest, settings, (1,))
     x = at_rest.x.copy()
@@ -29,7 +33,9 @@ def test_prediction_along_the_control_law_is_exact_on_it(lag_s: float) -> None:
     law = controller.law(z0, np.tile(at_rest.x, (40, 1)), np.zeros((40, system.m)))
     assert law is not None
     linear = controller.linearise(z0, at_rest.u)
-    prediction = controller.predict(linear, controller.discretise(linear), np.tile(at_rest.u, (40, 1)), law)
+    prediction = controller.predict(
+        linear, controller.discretise(linear), np.tile(at_rest.u, (40, 1)), law
+    )
     assert isinstance(prediction, Prediction)
     z, V = z0, []
     lower, upper = settings.lower(4), settings.upper(4)
@@ -39,4 +45,6 @@ def test_prediction_along_the_control_law_is_exact_on_it(lag_s: float) -> None:
         z, _ = motors.integrate(model, z, u, settings.sampling_period_s, 1, lag_s)
     caused = sum(prediction.effect[:, 39 - j] @ V[j] for j in range(40))
     assert z0 + prediction.dX_free[-1] + caused == pytest.approx(z, abs=ON_THE_TRAJECTORY)
-    assert np.abs(z - z0).max() > 0.1, "far enough from the start to tell it from a linearisation there"
+    assert np.abs(z - z0).max() > 0.1, (
+        "far enough from the start to tell it from a linearisation there"
+    )

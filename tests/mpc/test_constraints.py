@@ -7,23 +7,31 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from model.arrays import Array
-from model.state import THETA, V0, uav_slice
-from mpc.prediction import Prediction, convolve
-from mpc.qp import QP
-from mpc.rows import separation_rows
-from mpc.settings import Constraint, ControllerSettings, Separation, Tension, Tilt
 from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
+from transport.model.arrays import Array
+from transport.model.state import THETA, V0, uav_slice
+from transport.mpc.constraints.separation import pair_distances
+from transport.mpc.prediction import Prediction, convolve
+from transport.mpc.qp import QP
+from transport.mpc.settings import Constraint, ControllerSettings, Separation, Tension, Tilt
 
 # Relative to the largest margin of the block: the same sums in another order.
 ROUNDING = 1e-10
-# N and N m. The softened and the hard program are different programs; both are solved to 1e-9 of their scale.
+# N and N m. The softened and the hard program are different programs; both are solved to 1e-9 of
+# their scale.
 SAME_PLAN = 1e-5
 
 HORIZON = 5
 OWNED = [(0,), (1, 3), (0, 1, 2, 3)]
-MINIMUM_M, TILT_DEG, SPEED_LIMIT, CEILING_M, THRUST_PRODUCT, MOMENT_SUM = 0.45, 12.0, 1.0, -11.0, 500.0, 0.1
+MINIMUM_M, TILT_DEG, SPEED_LIMIT, CEILING_M, THRUST_PRODUCT, MOMENT_SUM = (
+    0.45,
+    12.0,
+    1.0,
+    -11.0,
+    500.0,
+    0.1,
+)
 TENSION_N = 5.0
 # Slopes of tensions of some newtons by central differences, N.
 BY_DIFFERENCES = 1e-6
@@ -108,11 +116,16 @@ def block(case: Case, kind: str) -> slice:
 
 def close(rows: Array, brute: Array) -> bool:
     """Equal up to rounding relative to the largest value."""
-    return rows.shape == brute.shape and bool(np.abs(rows - brute).max() <= ROUNDING * max(1.0, np.abs(brute).max()))
+    return rows.shape == brute.shape and bool(
+        np.abs(rows - brute).max() <= ROUNDING * max(1.0, np.abs(brute).max())
+    )
 
 
 def test_every_row_is_accounted_for(case: Case) -> None:
-    """Rates, separation, tilts, states, inputs, tensions: nothing else constrains the decision, paper (26)-(27)."""
+    """Rates, separation, tilts, states, inputs, tensions.
+
+    Nothing else constrains the decision, paper (26)-(27).
+    """
     assert len(case.qp.A) == block(case, "tension").stop
 
 
@@ -140,7 +153,7 @@ def test_first_rate_is_a_bound(case: Case) -> None:
     assert np.isinf(case.qp.upper[-4:]).all()
 
 
-def test_separation_rows(case: Case) -> None:
+def test_pair_distances(case: Case) -> None:
     """Predicted distance along the present direction, plus the slack, minus the minimum, for pairs with an owner."""
     model, owners = case.setup.model, {int(i) // 4 for i in case.own}
     y, C = model.outputs(case.at.x), model.linearise(case.at.x, case.at.u).C
@@ -158,13 +171,19 @@ def test_separation_rows(case: Case) -> None:
 
 
 def test_tilt_rows(case: Case) -> None:
-    """Predicted roll and pitch of the owned UAVs, from above and from below, with one slack; no other UAVs."""
+    """Predicted roll and pitch of the owned UAVs, from above and from below, with one slack.
+
+    No other UAVs.
+    """
     owners = sorted({int(i) // 4 for i in case.own})
     angles = np.array(
         [[(case.at.x + dx)[uav_slice(uav)][THETA][:2] for uav in owners] for dx in case.dX[1:]]
     ).reshape(-1)  # fmt: skip
     limit = np.radians(TILT_DEG) + case.slacks[1]
-    above, below = np.split(case.above[block(case, "tilt")], 2), np.split(case.below[block(case, "tilt")], 2)
+    above, below = (
+        np.split(case.above[block(case, "tilt")], 2),
+        np.split(case.below[block(case, "tilt")], 2),
+    )
     assert close(above[0], limit - angles)
     assert close(below[1], limit + angles)
     assert np.isinf(above[1]).all()
@@ -207,7 +226,8 @@ def tensions(setup: Setup, at: Situation, dX: Array, dU: Array, uavs: list[int])
     """Return tensions of some rods to first order in deviations at each step, by differences, (N_p, uavs), N."""
     T, h = setup.model.tensions, 1e-5
     slopes = [
-        (T(at.x + h * x, at.u + h * u) - T(at.x - h * x, at.u - h * u)) / (2.0 * h) for x, u in zip(dX, dU, strict=True)
+        (T(at.x + h * x, at.u + h * u) - T(at.x - h * x, at.u - h * u)) / (2.0 * h)
+        for x, u in zip(dX, dU, strict=True)
     ]
     return (T(at.x, at.u) + np.array(slopes))[:, uavs]
 
@@ -225,7 +245,10 @@ def test_tension_rows(case: Case) -> None:
 @pytest.mark.parametrize("owned", OWNED, ids=str)
 def test_tension_rows_with_others_that_respond(owned: tuple[int, ...]) -> None:
     """With a shared control law the others' inputs respond to the decision, and the tensions to both."""
-    setup, settings = paper_setup(), SETTINGS.model_copy(update={"prediction": "closed_loop", "constraint": ()})
+    setup, settings = (
+        paper_setup(),
+        SETTINGS.model_copy(update={"prediction": "closed_loop", "constraint": ()}),
+    )
     at, one = situation(setup, settings, seed=9), controller(setup, settings, owned)
     law = one.law(at.x, np.tile(at.x, (HORIZON, 1)), 0.1 * at.U, None, 0)
     linear = one.linearise(at.x, at.u)
@@ -248,15 +271,18 @@ def test_linear_distance_is_a_lower_bound() -> None:
     rng = np.random.default_rng(1)
     for _ in range(50):
         positions, moved = rng.standard_normal(12), rng.standard_normal(12)
-        distances, rows = separation_rows(positions, np.array(list(combinations(range(4), 2))))
-        true = [np.linalg.norm(np.subtract(*moved.reshape(4, 3)[[i, j]])) for i, j in combinations(range(4), 2)]
+        distances, rows = pair_distances(positions, np.array(list(combinations(range(4), 2))))
+        true = [
+            np.linalg.norm(np.subtract(*moved.reshape(4, 3)[[i, j]]))
+            for i, j in combinations(range(4), 2)
+        ]
         assert close(rows @ positions, distances)
         assert (rows @ moved <= np.array(true) + ROUNDING).all()
 
 
 def test_uavs_in_one_point_are_pushed_apart() -> None:
     """Two UAVs in one point have no direction; some unit direction stands in and nothing is nan."""
-    distances, rows = separation_rows(np.zeros(3 * 2), np.array([[0, 1]]))
+    distances, rows = pair_distances(np.zeros(3 * 2), np.array([[0, 1]]))
     assert distances.tolist() == [0.0]
     assert np.linalg.norm(rows[0, :3]) == 1.0
     assert np.array_equal(rows[0, :3], -rows[0, 3:6])
@@ -269,10 +295,20 @@ def test_soft_equals_hard_when_the_penalty_is_high() -> None:
     y_ref[:, 2:12:3] -= 1.0
     u = setup.hover.u
     at = Situation(x=setup.x, u=u, U=np.tile(u, (horizon, 1)), y_ref=y_ref)
-    hard = ControllerSettings(horizon=horizon, constraint=(Constraint(expression=ceiling, soft=False),))
-    soft = ControllerSettings(horizon=horizon, constraint=(Constraint(expression=ceiling, penalty=1e4),))
-    cheap = ControllerSettings(horizon=horizon, constraint=(Constraint(expression=ceiling, penalty=1e-3),))
-    plans = [step(controller(setup, settings, (0, 1, 2, 3)), at) for settings in (hard, soft, cheap)]
+    hard = ControllerSettings(
+        horizon=horizon, constraint=(Constraint(expression=ceiling, soft=False),)
+    )
+    soft = ControllerSettings(
+        horizon=horizon, constraint=(Constraint(expression=ceiling, penalty=1e4),)
+    )
+    cheap = ControllerSettings(
+        horizon=horizon, constraint=(Constraint(expression=ceiling, penalty=1e-3),)
+    )
+    plans = [
+        step(controller(setup, settings, (0, 1, 2, 3)), at) for settings in (hard, soft, cheap)
+    ]
     assert all(plan.solution.status == "solved" for plan in plans)
     assert np.abs(plans[0].U - plans[1].U).max() < SAME_PLAN
-    assert plans[2].solution.z[-1] > 1e-3, "the constraint was not active: the comparison shows nothing"
+    assert plans[2].solution.z[-1] > 1e-3, (
+        "the constraint was not active: the comparison shows nothing"
+    )

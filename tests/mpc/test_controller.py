@@ -4,14 +4,21 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from mpc.settings import Constraint, ControllerSettings, PenalisedInput, Separation, Weights
 from tests.support import naive
 from tests.support.systems import Setup, Situation, controller, paper_setup, situation, step
+from transport.model.arrays import Array
+from transport.mpc.settings import (
+    Constraint,
+    ControllerSettings,
+    PenalisedInput,
+    Separation,
+    Weights,
+)
 
 # Two sums of the same terms in another order, after the cancellation of the constant.
 COST_AGREEMENT = 1e-9
-# N and N m. Two solvers that both meet their optimality conditions to 1e-9, on a program with weights >= 1e-3.
+# N and N m. Two solvers that both meet their optimality conditions to 1e-9, on a program with
+# weights >= 1e-3.
 PLAN_AGREEMENT = 1e-5
 # N and N m. The same numbers mixed in the same way: only rounding.
 MIX_AGREEMENT = 1e-12
@@ -27,7 +34,10 @@ def half_range(settings: ControllerSettings, uavs: int) -> Array:
 def cost_by_simulation(
     setup: Setup, settings: ControllerSettings, owned: tuple[int, ...], at: Situation, v: Array
 ) -> float:
-    """The cost (25) for owned inputs u0 + v, all other inputs as announced: one simulated step after the other."""
+    """The cost (25) for owned inputs u0 + v, all other inputs as announced.
+
+    One simulated step after the other.
+    """
     linear = setup.model.linearise(at.x, at.u)
     A, B, f_d = naive.exact_hold(linear, settings.sampling_period_s)
     own = [4 * i + j for i in owned for j in range(4)]
@@ -35,11 +45,17 @@ def cost_by_simulation(
     dU[:, own] = v
     N = setup.system.N
     Q, R = settings.weights.Q(N), settings.weights.R(setup.system)[own]
-    target = setup.hover.u[own] if settings.weights.penalised_input == "deviation" else np.zeros(len(own))
+    target = (
+        setup.hover.u[own]
+        if settings.weights.penalised_input == "deviation"
+        else np.zeros(len(own))
+    )
     total = 0.0
     for k, dx in enumerate(naive.simulate(A, B, f_d, dU)):
         error = linear.y + linear.C @ dx - at.y_ref[k]
-        total += float(error @ (Q * error)) * (settings.weights.terminal if k == settings.horizon else 1.0)
+        total += float(error @ (Q * error)) * (
+            settings.weights.terminal if k == settings.horizon else 1.0
+        )
     for effort in at.u[own] + v - target:
         total += float(effort @ (R * effort))
     return total
@@ -67,15 +83,23 @@ def test_objective_is_the_cost_of_the_paper(
     at_zero = cost_by_simulation(setup, settings, owned, at, np.zeros((horizon, 4 * len(owned))))
     for _ in range(5):
         z, slack = 0.3 * rng.standard_normal(len(scale)), rng.uniform(0.0, 0.2)
-        cost = cost_by_simulation(setup, settings, owned, at, (z * scale).reshape(horizon, -1)) - at_zero
+        cost = (
+            cost_by_simulation(setup, settings, owned, at, (z * scale).reshape(horizon, -1))
+            - at_zero
+        )
         penalty = 30.0 * (slack + slack**2 / 2.0)
-        assert qp.objective(np.append(z, slack)) == pytest.approx(cost + penalty, rel=COST_AGREEMENT)
+        assert qp.objective(np.append(z, slack)) == pytest.approx(
+            cost + penalty, rel=COST_AGREEMENT
+        )
 
 
-def solve_as_printed(setup: Setup, settings: ControllerSettings, at: Situation, ceiling_m: float) -> Array:
+def solve_as_printed(
+    setup: Setup, settings: ControllerSettings, at: Situation, ceiling_m: float
+) -> Array:
     """The centralized program (14)-(21) from the paper's stacked matrices, by a solver the project does not use.
 
-    Input bounds and rates, a ceiling on the payload, and equal thrust of the first two UAVs are the constraints.
+    Input bounds and rates, a ceiling on the payload, and equal thrust of the first two UAVs are the
+    constraints.
     """
     steps, m, n = settings.horizon, setup.system.m, setup.system.n
     linear = setup.model.linearise(at.x, at.u)
@@ -124,7 +148,9 @@ def test_owning_all_is_the_centralized_controller(solver: str) -> None:
         solver="daqp" if solver == "daqp" else "clarabel",
     )
     y_ref = np.tile(setup.model.outputs(setup.x), (7, 1))
-    y_ref[:, 2 : 3 * setup.system.N : 3] -= 1.0  # a metre up: into the ceiling, as fast as the rates allow
+    y_ref[:, 2 : 3 * setup.system.N : 3] -= (
+        1.0  # a metre up: into the ceiling, as fast as the rates allow
+    )
     rng = np.random.default_rng(5)
     u = setup.hover.u + 0.2 * rng.standard_normal(setup.system.m)
     u[4] = u[0]
@@ -133,7 +159,9 @@ def test_owning_all_is_the_centralized_controller(solver: str) -> None:
     expected = solve_as_printed(setup, settings, at, ceiling)
     assert optimum.solution.status == "solved"
     assert optimum.solution.solver == solver
-    assert np.abs(optimum.solution.row_multipliers).max() > 0.1, "a test without active constraints shows little"
+    assert np.abs(optimum.solution.row_multipliers).max() > 0.1, (
+        "a test without active constraints shows little"
+    )
     assert np.abs(optimum.U - expected).max() < PLAN_AGREEMENT
 
 
@@ -145,4 +173,6 @@ def test_relaxation_mixes_with_the_shifted_plan(owned: tuple[int, ...]) -> None:
     at = situation(setup, full, seed=4)
     best, mixed = step(controller(setup, full, owned), at), controller(setup, relaxed, owned)
     shifted = at.U[:, mixed.own]
-    assert np.allclose(step(mixed, at).U, w * best.U + (1.0 - w) * shifted, rtol=0.0, atol=MIX_AGREEMENT)
+    assert np.allclose(
+        step(mixed, at).U, w * best.U + (1.0 - w) * shifted, rtol=0.0, atol=MIX_AGREEMENT
+    )

@@ -6,16 +6,18 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from model import state
-from model.arrays import Array
-from model.dynamics import Symbols
-from mpc.expressions import Relation, compile_constraints, read
-from mpc.settings import Constraint, SettingsError
 from tests.support.systems import disturbed, paper_setup
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.dynamics import Symbols
+from transport.mpc.expressions import Relation, check_constraints, compile_constraints, read
+from transport.mpc.settings import Constraint, SettingsError
 
-# Hand computation and compiled expression differ by rounding only; the largest value here is about 500.
+# Hand computation and compiled expression differ by rounding only; the largest value here is about
+# 500.
 ROUNDING = 1e-11
-# Central differences: truncation about step^2 times a third derivative, rounding about 1e-13 / step.
+# Central differences: truncation about step^2 times a third derivative, rounding about 1e-13 /
+# step.
 STEP, SLOPE_AGREEMENT = 1e-5, 1e-6
 
 SYMBOLS = Symbols.of(4)
@@ -38,10 +40,14 @@ def uav_position(x: Array, i: int) -> Array:
     """r_i by the kinematics (1), 0-based, with R0 from elementary rotations about z, y and x."""
     roll, pitch, yaw = x[state.THETA0]
     Rx = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
-    Ry = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
+    Ry = np.array(
+        [[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]]
+    )
     Rz = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
     uav = paper_setup().system.uavs[i]
-    return np.asarray(x[state.R0] + Rz @ Ry @ Rx @ (uav.rho - uav.rod_length * x[state.uav_slice(i)][state.E]))
+    return np.asarray(
+        x[state.R0] + Rz @ Ry @ Rx @ (uav.rho - uav.rod_length * x[state.uav_slice(i)][state.E])
+    )
 
 
 def block(x: Array, i: int) -> Array:
@@ -94,7 +100,9 @@ def test_slopes_by_finite_differences(text: str) -> None:
     compiled, point = (on_state, x) if len(on_state) else (on_input, u)
     assert len(on_state) + len(on_input) == 1
     moved = np.eye(len(point)) * STEP
-    differences = [(compiled.at(point + d)[0][0] - compiled.at(point - d)[0][0]) / (2.0 * STEP) for d in moved]
+    differences = [
+        (compiled.at(point + d)[0][0] - compiled.at(point - d)[0][0]) / (2.0 * STEP) for d in moved
+    ]
     assert np.abs(compiled.at(point)[1][0] - differences).max() < SLOPE_AGREEMENT
     assert compiled.at(point)[0][0] == pytest.approx(GOOD[text](x, u), abs=ROUNDING)
 
@@ -162,10 +170,48 @@ def test_bad_text_is_refused(text: str) -> None:
         "r0[2] <= 1e400",
         "sqrt(-1) <= r0[0]",
         "r0[True] <= 1",
+        "r0[0] <= -9**9**9",
+        "r0[0] <= 3**20000000",
     ],
-    ids=["division by zero", "overflow", "deep", "long", "infinite", "complex", "boolean index"],
+    ids=[
+        "division by zero",
+        "overflow",
+        "deep",
+        "long",
+        "infinite",
+        "complex",
+        "boolean index",
+        "tower",
+        "millions of digits",
+    ],
 )
 def test_arithmetic_that_fails_is_refused(text: str) -> None:
     """A text whose own arithmetic or nesting breaks Python is refused like any other, not passed on as its error."""
     with pytest.raises(SettingsError):
         read(text, SYMBOLS)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("sqrt(r0[0]) <= 1", "expected a finite value and slope at the start, got the slope inf"),
+        ("1 / r0[0] <= 1", "expected a finite value and slope at the start, got the value inf"),
+        ("1 / tau1[0] <= 1", "expected a finite value and slope at the start, got the value inf"),
+    ],
+)
+def test_constraints_are_finite_at_the_start(text: str, problem: str) -> None:
+    """A constraint without a value or slope at the first state and input is refused with its text."""
+    setup = paper_setup()
+    with pytest.raises(SettingsError) as refused:
+        check_constraints([Constraint(expression=text)], setup.system, setup.hover.x, setup.hover.u)
+    assert repr(text) in str(refused.value)
+    assert problem in str(refused.value)
+
+
+def test_integers_of_a_text_are_floats() -> None:
+    """Arithmetic of constants has the rounding of floats, where integers would have all digits."""
+    setup = paper_setup()
+    beyond_53_bits = [Constraint(expression="r0[0] <= 3**40 + 1 - 3**40")]
+    on_state, _ = compile_constraints(beyond_53_bits, setup.system)
+    value, _ = on_state.at(setup.hover.x)
+    assert value[0] == 0.0

@@ -5,20 +5,22 @@ from collections.abc import Set as AbstractSet
 import numpy as np
 import pytest
 
-from model import state
-from model.arrays import Array
-from model.discretisation import zero_order_hold
-from model.hover import failed_hover, hover
-from model.linearisation import Model
-from model.parameters import System, table_1
-from model.state import input_indices
-from mpc.controller import Controller
-from mpc.cost import Cost
-from mpc.feedback import FeedbackError, Regulator, regulator, tangent
-from mpc.regulation import Regulation
-from mpc.settings import ControllerSettings, Weights
 from tests.model.test_failure import DEAD, larger
 from tests.support.systems import paper_setup
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.discretisation import zero_order_hold
+from transport.model.hover import failed_hover, hover
+from transport.model.linearisation import Model
+from transport.model.parameters import System, table_1
+from transport.model.state import input_indices
+from transport.mpc.controller import Controller
+from transport.mpc.cost import Cost
+from transport.mpc.feedback import FeedbackError
+from transport.mpc.manifold import tangent
+from transport.mpc.regulation import Regulation
+from transport.mpc.regulator import HoveringTeam, Regulator, Team, regulator
+from transport.mpc.settings import ControllerSettings, Weights
 
 PERIOD_S = 0.05
 CLOSED = ControllerSettings(prediction="closed_loop", relaxation=1.0, terminal="riccati")
@@ -35,14 +37,16 @@ def found(system: System, off: AbstractSet[int], released: AbstractSet[int]) -> 
     """Return the regulator of the remaining team."""
     at = failed_hover(system, off, released)
     cost = Cost(Weights(), system, at, off, released)
-    return regulator(Model(system, off, released), at, cost, PERIOD_S, off=off, released=released)
+    team = Team(off=frozenset(off), released=frozenset(released))
+    model = Model(system, off, released)
+    return regulator(HoveringTeam(model=model, hover=at, cost=cost, team=team), PERIOD_S)
 
 
 def control_margin(system: System, x: Array, u: Array) -> tuple[float, float]:
     """Largest |eigenvalue| of the sampled linearisation, and how far that mode is from uncontrollable.
 
-    The latter is the smallest singular value of [A - z I, B] over the eigenvalues z outside the unit circle (the
-    Popov-Belevitch-Hautus test). The UAV `DEAD` has no inputs.
+    The latter is the smallest singular value of [A - z I, B] over the eigenvalues z outside the
+    unit circle (the Popov-Belevitch-Hautus test). The UAV `DEAD` has no inputs.
     """
     discrete = zero_order_hold(Model(system, {DEAD}, set()).linearise(x, u), PERIOD_S)
     T = tangent(x, off={DEAD})
@@ -57,15 +61,21 @@ def test_three_stabilise_the_payload_without_the_fourth() -> None:
     """The regulator of the team without the released UAV is that of a system of three, and does not look at the bob."""
     system = table_1()
     live = [i for i in range(4) if i != DEAD]
-    three = System(payload=system.payload, uavs=[system.uavs[i] for i in live], gravity=system.gravity)
+    three = System(
+        payload=system.payload, uavs=[system.uavs[i] for i in live], gravity=system.gravity
+    )
     at = failed_hover(three, set(), set())
     cost = Cost(Weights(), three, at)
-    uncontrolled = regulator(Model(three, set(), set()), at, cost, PERIOD_S)
+    uncontrolled = regulator(HoveringTeam(model=Model(three), hover=at, cost=cost), PERIOD_S)
     K = found(system, {DEAD}, {DEAD}).K
     assert not K[state.input_slice(DEAD)].any()
     assert not K[:, state.uav_slice(DEAD)].any()
-    columns = np.concatenate([np.arange(12), *[np.arange(12) + state.uav_slice(i).start for i in live]])
-    np.testing.assert_allclose(K[input_indices(live)][:, columns], uncontrolled.K, atol=GAIN_TOLERANCE)
+    columns = np.concatenate(
+        [np.arange(12), *[np.arange(12) + state.uav_slice(i).start for i in live]]
+    )
+    np.testing.assert_allclose(
+        K[input_indices(live)][:, columns], uncontrolled.K, atol=GAIN_TOLERANCE
+    )
 
 
 @pytest.mark.parametrize(("uavs", "released"), [(4, True), (5, False), (6, False), (6, True)])
@@ -91,9 +101,9 @@ def test_where_nothing_helps_the_control_law_stays(released: set[int]) -> None:
     """Without a hover, or one that can be stabilised, gain and cost are those of the whole team."""
     setup = paper_setup()
     controller = Controller(setup.model, setup.hover, CLOSED, [3])
-    before, cost = controller.regulation.regulator, controller.cost
+    before, cost = controller.regulation.current.regulator, controller.cost
     controller.fail(released or {DEAD}, released)
-    after = controller.regulation.regulator
+    after = controller.regulation.current.regulator
     assert before is not None
     assert after is not None
     np.testing.assert_array_equal(after.K, before.K)

@@ -1,10 +1,13 @@
-"""A program without solution is data: the shifted previous plan, a status that says so, never an exception."""
+"""A program without solution is data.
+
+The shifted previous plan, a status that says so, never an exception.
+"""
 
 import numpy as np
 import pytest
 
-from mpc.settings import Constraint, ControllerSettings, SolverName
 from tests.support.systems import Situation, controller, paper_setup, situation, step
+from transport.mpc.settings import Constraint, ControllerSettings, SolverName
 
 HORIZON = 6
 SOLVERS: list[SolverName] = ["daqp", "clarabel"]
@@ -14,7 +17,10 @@ THRUST_LIMIT = 20.0
 
 WITHOUT_SOLUTION = {
     "payload 15 m below": (Constraint(expression="r0[2] >= 5", soft=False),),
-    "two thrusts at once": (Constraint(expression="thrust1 == 10"), Constraint(expression="thrust1 == 12")),
+    "two thrusts at once": (
+        Constraint(expression="thrust1 == 10"),
+        Constraint(expression="thrust1 == 12"),
+    ),
     "beyond the bounds": (Constraint(expression="thrust1 >= 50"),),
     "faster than the rates": (Constraint(expression="thrust1 == 40"),),
 }
@@ -23,7 +29,9 @@ WITHOUT_SOLUTION = {
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("owned", [(0,), (0, 2), (0, 1, 2, 3)])
 @pytest.mark.parametrize("name", WITHOUT_SOLUTION)
-def test_no_solution_keeps_the_shifted_plan(name: str, owned: tuple[int, ...], solver: SolverName) -> None:
+def test_no_solution_keeps_the_shifted_plan(
+    name: str, owned: tuple[int, ...], solver: SolverName
+) -> None:
     """Contradictory constraints (20)-(21), (26)-(27) return the announced plan untouched and status "infeasible"."""
     setup = paper_setup()
     settings = ControllerSettings(horizon=HORIZON, constraint=WITHOUT_SOLUTION[name], solver=solver)
@@ -31,18 +39,27 @@ def test_no_solution_keeps_the_shifted_plan(name: str, owned: tuple[int, ...], s
     one = controller(setup, settings, owned)
     optimum = step(one, at)
     assert optimum.solution.status == "infeasible"
-    assert optimum.solution.fallback == (solver == "daqp"), "the second opinion is Clarabel's, asked only after DAQP"
+    assert optimum.solution.fallback == (solver == "daqp"), (
+        "the second opinion is Clarabel's, asked only after DAQP"
+    )
     assert optimum.solution.solver == "clarabel"
     assert np.array_equal(optimum.U, at.U[:, one.own])
 
 
 def test_softened_constraint_never_fails() -> None:
-    """The same demand on the payload, softened, costs a penalty and has a solution; docs/equations.md (29)-(30)."""
+    """The same demand on the payload, softened, costs a penalty and has a solution.
+
+    Docs/equations.md (29)-(30).
+    """
     setup = paper_setup()
-    settings = ControllerSettings(horizon=HORIZON, constraint=(Constraint(expression="r0[2] >= 5"),))
+    settings = ControllerSettings(
+        horizon=HORIZON, constraint=(Constraint(expression="r0[2] >= 5"),)
+    )
     optimum = step(controller(setup, settings, (0, 1, 2, 3)), situation(setup, settings, seed=1))
     assert optimum.solution.status == "solved"
-    assert optimum.solution.z[-1] > 10.0, "15 m are missing and the horizon is too short to win them"
+    assert optimum.solution.z[-1] > 10.0, (
+        "15 m are missing and the horizon is too short to win them"
+    )
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -50,13 +67,18 @@ def test_recovers_when_the_next_program_has_a_solution(solver: SolverName) -> No
     """A failure leaves no trace: the controller solves the next program as a fresh one does."""
     setup = paper_setup()
     settings = ControllerSettings(
-        horizon=HORIZON, constraint=(Constraint(expression="r0[2] >= -10.5", soft=False),), solver=solver
+        horizon=HORIZON,
+        constraint=(Constraint(expression="r0[2] >= -10.5", soft=False),),
+        solver=solver,
     )
     good = situation(setup, settings, seed=2)
     x = good.x.copy()
     x[2] = -20.0
     one = controller(setup, settings, (0, 1, 2, 3))
-    assert step(one, Situation(x=x, u=good.u, U=good.U, y_ref=good.y_ref)).solution.status == "infeasible"
+    assert (
+        step(one, Situation(x=x, u=good.u, U=good.U, y_ref=good.y_ref)).solution.status
+        == "infeasible"
+    )
     after, fresh = step(one, good), step(controller(setup, settings, (0, 1, 2, 3)), good)
     assert after.solution.status == "solved"
     assert np.array_equal(after.U, fresh.U)
@@ -64,7 +86,9 @@ def test_recovers_when_the_next_program_has_a_solution(solver: SolverName) -> No
 
 @pytest.mark.parametrize("expression", [f"thrust2 <= {THRUST_LIMIT}", "thrust2 == thrust3"])
 def test_others_inputs_do_not_stop_a_controller(expression: str) -> None:
-    """In (26)-(27) a row without owned inputs is a constant; broken by the others' plans, it must not fail this one.
+    """In (26)-(27) a row without owned inputs is a constant.
+
+    Broken by the others' plans, it must not fail this one.
 
     UAV1 cannot repair it, so refusing every program would freeze UAV1 for what UAV2 announces.
     """
@@ -73,15 +97,20 @@ def test_others_inputs_do_not_stop_a_controller(expression: str) -> None:
     at = situation(setup, settings, seed=1)
     U = np.tile(setup.hover.u, (HORIZON, 1))
     U[:, 4] = THRUST_LIMIT + 1.0
-    optimum = step(controller(setup, settings, (0,)), Situation(x=at.x, u=at.u, U=U, y_ref=at.y_ref))
+    optimum = step(
+        controller(setup, settings, (0,)), Situation(x=at.x, u=at.u, U=U, y_ref=at.y_ref)
+    )
     assert optimum.solution.status == "solved"
 
 
 @pytest.mark.parametrize("expression", ["norm(v0) <= 1", "norm(omega0) <= 0.5"])
 def test_speed_limit_holds_at_rest(expression: str) -> None:
-    """A limit on a norm is solvable where the norm is zero, its corner: every flight starts at rest.
+    """A limit on a norm is solvable where the norm is zero, its corner.
 
-    The derivative that (20) needs does not exist there; a nan in its place makes every program unsolvable.
+    Every flight starts at rest.
+
+    The derivative that (20) needs does not exist there; a nan in its place makes every program
+    unsolvable.
     """
     setup = paper_setup()
     settings = ControllerSettings(horizon=HORIZON, constraint=(Constraint(expression=expression),))

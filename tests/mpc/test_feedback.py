@@ -6,23 +6,25 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from model import state
-from model.arrays import Array
-from model.discretisation import zero_order_hold
-from model.state import input_indices
-from mpc.controller import Controller
-from mpc.cost import Cost
-from mpc.feedback import FeedbackLaw, regulator
-from mpc.prediction import predict
-from mpc.settings import ControllerSettings, Weights
-from tests.support.systems import Situation, paper_setup, situation
+from tests.support.systems import Situation, changed, paper_setup, situation
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.discretisation import zero_order_hold
+from transport.model.state import input_indices
+from transport.mpc.controller import Controller
+from transport.mpc.cost import Cost
+from transport.mpc.feedback import FeedbackError, FeedbackLaw
+from transport.mpc.prediction import predict
+from transport.mpc.regulator import HoveringTeam, regulator
+from transport.mpc.settings import ControllerSettings, CostTerm, Weights
 
 PERIOD_S = 0.05
 CLOSED = ControllerSettings(prediction="closed_loop", relaxation=1.0)
 
 # Both solve the same Riccati equation to rounding; the gain's entries reach 30.
 GAIN_TOLERANCE = 1e-7
-# The same linear recursion in another order of operations, over 20 steps with states of a few metres.
+# The same linear recursion in another order of operations, over 20 steps with states of a few
+# metres.
 ROLLOUT_TOLERANCE = 1e-9
 # Two programs with the same optimum, each solved to residuals of 1e-6 of data of size one.
 OPTIMUM_TOLERANCE = 1e-6
@@ -32,7 +34,8 @@ OPTIMUM_TOLERANCE = 1e-6
 def gain() -> Array:
     """The paper system's gain."""
     setup = paper_setup()
-    return regulator(setup.model, setup.hover, Cost(Weights(), setup.system, setup.hover), PERIOD_S).K
+    cost = Cost(Weights(), setup.system, setup.hover)
+    return regulator(HoveringTeam(model=setup.model, hover=setup.hover, cost=cost), PERIOD_S).K
 
 
 def hover_model() -> tuple[Array, Array, Array]:
@@ -50,7 +53,8 @@ def test_gain_is_the_regulators() -> None:
     kept = np.ones(setup.system.n, dtype=bool)
     for i in range(setup.system.N):
         block = state.uav_slice(i).start
-        # Vertical rods: e and Omega cannot change along z; a heading costs nothing and changes nothing.
+        # Vertical rods: e and Omega cannot change along z; a heading costs nothing and changes
+        # nothing.
         kept[[block + 2, block + 5, block + 8]] = False
     cost = Cost(Weights(), setup.system, setup.hover)
     a, b, c = A[np.ix_(kept, kept)], B[kept], C[:, kept]
@@ -71,7 +75,9 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
     discrete = zero_order_hold(setup.model.linearise(at.x, at.u), PERIOD_S)
     x_ref = at.x + 0.1 * rng.standard_normal((steps, setup.system.n))
     feedforward, c = rng.standard_normal((2, steps, setup.system.m))
-    law = FeedbackLaw(K=gain(), u_rest=setup.hover.u, error=at.x - x_ref, feedforward=feedforward, c=c)
+    law = FeedbackLaw(
+        K=gain(), u_rest=setup.hover.u, error=at.x - x_ref, feedforward=feedforward, c=c
+    )
     prediction = predict(discrete, at.u, own, at.U, law)
     v = 0.1 * rng.standard_normal((steps, len(own)))
 
@@ -79,7 +85,9 @@ def test_prediction_is_the_team_under_the_law(owned: tuple[int, ...]) -> None:
     for k in range(steps):
         u = np.empty(setup.system.m)
         u[own] = at.u[own] + v[k]
-        u[others] = (setup.hover.u + gain() @ (at.x + dx - x_ref[k]) + feedforward[k] + c[k])[others]
+        u[others] = (setup.hover.u + gain() @ (at.x + dx - x_ref[k]) + feedforward[k] + c[k])[
+            others
+        ]
         dx = discrete.f_d + discrete.A @ dx + discrete.B @ (u - at.u)
         convolved = sum(prediction.effect[:, k - j] @ v[j] for j in range(k + 1))
         assert np.abs(prediction.dX_free[k + 1] + convolved - dx).max() < ROLLOUT_TOLERANCE
@@ -108,7 +116,9 @@ def test_corrections_reproduce_the_inputs() -> None:
     linear = one.linearise(at.x, at.u)
     discrete = one.discretise(linear)
     prediction = one.predict(linear, discrete, at.U, law)
-    optimum = one.conclude(one.solve(one.condense(linear, prediction, at.y_ref)), prediction, at.U, law)
+    optimum = one.conclude(
+        one.solve(one.condense(linear, prediction, at.y_ref)), prediction, at.U, law
+    )
     dx = np.zeros(setup.system.n)
     for k, c in enumerate(optimum.c):
         u = setup.hover.u + gain() @ (law.error[k] + dx) + law.c[k]
@@ -132,7 +142,12 @@ def test_a_start_is_not_relaxed_towards_nothing() -> None:
     setup = paper_setup()
     at = situation(setup, CLOSED, seed=9)
     full = Controller(setup.model, setup.hover, CLOSED, (1,))
-    part = Controller(setup.model, setup.hover, ControllerSettings(prediction="closed_loop", relaxation=0.25), (1,))
+    part = Controller(
+        setup.model,
+        setup.hover,
+        ControllerSettings(prediction="closed_loop", relaxation=0.25),
+        (1,),
+    )
     law = law_at(full, at)
     assert law is not None
     linear = part.linearise(at.x, at.u)
@@ -141,6 +156,21 @@ def test_a_start_is_not_relaxed_towards_nothing() -> None:
     best = full.conclude(solution, prediction, at.U, law).c
     before = law.c[:, full.own]
     assert np.abs(best - before).max() > 0.01, "nothing to relax: the comparison shows nothing"
-    for ticks_since_start, share in [(0, 1.0), (1, 1 / 2), (2, 1 / 3), (3, 0.25), (100, 0.25), (None, 0.25)]:
+    for ticks_since_start, share in [
+        (0, 1.0),
+        (1, 1 / 2),
+        (2, 1 / 3),
+        (3, 0.25),
+        (100, 0.25),
+        (None, 0.25),
+    ]:
         c = part.conclude(solution, prediction, at.U, law, ticks_since_start).c
         assert np.abs(c - (share * best + (1.0 - share) * before)).max() < ROLLOUT_TOLERANCE
+
+
+def test_an_equation_that_overflows_is_refused_in_words() -> None:
+    """A term of the cost with a slope of 1e150 leaves no numbers of a Riccati equation, (34)."""
+    setup = paper_setup()
+    settings = changed(CLOSED, cost=(CostTerm(expression="1e150 * r0[0]", weight=1.0),))
+    with pytest.raises(FeedbackError, match="weights or slopes are too large"):
+        Controller(setup.model, setup.hover, settings, (0,))

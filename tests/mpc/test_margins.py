@@ -3,20 +3,21 @@
 import numpy as np
 import pytest
 
-from model.hover import hover
-from model.linearisation import Model
-from model.parameters import System, table_1
-from mpc.controller import Controller
-from mpc.fail_safe import FailSafe
-from mpc.margins import FARTHEST, GROWTH, Loop, Mismatch, margins
-from mpc.settings import ControllerSettings, Limits, Weights
+from transport.model.hover import hover
+from transport.model.linearisation import Model
+from transport.model.parameters import System, table_1
+from transport.mpc.controller import Controller
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.margins import FARTHEST, GROWTH, Loop, Mismatch, margins
+from transport.mpc.settings import ControllerSettings, Limits, Weights
 
 SYSTEM = table_1()
 RATES = System(payload=SYSTEM.payload, uavs=SYSTEM.uavs, rate_gains=[25.0, 25.0, 10.0])
 SHARED = ControllerSettings(prediction="closed_loop", terminal="riccati")
 # Rounding of eigenvalues of modes that come in equal pairs: the square root of that of the matrix.
 ROUNDING = 1e-6
-# With a fail-safe that follows, deviations decay by e within some periods of the rods' pendulum, 5 s.
+# With a fail-safe that follows, deviations decay by e within some periods of the rods' pendulum, 5
+# s.
 SETTLING_S = 10.0
 
 
@@ -34,13 +35,21 @@ def _loop(
 
 @pytest.mark.parametrize(
     ("next_tick", "age", "system"),
-    [(False, 1, SYSTEM), (True, 1, SYSTEM), (False, 3, SYSTEM), (True, 3, SYSTEM), (True, 3, RATES)],
+    [
+        (False, 1, SYSTEM),
+        (True, 1, SYSTEM),
+        (False, 3, SYSTEM),
+        (True, 3, SYSTEM),
+        (True, 3, RATES),
+    ],
 )
-def test_with_the_plant_as_known_the_loop_is_the_regulator(next_tick: bool, age: int, system: System) -> None:
+def test_with_the_plant_as_known_the_loop_is_the_regulator(
+    next_tick: bool, age: int, system: System
+) -> None:
     """Estimates are exact, so the step has the regulator's eigenvalues, for any age of the states."""
     loop = _loop(next_tick=next_tick, age=age, system=system)
     found = np.linalg.eigvals(loop.matrix(Mismatch()))
-    regulator = Controller(Model(system), hover(system), SHARED, (0,)).regulation.regulator
+    regulator = Controller(Model(system), hover(system), SHARED, (0,)).regulation.current.regulator
     assert regulator is not None
     expected = np.linalg.eigvals(regulator.A_closed)
     assert np.abs(found[:, None] - expected[None]).min(axis=0).max() < ROUNDING
@@ -56,7 +65,10 @@ def test_a_known_lag_is_no_mismatch(age: int) -> None:
 
 
 def test_a_margin_is_where_stability_ends() -> None:
-    """The loop is stable at each end of a range and unstable just beyond it; a range without end is stable far away."""
+    """The loop is stable at each end of a range and unstable just beyond it.
+
+    A range without end is stable far away.
+    """
     loop = _loop()
     for name, margin in margins(loop).items():
         for end, factor in ((margin.lower, 1.0 / 1.02), (margin.upper, 1.02)):
@@ -68,7 +80,9 @@ def test_a_margin_is_where_stability_ends() -> None:
 
 def test_a_delay_of_one_period_is_next_tick_without_its_prediction() -> None:
     """Delays are exact at whole periods and continuous there."""
-    loop = _loop(ControllerSettings(prediction="closed_loop", terminal="riccati", sampling_period_s=0.02))
+    loop = _loop(
+        ControllerSettings(prediction="closed_loop", terminal="riccati", sampling_period_s=0.02)
+    )
     near = [loop.growth(Mismatch(delay_s=delay_s)) for delay_s in (0.02 - 1e-7, 0.02, 0.02 + 1e-7)]
     assert np.ptp(near) < 1e-3
 
@@ -79,11 +93,13 @@ def test_weights_on_accelerations_serve_vehicles_of_any_size(size: float) -> Non
     weights = Weights(acceleration=5e-3, angular_acceleration=1.7e-3, tilt_rate=0.15)
     plant, growths = Mismatch(lag_s=0.1), []
     for factor in (1.0, size):
-        scaled = Mismatch(uav_mass=factor, uav_inertia=factor, payload_mass=factor, payload_inertia=factor).system(
-            SYSTEM
-        )
+        scaled = Mismatch(
+            uav_mass=factor, uav_inertia=factor, payload_mass=factor, payload_inertia=factor
+        ).system(SYSTEM)
         at_rest, model = hover(scaled), Model(scaled)
-        settings = SHARED.model_copy(update={"weights": weights, "limits": Limits(thrust_N=(0.0, 1e4))})
+        settings = SHARED.model_copy(
+            update={"weights": weights, "limits": Limits(thrust_N=(0.0, 1e4))}
+        )
         team = [Controller(model, at_rest, settings, (uav,)) for uav in range(scaled.N)]
         growths.append(Loop(team, next_tick=False).growth(plant))
     assert growths[0] > GROWTH
@@ -91,26 +107,37 @@ def test_weights_on_accelerations_serve_vehicles_of_any_size(size: float) -> Non
 
 
 @pytest.mark.parametrize(
-    ("gone", "follows"), [((1,), False), ((1,), True), ((0, 2), False), ((0, 2), True), ((0, 1, 3), True)]
+    ("gone", "follows"),
+    [((1,), False), ((1,), True), ((0, 2), False), ((0, 2), True), ((0, 1, 3), True)],
 )
 def test_the_team_that_is_left_is_its_regulator(gone: tuple[int, ...], follows: bool) -> None:
     """The step has the eigenvalues of the regulator for that team, which settle if the fail-safe follows.
 
-    The other eigenvalues are those of the estimates of UAVs that no agent measures. Two UAVs that only keep level swing
-    against each other undamped, docs/equations.md (45).
+    The other eigenvalues are those of the estimates of UAVs that no agent measures. Two UAVs that
+    only keep level swing against each other undamped, docs/equations.md (45).
     """
     model, at_rest = Model(SYSTEM), hover(SYSTEM)
     settings = SHARED.model_copy(update={"fail_safe": "follow" if follows else "level"})
     fail_safe = FailSafe(SYSTEM, at_rest.u, at_rest.x[None] if follows else None)
-    team = [Controller(model, at_rest, settings, (uav,)) for uav in range(SYSTEM.N) if uav not in gone]
+    team = [
+        Controller(model, at_rest, settings, (uav,)) for uav in range(SYSTEM.N) if uav not in gone
+    ]
     for controller in team:
         controller.without(gone)
-    regulator = team[0].regulation.regulator
+    regulator = team[0].regulation.current.regulator
     assert regulator is not None
     for next_tick in (False, True):
-        loop = Loop(team, next_tick=next_tick, age=2, uncontrolled={uav: fail_safe.gain(uav) for uav in gone})
+        loop = Loop(
+            team,
+            next_tick=next_tick,
+            age=2,
+            uncontrolled={uav: fail_safe.gain(uav) for uav in gone},
+        )
         found = np.linalg.eigvals(loop.matrix(Mismatch()))
-        assert np.abs(found[:, None] - np.linalg.eigvals(regulator.A_closed)[None]).min(axis=0).max() < ROUNDING
+        assert (
+            np.abs(found[:, None] - np.linalg.eigvals(regulator.A_closed)[None]).min(axis=0).max()
+            < ROUNDING
+        )
         settling_s = loop.settling_s(Mismatch())
         assert (settling_s is not None) == (follows or len(gone) == 1)
         assert settling_s is None or not follows or settling_s < SETTLING_S

@@ -1,34 +1,49 @@
-"""A controller that knows the lag of the motors: prediction, control law and their limit without lag."""
+"""A controller that knows the lag of the motors.
+
+Prediction, control law and their limit without lag.
+"""
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from model.arrays import Array
-from model.linearisation import Linearisation
-from model.native import Places
-from model.state import input_indices
-from mpc.controller import Controller, StepResult
-from mpc.cost import Cost
-from mpc.feedback import regulator
-from mpc.prediction import Prediction, convolve
-from mpc.settings import Constraint, ControllerSettings, CostTerm, Separation, Tilt, Weights
 from tests.support.systems import Situation, changed, paper_setup, situation
+from transport.model.arrays import Array
+from transport.model.linearisation import Linearisation
+from transport.model.native import Places
+from transport.model.state import input_indices
+from transport.mpc.controller import Controller, StepResult
+from transport.mpc.cost import Cost
+from transport.mpc.prediction import Prediction, convolve
+from transport.mpc.regulator import HoveringTeam, regulator
+from transport.mpc.settings import (
+    Constraint,
+    ControllerSettings,
+    CostTerm,
+    Separation,
+    Tilt,
+    Weights,
+)
 
 PERIOD_S = 0.05
-SETTINGS = ControllerSettings(prediction="closed_loop", terminal="riccati", preview=False, horizon=8)
+SETTINGS = ControllerSettings(
+    prediction="closed_loop", terminal="riccati", preview=False, horizon=8
+)
 # With every kind of row and term that reads states.
 FULL = changed(
     SETTINGS,
     separation=Separation(minimum_m=0.45),
     tilt=Tilt(limit_deg=20.0),
-    constraint=(Constraint(expression="r0[2] <= -2"), Constraint(expression="thrust1 + thrust2 <= 60")),
+    constraint=(
+        Constraint(expression="r0[2] <= -2"),
+        Constraint(expression="thrust1 + thrust2 <= 60"),
+    ),
     cost=(CostTerm(expression="v0[0]", weight=0.3),),
 )
 # Two ways to sum up some hundred products of numbers up to 100.
 SAME = 1e-9
-# The fastest sampled mode of a team with motors of 100 ms and a control law that does not know them grows by this at
-# least in a period; headings, which have no cost, neither grow nor decay.
+# The fastest sampled mode of a team with motors of 100 ms and a control law that does not know them
+# grows by this at least in a period; headings, which have no cost, neither grow nor decay.
 GROWS, RESTS = 1.01, 1.0 + 1e-6
 
 
@@ -37,13 +52,18 @@ def lagging(at: Situation, rng: np.random.Generator) -> Array:
     return np.concatenate([at.x, at.u + 0.1 * rng.standard_normal(len(at.u))])
 
 
-def simulated(plain: Linearisation, z: Array, u0: Array, commands: Array, lag_s: float) -> tuple[Array, Array]:
+def simulated(
+    plain: Linearisation, z: Array, u0: Array, commands: Array, lag_s: float
+) -> tuple[Array, Array]:
     """Return states and actual inputs of the linear system under commands, step by step, as deviations from z."""
     A, B, f = plain.A_c, plain.B_c, plain.f
     n, m = B.shape
     whole = np.zeros((n + m + m + 1, n + m + m + 1))
     whole[:n] = np.hstack([A, B, np.zeros((n, m)), f[:, None]])  # dx' = A dx + B da + f
-    whole[n : n + m, n : n + m], whole[n : n + m, n + m : -1] = -np.eye(m) / lag_s, np.eye(m) / lag_s
+    whole[n : n + m, n : n + m], whole[n : n + m, n + m : -1] = (
+        -np.eye(m) / lag_s,
+        np.eye(m) / lag_s,
+    )
     whole[n : n + m, -1] = (u0 - z[n:]) / lag_s  # da' = (u - a) / lag
     hold, dz = expm(PERIOD_S * whole)[: n + m], [np.zeros(n + m)]
     for u in commands:
@@ -60,7 +80,10 @@ def test_prediction_is_the_simulation(lag_s: float, shared: bool) -> None:
     settings = changed(SETTINGS, motor_lag_s=lag_s)
     if not shared:
         settings = changed(settings, prediction="open_loop")
-    one, at = Controller(setup.model, setup.hover, settings, (1, 2)), situation(setup, settings, seed=3)
+    one, at = (
+        Controller(setup.model, setup.hover, settings, (1, 2)),
+        situation(setup, settings, seed=3),
+    )
     z, n = lagging(at, rng), setup.system.n
     c = 0.1 * rng.standard_normal(at.U.shape)
     law = one.law(z, np.tile(setup.x, (len(c), 1)), c)
@@ -70,7 +93,12 @@ def test_prediction_is_the_simulation(lag_s: float, shared: bool) -> None:
     v = 0.3 * rng.standard_normal(prediction.U_free.shape)
     v[:, ::4] *= 10.0
     dX = prediction.dX_free.copy()
-    dX[1:] += np.array([np.einsum("njm,jm->n", prediction.effect[:, :k], v[:k][::-1]) for k in range(1, len(v) + 1)])
+    dX[1:] += np.array(
+        [
+            np.einsum("njm,jm->n", prediction.effect[:, :k], v[:k][::-1])
+            for k in range(1, len(v) + 1)
+        ]
+    )
     commands = inputs_of(prediction, v, one.own)
     plain = setup.model.linearise(at.x, z[n:])
     states, actual = simulated(plain, z, at.u, commands, lag_s)
@@ -80,7 +108,10 @@ def test_prediction_is_the_simulation(lag_s: float, shared: bool) -> None:
         others = np.setdiff1d(np.arange(setup.system.m), one.own)
         K_x, K_a = law.K[:, :n], law.K[:, n:]
         by_law = (
-            setup.hover.u + (at.x + states[:-1] - setup.x) @ K_x.T + (z[n:] + actual[:-1] - setup.hover.u) @ K_a.T + c
+            setup.hover.u
+            + (at.x + states[:-1] - setup.x) @ K_x.T
+            + (z[n:] + actual[:-1] - setup.hover.u) @ K_a.T
+            + c
         )
         np.testing.assert_allclose(commands[:, others], by_law[:, others], rtol=0.0, atol=SAME)
 
@@ -119,11 +150,14 @@ def test_the_law_of_motors_stabilises_what_the_other_does_not() -> None:
     """With 100 ms of lag the gain without it has a growing mode, the gain that knows it has none, (33), (55)."""
     setup, lag_s = paper_setup(), 0.1
     cost = Cost(Weights(), setup.system, setup.hover)
-    knows = regulator(setup.model, setup.hover, cost, PERIOD_S, motor_lag_s=lag_s)
-    ignores = regulator(setup.model, setup.hover, cost, PERIOD_S)
+    hovering = HoveringTeam(model=setup.model, hover=setup.hover, cost=cost)
+    knows = regulator(hovering, PERIOD_S, motor_lag_s=lag_s)
+    ignores = regulator(hovering, PERIOD_S)
     T, n = knows.T, setup.system.n
     one = Controller(setup.model, setup.hover, changed(SETTINGS, motor_lag_s=lag_s), (0,))
-    discrete = one.discretise(one.linearise(np.concatenate([setup.hover.x, setup.hover.u]), setup.hover.u))
+    discrete = one.discretise(
+        one.linearise(np.concatenate([setup.hover.x, setup.hover.u]), setup.hover.u)
+    )
 
     def largest(K: Array) -> float:
         return float(np.abs(np.linalg.eigvals(T.T @ (discrete.A + discrete.B @ K) @ T)).max())
@@ -133,11 +167,14 @@ def test_the_law_of_motors_stabilises_what_the_other_does_not() -> None:
 
 
 def test_motors_of_failed_uavs_are_left_out() -> None:
-    """A UAV without motors has no part in the control law; that of the others remains one of their motors."""
+    """A UAV without motors has no part in the control law.
+
+    That of the others remains one of their motors.
+    """
     setup = paper_setup()
     one = Controller(setup.model, setup.hover, changed(SETTINGS, motor_lag_s=0.05), (0,))
     one.fail([2], [2])
-    found = one.regulation.regulator
+    found = one.regulation.current.regulator
     assert found is not None
     gone = setup.system.n + input_indices([2])
     assert not found.K[:, gone].any()

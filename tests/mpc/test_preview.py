@@ -1,4 +1,7 @@
-"""The preview against the explicit tracking problem: one dense least-squares problem over the whole maneuver."""
+"""The preview against the explicit tracking problem.
+
+One dense least-squares problem over the whole maneuver.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -7,22 +10,31 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from model import state
-from model.arrays import Array
-from model.hover import Hover, hover
-from model.linearisation import Model
-from model.maneuver import Profile
-from model.parameters import System, table_1
-from model.state import input_indices
-from mpc.cost import Cost
-from mpc.fail_safe import FailSafe
-from mpc.feedback import Regulator, preview, regulator
-from mpc.regulation import Regulation
-from mpc.settings import ControllerSettings, CostTerm, Weights
 from tests.support import naive
-from tests.support.linear_model import PERIOD_S, Difference, difference, reference_states, small_state
+from tests.support.linear_model import (
+    PERIOD_S,
+    Difference,
+    difference,
+    reference_states,
+    small_state,
+)
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.hover import Hover, hover
+from transport.model.linearisation import Model
+from transport.model.maneuver import Profile
+from transport.model.parameters import System, table_1
+from transport.model.state import input_indices
+from transport.mpc.cost import Cost
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.preview import preview
+from transport.mpc.reference import Sampled
+from transport.mpc.regulation import Regulation
+from transport.mpc.regulator import HoveringTeam, Regulator, regulator
+from transport.mpc.settings import ControllerSettings, CostTerm, Weights
 
-# Relative to the largest value: two solutions of one linear problem whose Hessian has a condition of around 1e5.
+# Relative to the largest value: two solutions of one linear problem whose Hessian has a condition
+# of around 1e5.
 AGREEMENT = 1e-8
 # N and N m, and per unit of state: rounding of products of the entries of P, which reach 1e3.
 ROUNDING = 1e-10
@@ -55,7 +67,9 @@ class Problem:
 
 
 @lru_cache
-def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: Weights = PAYLOAD) -> Problem:
+def problem(
+    profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: Weights = PAYLOAD
+) -> Problem:
     """The paper's system on a short move, with a pull that passes, one that lasts, or none."""
     system = table_1()
     at = hover(system)
@@ -72,11 +86,12 @@ def problem(profile: Profile, pulled: str, gone: tuple[int, ...] = (), weights: 
         slope = model.C.T @ (cost.Q * np.random.default_rng(2).standard_normal(len(cost.Q)))
         pull = np.sin(np.arange(INSTANTS) / 5.0)[:, None] * slope * 0.05
         pull[-1] = 0.02 * slope if pulled == "lasting" else 0.0
+    hovering = HoveringTeam(model=Model(system), hover=at, cost=cost, uncontrolled=uncontrolled)
     return Problem(
         system=system,
         at=at,
         cost=cost,
-        law=regulator(Model(system), at, cost, PERIOD_S, uncontrolled),
+        law=regulator(hovering, PERIOD_S),
         model=Difference(model.A + model.B @ K, model.B[:, controlled], model.C),
         controlled=controlled,
         X_ref=X_ref,
@@ -94,12 +109,16 @@ def slope_at_the_end(of: Problem) -> Array:
 
 
 def dense(of: Problem, xi0: Array) -> tuple[Array, Array, Array]:
-    """The optimum over the whole maneuver from stacked matrices: no recursion, no coordinates of the manifold.
+    """The optimum over the whole maneuver from stacked matrices.
 
-    min over du of sum_{k<K} (xi' C'QC xi + 2 pull' xi + du' R du) + xi(K)' P xi(K) + 2 p(K)' xi(K) subject to
-    xi(k+1) = A xi(k) + B du(k) + A x_ref(k) - x_ref(k+1), the deviations of the reference from hover.
+    No recursion, no coordinates of the manifold.
 
-    Returns: du (K, m_c), xi (K + 1, n), and half the derivative of the optimal cost with respect to xi0, (n,).
+    min over du of sum_{k<K} (xi' C'QC xi + 2 pull' xi + du' R du) + xi(K)' P xi(K) + 2 p(K)' xi(K)
+    subject to xi(k+1) = A xi(k) + B du(k) + A x_ref(k) - x_ref(k+1), the deviations of the
+    reference from hover.
+
+    Returns: du (K, m_c), xi (K + 1, n), and half the derivative of the optimal cost with respect to
+        xi0, (n,).
     """
     steps, n = len(of.X_ref), len(of.at.x)
     A, B, C = of.model.A, of.model.B, of.model.C
@@ -135,7 +154,9 @@ PARAMETERS = [
 
 
 @pytest.mark.parametrize("case", PARAMETERS)
-def test_preview_is_the_optimum_of_the_tracking_problem(case: tuple[Profile, str, tuple[int, ...]]) -> None:
+def test_preview_is_the_optimum_of_the_tracking_problem(
+    case: tuple[Profile, str, tuple[int, ...]],
+) -> None:
     """Along the optimal path every input is K xi + feedforward, from any first deviation, (36b), (36c).
 
     Half the derivative of the optimal cost with respect to that deviation is P xi + p(0).
@@ -161,10 +182,13 @@ def test_a_reference_at_rest_asks_for_nothing(rods: str) -> None:
     e = None
     if rods == "leaning":
         outwards = np.array([uav.rho for uav in system.uavs]) * [1.0, 1.0, 0.0]
-        e = np.array([0.0, 0.0, 1.0]) - 0.8 * outwards  # the UAVs stand wider than their attachment points
+        e = (
+            np.array([0.0, 0.0, 1.0]) - 0.8 * outwards
+        )  # the UAVs stand wider than their attachment points
         e /= np.linalg.norm(e, axis=1)[:, None]
     at = hover(system, e)
-    law = regulator(Model(system), at, Cost(PAYLOAD, system, at), PERIOD_S)
+    cost = Cost(PAYLOAD, system, at)
+    law = regulator(HoveringTeam(model=Model(system), hover=at, cost=cost), PERIOD_S)
     X_ref = np.tile(at.x, (20, 1))
     X_ref[:, state.R0] += [3.0, -4.0, -10.0]
     found = preview(law, X_ref, np.zeros_like(X_ref))
@@ -174,7 +198,10 @@ def test_a_reference_at_rest_asks_for_nothing(rods: str) -> None:
 
 @pytest.mark.parametrize("pulled", ["none", "passing", "lasting"])
 def test_a_long_rest_at_the_end_changes_nothing(pulled: str) -> None:
-    """Instants at rest after the maneuver leave the ones before as they are; without a lasting pull they are zero."""
+    """Instants at rest after the maneuver leave the ones before as they are.
+
+    Without a lasting pull they are zero.
+    """
     of = problem("min_jerk", pulled)
     rest = 200
     X_ref = np.concatenate([of.X_ref, np.repeat(of.X_ref[-1:], rest, axis=0)])
@@ -192,12 +219,15 @@ def test_beyond_the_maneuver_its_last_instant_counts() -> None:
         prediction="closed_loop", terminal="riccati", preview=True, weights=PAYLOAD,
         cost=(CostTerm(expression="e1[0] - 0.02", weight=0.5),),
     )  # fmt: skip
-    regulation = Regulation(Model(of.system), of.at, settings, of.X_ref)
-    ahead = regulation.feedforward(INSTANTS - 2, 6)
+    regulation = Regulation(Model(of.system), of.at, settings, Sampled(X=of.X_ref))
+    ahead = regulation.current.feedforward(INSTANTS - 2, 6)
     assert ahead.shape == (6, len(of.at.u))
     assert ahead[1].any()
     np.testing.assert_array_equal(ahead[1:], np.tile(ahead[1], (5, 1)))
-    ends = [regulation.cost_to_go(of.at.x, of.at.x, None, k) for k in (INSTANTS - 1, INSTANTS + 100)]
+    ends = [
+        regulation.current.cost_to_go(of.at.x, of.at.x, None, k)
+        for k in (INSTANTS - 1, INSTANTS + 100)
+    ]
     assert ends[0] is not None
     assert ends[1] is not None
     np.testing.assert_array_equal(ends[0].slope, ends[1].slope)

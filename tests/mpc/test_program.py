@@ -6,50 +6,71 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model import native
-from model.arrays import Array
-from model.discretisation import Discrete
-from mpc.controller import Controller
-from mpc.feedback import FeedbackLaw
-from mpc.prediction import Prediction, free_response, predict, stacked
-from mpc.qp import QP, residuals, solve_clarabel, within_bounds
-from mpc.regulation import CostToGo
-from mpc.settings import Constraint, ControllerSettings, CostTerm, Separation, Tilt
 from tests.support import naive
 from tests.support.programs import random_qp
 from tests.support.systems import paper_setup, ring_setup, situation
+from transport.model import native
+from transport.model.arrays import Array
+from transport.model.discretisation import Discrete
+from transport.mpc.controller import Controller
+from transport.mpc.cost import CostToGo
+from transport.mpc.feedback import FeedbackLaw
+from transport.mpc.prediction import Prediction, free_response, predict, stacked
+from transport.mpc.qp import QP, residuals, solve_clarabel, within_bounds
+from transport.mpc.settings import Constraint, ControllerSettings, CostTerm, Separation, Tilt
 
-needs_kernels = pytest.mark.skipif(not native.AVAILABLE, reason="no compiled kernels: no C compiler, or switched off")
+needs_kernels = pytest.mark.skipif(
+    not native.AVAILABLE, reason="no compiled kernels: no C compiler, or switched off"
+)
 
-# Both sides are sums of the same products in another order: only rounding, relative to the largest entry.
+# Both sides are sums of the same products in another order: only rounding, relative to the largest
+# entry.
 ROUNDING = 1e-12
 # The same of sums over the horizon whose terms cancel.
 CANCELLED = 1e-10
 
-# (states, owned inputs, others' inputs, outputs, horizon): scalars, horizon 1 and 2, wide, tall, many steps.
-SIZES = [(1, 1, 1, 1, 1), (3, 2, 1, 2, 1), (4, 1, 3, 5, 2), (2, 3, 2, 1, 3), (6, 2, 4, 3, 7), (5, 4, 4, 4, 20)]
+# (states, owned inputs, others' inputs, outputs, horizon): scalars, horizon 1 and 2, wide, tall,
+# many steps.
+SIZES = [
+    (1, 1, 1, 1, 1),
+    (3, 2, 1, 2, 1),
+    (4, 1, 3, 5, 2),
+    (2, 3, 2, 1, 3),
+    (6, 2, 4, 3, 7),
+    (5, 4, 4, 4, 20),
+]
 
 
 def close(left: Array, right: Array, within: float = ROUNDING) -> bool:
     """Equal up to rounding relative to the largest entry."""
     scale = max(1.0, float(np.abs(right).max(initial=0.0)))
-    return left.shape == right.shape and bool(np.abs(left - right).max(initial=0.0) <= within * scale)
+    return left.shape == right.shape and bool(
+        np.abs(left - right).max(initial=0.0) <= within * scale
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("size", SIZES, ids=str)
-def test_prediction_is_that_of_the_stacked_matrices(size: tuple[int, int, int, int, int], seed: int) -> None:
+def test_prediction_is_that_of_the_stacked_matrices(
+    size: tuple[int, int, int, int, int], seed: int
+) -> None:
     """dX = F + G dx(k) + H_i dU_i + H-bar_i dU-bar_i, paper (24), with dx(k) = 0 and any choice of owned inputs.
 
-    Rows of a signal s = S x at steps 1..N_p are S-bar H of paper (16) without its first, zero block row; the owned
-    columns of the announced inputs are the decision itself, so their content changes nothing.
+    Rows of a signal s = S x at steps 1..N_p are S-bar H of paper (16) without its first, zero block
+    row; the owned columns of the announced inputs are the decision itself, so their content changes
+    nothing.
     """
     n, m, others, p, steps = size
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((n, n))
-    # Powers neither explode nor vanish over the horizon, so that every block counts in the comparison.
+    # Powers neither explode nor vanish over the horizon, so that every block counts in the
+    # comparison.
     A /= max(abs(np.linalg.eigvals(A)))
-    B, f_d, C = rng.standard_normal((n, m + others)), rng.standard_normal(n), rng.standard_normal((p, n))
+    B, f_d, C = (
+        rng.standard_normal((n, m + others)),
+        rng.standard_normal(n),
+        rng.standard_normal((p, n)),
+    )
     u0, U, v = (
         rng.standard_normal(m + others),
         rng.standard_normal((steps, m + others)),
@@ -76,11 +97,18 @@ def test_prediction_is_that_of_the_stacked_matrices(size: tuple[int, int, int, i
 ALL_ROWS: dict[str, Any] = {
     "separation": Separation(minimum_m=0.45),
     "tilt": Tilt(limit_deg=12.0),
-    "constraint": (Constraint(expression="dot(v0, v0) <= 1.0"), Constraint(expression="thrust1 + thrust2 <= 45")),
-    "cost": (CostTerm(expression="v0[0] * v0[1]", weight=0.3), CostTerm(expression="e1[0]", weight=2.0)),
+    "constraint": (
+        Constraint(expression="dot(v0, v0) <= 1.0"),
+        Constraint(expression="thrust1 + thrust2 <= 45"),
+    ),
+    "cost": (
+        CostTerm(expression="v0[0] * v0[1]", weight=0.3),
+        CostTerm(expression="e1[0]", weight=2.0),
+    ),
 }
 LQ: dict[str, Any] = {"prediction": "closed_loop", "terminal": "riccati"}
-# UAVs, owned ones, settings: around the width of a vector, with and without each kind of output and row.
+# UAVs, owned ones, settings: around the width of a vector, with and without each kind of output and
+# row.
 CASES: list[tuple[int, tuple[int, ...], dict[str, Any]]] = [
     (1, (0,), {"horizon": 1}),
     (2, (1,), {"horizon": 3, "separation": Separation(minimum_m=1.5)}),
@@ -136,31 +164,42 @@ def test_kernels_are_the_matrix_products(
 @needs_kernels
 @pytest.mark.parametrize("rows", [{}, ALL_ROWS], ids=["linear terms", "all rows"])
 def test_what_is_known_of_the_step_before_changes_no_bit(rows: dict[str, Any]) -> None:
-    """Along the control law, effects and Hessian are those at hover: kept, they are the ones of a new controller."""
+    """Along the control law, effects and Hessian are those at hover.
+
+    Kept, they are the ones of a new controller.
+    """
     terms = {"cost": (CostTerm(expression="omega1[0]", weight=0.1),)}
     case = 4, (0, 2), {"horizon": 7, "linearisation": "along", **LQ, **terms, **rows}
     one = problem(case)[0]
     for seed in (2, 3):
         (_, kept, qp, *_), (_, new, expected, *_) = problem(case, seed, one), problem(case, seed)
         for field in fields(QP):
-            assert np.array_equal(getattr(qp, field.name), getattr(expected, field.name)), field.name
+            assert np.array_equal(getattr(qp, field.name), getattr(expected, field.name)), (
+                field.name
+            )
         for field in fields(Prediction):
             assert np.array_equal(getattr(kept, field.name), getattr(new, field.name)), field.name
-        assert one._program._problem.known == (not rows)
+        compiled = one._program.compiled
+        assert compiled is not None
+        assert compiled._problem.known == (not rows)
 
 
 @needs_kernels
 @pytest.mark.parametrize("w", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("size", [0.01, 10.0], ids=["within limits", "beyond limits"])
 @pytest.mark.parametrize("case", [case for case in CASES if "prediction" in case[2]], ids=str)
-def test_relaxed_plans_of_the_kernels(case: tuple[int, tuple[int, ...], dict[str, Any]], w: float, size: float) -> None:
+def test_relaxed_plans_of_the_kernels(
+    case: tuple[int, tuple[int, ...], dict[str, Any]], w: float, size: float
+) -> None:
     """Inputs and corrections, with bounds and rates that hold and that do not, are those of the plain functions."""
     one, prediction, _, law, _ = problem(case)
     assert law is not None
     program = one._program
     z = size * np.random.default_rng(2).standard_normal(program.decision.size)
     for found, expected in zip(
-        program.relaxed(prediction, law, z, w), program.relaxed(replace(prediction), law, z, w), strict=True
+        program.relaxed(prediction, law, z, w),
+        program.relaxed(replace(prediction), law, z, w),
+        strict=True,
     ):
         assert close(found, expected, CANCELLED)
 
@@ -183,7 +222,15 @@ def test_a_program_without_curvature_is_given_up() -> None:
     """A matrix that is not positive definite, or nan, is reported as a failure."""
     for H in (-np.eye(3), np.zeros((3, 3)), np.full((3, 3), np.nan)):
         free = np.full(3, np.inf)
-        qp = QP(H=H, g=np.ones(3), lower=-free, upper=free, A=np.zeros((0, 3)), row_lower=free[:0], row_upper=free[:0])
+        qp = QP(
+            H=H,
+            g=np.ones(3),
+            lower=-free,
+            upper=free,
+            A=np.zeros((0, 3)),
+            row_lower=free[:0],
+            row_upper=free[:0],
+        )
         assert within_bounds(qp) is None
 
 
@@ -202,8 +249,13 @@ def test_residuals_of_the_kernels(seed: int, monkeypatch: pytest.MonkeyPatch) ->
             plain.setattr(native, "AVAILABLE", False)
             expected = residuals(program, z, pushed, rows)
         for name in ("stationarity", "primal", "complementarity"):
-            assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-12)
+            assert getattr(found, name) == pytest.approx(
+                getattr(expected, name), rel=1e-9, abs=1e-12
+            )
     for at in (0, len(z) // 2, len(z) - 1):
         broken = answer.z.copy()
         broken[at] = np.nan
-        assert residuals(program, broken, answer.bound_multipliers, answer.row_multipliers).worst == np.inf
+        assert (
+            residuals(program, broken, answer.bound_multipliers, answer.row_multipliers).worst
+            == np.inf
+        )

@@ -1,4 +1,7 @@
-"""The paper's algorithm with the linearisation of the paper's own equations: the reference cost of `paper`."""
+"""The paper's algorithm with the linearisation of the paper's own equations.
+
+The reference cost of `paper`.
+"""
 
 from dataclasses import replace
 
@@ -8,7 +11,8 @@ from tests.support import runs
 from tests.support.published_jacobian import PublishedModel
 from tests.support.systems import paper_setup, simulate, team
 
-# Mean cost of the paper's maneuver with the Jacobian of paper (7)-(11), all unknowns kept, to the digits published.
+# Mean cost of the paper's maneuver with the Jacobian of paper (7)-(11), all unknowns kept, to the
+# digits published.
 PUBLISHED = 0.00227
 DIGITS = 0.000005
 
@@ -19,7 +23,8 @@ STEPS = 500  # 25 s of 0.05 s
 def test_published_equations_cost() -> None:
     """Paper (22)-(27) on the Jacobian of (7)-(11) costs what the project publishes of the algorithm.
 
-    `tests/system/test_processes.py` compares the run of `paper`, with the expansion (15), with this cost.
+    `tests/system/test_processes.py` compares the run of `paper`, with the expansion (15), with this
+    cost.
     """
     run, setup = runs.setup(), paper_setup()
     setup = replace(setup, model=PublishedModel(setup.system))

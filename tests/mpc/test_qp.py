@@ -1,9 +1,12 @@
-"""The optimality conditions that every answer is checked by: by hand, and against errors put in on purpose."""
+"""The optimality conditions that every answer is checked by.
+
+By hand, and against errors put in on purpose.
+"""
 
 import numpy as np
 import pytest
 
-from mpc.qp import QP, residuals
+from transport.mpc.qp import QP, residuals
 
 # A few products of small numbers: rounding only.
 ROUNDING = 1e-15
@@ -19,13 +22,18 @@ PROGRAM = QP(
     row_upper=np.array([np.inf]),
 )
 
-# Answer (z, multipliers of the bounds, multiplier of the row) and its residuals by hand, each over its own scale:
-# 1 + |g| = 4, 1 + |z| (largest entry), 1 + |objective|.
+# Answer (z, multipliers of the bounds, multiplier of the row) and its residuals by hand, each over
+# its own scale: 1 + |g| = 4, 1 + |z| (largest entry), 1 + |objective|.
 BY_HAND = {
     "the optimum": ([1.0, 3.0], [5.0, 0.0], -3.0, (0.0, 0.0, 0.0)),
     "multipliers forgotten": ([1.0, 3.0], [0.0, 0.0], 0.0, (3.0 / 4.0, 0.0, 0.0)),
     "row multiplier of the wrong sign": ([1.0, 3.0], [5.0, 0.0], 3.0, (6.0 / 4.0, 0.0, 3.0 / 3.0)),
-    "bound multiplier of the wrong sign": ([1.0, 3.0], [-5.0, 0.0], -3.0, (10.0 / 4.0, 0.0, 10.0 / 3.0)),
+    "bound multiplier of the wrong sign": (
+        [1.0, 3.0],
+        [-5.0, 0.0],
+        -3.0,
+        (10.0 / 4.0, 0.0, 10.0 / 3.0),
+    ),
     "above a bound": ([1.5, 2.5], [0.0, 0.0], 0.0, (2.5 / 4.0, 0.5 / 3.5, 0.0)),
     "below a bound": ([-2.0, 6.0], [0.0, 0.0], 0.0, (6.0 / 4.0, 1.0 / 7.0, 0.0)),
     "below a row": ([1.0, 1.0], [0.0, 0.0], 0.0, (2.0 / 4.0, 2.0 / 2.0, 0.0)),
@@ -39,5 +47,7 @@ def test_residuals_by_hand(name: str) -> None:
     """Stationarity, primal violation and complementarity of (28) in docs/equations.md, one error at a time."""
     z, bound, row, expected = BY_HAND[name]
     found = residuals(PROGRAM, np.array(z), np.array(bound), np.array([row]))
-    assert (found.stationarity, found.primal, found.complementarity) == pytest.approx(expected, abs=ROUNDING)
+    assert (found.stationarity, found.primal, found.complementarity) == pytest.approx(
+        expected, abs=ROUNDING
+    )
     assert found.worst == pytest.approx(max(expected), abs=ROUNDING)

@@ -1,7 +1,9 @@
-"""Control law, cost-to-go and preview are one problem: without active constraints no agent leaves the control law.
+"""Control law, cost-to-go and preview are one problem.
 
-The theorem of docs/equations.md (36a)-(36e): on the linear model about hover, with no constraint active, c = 0 is the
-optimum of every agent's program, for any owned UAVs and any horizon.
+Without active constraints no agent leaves the control law.
+
+The theorem of docs/equations.md (36a)-(36e): on the linear model about hover, with no constraint
+active, c = 0 is the optimum of every agent's program, for any owned UAVs and any horizon.
 """
 
 from collections.abc import Sequence
@@ -11,17 +13,6 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from model import state
-from model.arrays import Array
-from model.hover import Hover, hover
-from model.linearisation import Model
-from model.parameters import System, table_1
-from model.state import input_indices, input_slice
-from mpc.controller import Controller, StepResult
-from mpc.cost import Cost
-from mpc.fail_safe import FailSafe
-from mpc.regulation import Regulation
-from mpc.settings import ControllerSettings, CostTerm, Limits, Weights
 from tests.support.linear_model import (
     LinearModel,
     difference,
@@ -31,24 +22,42 @@ from tests.support.linear_model import (
     uneven,
 )
 from tests.support.systems import changed
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.hover import Hover, hover
+from transport.model.linearisation import Model
+from transport.model.parameters import System, table_1
+from transport.model.state import input_indices, input_slice
+from transport.mpc.controller import Controller, StepResult
+from transport.mpc.cost import Cost
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.reference import Sampled
+from transport.mpc.regulation import Regulation
+from transport.mpc.settings import ControllerSettings, CostTerm, Limits, Weights
 
-# Relative to the largest deviation of the inputs from hover: two solutions of one linear problem with condition around
-# 1e5, one by the Riccati recursion, one by condensing and a solver.
+# Relative to the largest deviation of the inputs from hover: two solutions of one linear problem
+# with condition around 1e5, one by the Riccati recursion, one by condensing and a solver.
 NO_CORRECTION = 1e-8
-# Share of the same deviation: above any rounding; a program with another cost has larger corrections.
+# Share of the same deviation: above any rounding; a program with another cost has larger
+# corrections.
 A_CORRECTION = 1e-2
-# Relative, the same sum of 5000 products in another order; the slowest mode that costs has died out by then.
+# Relative, the same sum of 5000 products in another order; the slowest mode that costs has died out
+# by then.
 SAME_COST = 1e-8
 STEPS_TO_REST = 5000
-# Modes without damping have modulus 1: headings, and equal rods against each other. Rounding of their eigenvalues.
+# Modes without damping have modulus 1: headings, and equal rods against each other. Rounding of
+# their eigenvalues.
 MODE_TOLERANCE = 1e-6
 
 INSTANTS = 80
-# In the hover before the maneuver, within a leg, shortly before a corner, at rest behind it, beyond the last instant.
+# In the hover before the maneuver, within a leg, shortly before a corner, at rest behind it, beyond
+# the last instant.
 STARTS = (0, 15, 23, 40, INSTANTS + 3)
 
 # So wide that no bound or rate limit is active.
-WIDE = Limits(thrust_N=(0.0, 100.0), moments_Nm=(1e2,) * 3, thrust_rate_N_s=1e4, moment_rates_Nm_s=(1e4,) * 3)
+WIDE = Limits(
+    thrust_N=(0.0, 100.0), moments_Nm=(1e2,) * 3, thrust_rate_N_s=1e4, moment_rates_Nm_s=(1e4,) * 3
+)
 LQ = ControllerSettings(prediction="closed_loop", terminal="riccati", preview=True, limits=WIDE)
 PAYLOAD = Weights(position=0.1, payload_position=1.0, payload_velocity=0.1)
 # One of them pulls at the reference itself for ever: its value there is not zero.
@@ -98,7 +107,9 @@ def held(X: Array, start: int, count: int) -> Array:
     return np.asarray(X[np.minimum(np.arange(start, start + count), len(X) - 1)])
 
 
-def optimum(one: Controller, X_ref: Array, k: int, x: Array, u0: Array, forces: Array | None) -> StepResult:
+def optimum(
+    one: Controller, X_ref: Array, k: int, x: Array, u0: Array, forces: Array | None
+) -> StepResult:
     """One step of a controller at an instant of the maneuver, all announced corrections zero."""
     steps = one.settings.horizon
     window = held(X_ref, k, steps + 1)
@@ -108,13 +119,15 @@ def optimum(one: Controller, X_ref: Array, k: int, x: Array, u0: Array, forces: 
     return one.step(x, u0, U, reference_outputs(one.model, window), law, forces, end=end)
 
 
-def corrections(case: Case, settings: ControllerSettings, starts: Sequence[int] = STARTS) -> list[float]:
+def corrections(
+    case: Case, settings: ControllerSettings, starts: Sequence[int] = STARTS
+) -> list[float]:
     """Largest correction an agent finds from random small states, relative to the largest input deviation."""
     at = hover(case.system)
     model = LinearModel(case.system, at)
     X_ref = reference_states(case.system, at, "ramp", INSTANTS)
     settings = changed(settings, weights=case.weights, cost=case.costs)
-    one = Controller(model, at, settings, case.owned, X_ref)
+    one = Controller(model, at, settings, case.owned, Sampled(X=X_ref))
     if case.gone:
         one.without(case.gone)
     shares = []
@@ -127,7 +140,9 @@ def corrections(case: Case, settings: ControllerSettings, starts: Sequence[int] 
             x = np.concatenate([x, at.u + 0.1 * rng.standard_normal(len(at.u))])
         found = optimum(one, X_ref, k, x, u0, forces)
         assert found.solution.status == "solved"
-        assert not np.any(found.solution.row_multipliers), "a constraint is active: the theorem says nothing"
+        assert not np.any(found.solution.row_multipliers), (
+            "a constraint is active: the theorem says nothing"
+        )
         deviation = float(np.abs(found.U - at.u[one.own]).max())
         assert deviation > 0.1, "nothing to do: the comparison shows nothing"
         shares.append(float(np.abs(found.c).max()) / deviation)
@@ -151,13 +166,22 @@ def test_no_agent_leaves_the_law(case: Case, horizon: int) -> None:
     ],
 )
 def test_no_agent_leaves_the_law_of_motors(name: str, lag_s: float, horizon: int) -> None:
-    """With motors that lag, c = 0 is the optimum as well: gain, preview, cost-to-go and prediction are of (55)."""
-    assert max(corrections(CASES[name], changed(LQ, horizon=horizon, motor_lag_s=lag_s))) < NO_CORRECTION
+    """With motors that lag, c = 0 is the optimum as well.
+
+    Gain, preview, cost-to-go and prediction are of (55).
+    """
+    assert (
+        max(corrections(CASES[name], changed(LQ, horizon=horizon, motor_lag_s=lag_s)))
+        < NO_CORRECTION
+    )
 
 
 @pytest.mark.parametrize("change", [{"terminal": "multiple"}, {"preview": False}])
 def test_another_cost_has_corrections(change: dict[str, object]) -> None:
-    """Without the cost-to-go or the preview the same program leaves the control law: the guarantee assumes them."""
+    """Without the cost-to-go or the preview the same program leaves the control law.
+
+    The guarantee assumes them.
+    """
     assert min(corrections(Case(), changed(LQ, **change), [15])) > A_CORRECTION
 
 
@@ -172,8 +196,8 @@ def test_centralized_open_loop_program_is_the_law(forced: bool) -> None:
     system = table_1()
     at = hover(system)
     model, X_ref = LinearModel(system, at), reference_states(system, at, "min_jerk", INSTANTS)
-    free = Controller(model, at, changed(LQ, prediction="open_loop"), range(4), X_ref)
-    shared = Controller(model, at, LQ, range(4), X_ref)
+    free = Controller(model, at, changed(LQ, prediction="open_loop"), range(4), Sampled(X=X_ref))
+    shared = Controller(model, at, LQ, range(4), Sampled(X=X_ref))
     rng = np.random.default_rng(4)
     forces = rng.normal(0.0, 2.0, 15) if forced else None
     x = X_ref[15] + small_state(at, rng, 0.05)
@@ -194,13 +218,15 @@ def uneven_hover() -> Hover:
 
 @pytest.mark.parametrize("terms", [(), TERMS[:1]])
 @pytest.mark.parametrize("gone", [[], [2]])
-def test_cost_to_go_is_the_sum_of_the_costs_to_come(gone: list[int], terms: tuple[CostTerm, ...]) -> None:
+def test_cost_to_go_is_the_sum_of_the_costs_to_come(
+    gone: list[int], terms: tuple[CostTerm, ...]
+) -> None:
     """|root (x - x_hover)|^2 is the cost of the closed loop summed until it rests, docs/equations.md (36d)."""
     system, at = uneven(), uneven_hover()
     model = difference(system, at)
     regulation = Regulation(Model(system), at, changed(LQ, weights=PAYLOAD, cost=terms))
     regulation.form(gone, (), ())
-    law, cost = regulation.regulator, Cost(PAYLOAD, system, at)
+    law, cost = regulation.current.regulator, Cost(PAYLOAD, system, at)
     assert law is not None
     deviation = small_state(at, np.random.default_rng(2), 0.1)
     x, R = deviation, cost.R.copy()
@@ -208,9 +234,11 @@ def test_cost_to_go_is_the_sum_of_the_costs_to_come(gone: list[int], terms: tupl
     total = 0.0
     for _ in range(STEPS_TO_REST):
         y, u = model.C @ x, law.K @ x
-        total += float(y @ (cost.Q * y) + u @ (R * u)) + sum(term.weight * x[state.V0.start] ** 2 for term in terms)
+        total += float(y @ (cost.Q * y) + u @ (R * u)) + sum(
+            term.weight * x[state.V0.start] ** 2 for term in terms
+        )
         x = model.A @ x + model.B @ u
-    end = regulation.cost_to_go(at.x + deviation, at.x, None, 0)
+    end = regulation.current.cost_to_go(at.x + deviation, at.x, None, 0)
     assert end is not None
     assert not end.slope.any()
     assert np.linalg.norm(end.root @ end.error) ** 2 == pytest.approx(total, rel=SAME_COST)
@@ -218,16 +246,20 @@ def test_cost_to_go_is_the_sum_of_the_costs_to_come(gone: list[int], terms: tupl
 
 @pytest.mark.parametrize("gone", [[2, 3], [1, 3], [1, 2, 3]])
 def test_equal_uavs_without_agents(gone: list[int]) -> None:
-    """Two equal UAVs without agents swing against each other for ever: the others' gain is found all the same, (45).
+    """Two equal UAVs without agents swing against each other for ever.
 
-    No other UAV feels that mode, and it has a cost; with a discount of the far future the cost is finite. Rows of those
-    without agents are the fail-safe's, and no mode of the closed loop grows.
+    The others' gain is found all the same, (45).
+
+    No other UAV feels that mode, and it has a cost; with a discount of the far future the cost is
+    finite. Rows of those without agents are the fail-safe's, and no mode of the closed loop grows.
     """
     system = table_1()
     at, model = hover(system), Model(system)
-    regulation = Regulation(model, at, LQ, reference_states(system, at, "ramp", INSTANTS))
+    regulation = Regulation(
+        model, at, LQ, Sampled(X=reference_states(system, at, "ramp", INSTANTS))
+    )
     regulation.form(gone, (), ())
-    found = regulation.regulator
+    found = regulation.current.regulator
     assert found is not None
     assert np.abs(np.linalg.eigvals(found.A_closed)).max() < 1.0 + MODE_TOLERANCE
     for uav in gone:
@@ -237,7 +269,13 @@ def test_equal_uavs_without_agents(gone: list[int]) -> None:
 
 
 # UAVs without agents, without motors, cut loose.
-TEAMS = (((), (2,), (2,)), ((0,), (2,), (2,)), ((0, 1), (2,), (2,)), ((0,), (2,), ()), ((1, 3), (), ()))
+TEAMS = (
+    ((), (2,), (2,)),
+    ((0,), (2,), (2,)),
+    ((0, 1), (2,), (2,)),
+    ((0,), (2,), ()),
+    ((1, 3), (), ()),
+)
 
 
 @pytest.mark.parametrize("team", TEAMS)
@@ -247,27 +285,53 @@ def test_the_team_alone_decides(team: tuple[tuple[int, ...], ...]) -> None:
     at, model = hover(system), Model(system)
     X_ref = reference_states(system, at, "ramp", INSTANTS)
     # Controllers of one model share results.
-    fresh, old = Regulation(model, at, LQ, X_ref), Regulation(Model(system), at, LQ, X_ref)
+    fresh, old = (
+        Regulation(model, at, LQ, Sampled(X=X_ref)),
+        Regulation(Model(system), at, LQ, Sampled(X=X_ref)),
+    )
     fresh.form(*team)
     for before in (((0, 1), (), ()), ((), (2,), ()), ((0, 1), (2,), (2,))):
         old.form(*before)
     old.form(*team)
-    assert fresh.regulator is not None
-    assert old.regulator is not None
-    np.testing.assert_array_equal(old.regulator.K, fresh.regulator.K)
-    np.testing.assert_array_equal(old.cost.u_target, fresh.cost.u_target)
-    np.testing.assert_array_equal(old.cost.Q, fresh.cost.Q)
-    np.testing.assert_array_equal(old.feedforward(0, INSTANTS), fresh.feedforward(0, INSTANTS))
+    assert fresh.current.regulator is not None
+    assert old.current.regulator is not None
+    np.testing.assert_array_equal(old.current.regulator.K, fresh.current.regulator.K)
+    np.testing.assert_array_equal(old.current.cost.u_target, fresh.current.cost.u_target)
+    np.testing.assert_array_equal(old.current.cost.Q, fresh.current.cost.Q)
+    np.testing.assert_array_equal(
+        old.current.feedforward(0, INSTANTS), fresh.current.feedforward(0, INSTANTS)
+    )
 
 
 def test_no_gain_exists_through_rounding_alone() -> None:
-    """UAV 3 cut loose and agent 1 dead: two rods in a line cannot hold the payload, and no gain pretends to, (45)."""
+    """UAV 3 cut loose and agent 1 dead.
+
+    Two rods in a line cannot hold the payload, and no gain pretends to, (45).
+    """
     system = table_1()
     at, model = hover(system), Model(system)
-    whole = Regulation(model, at, LQ).regulator
+    whole = Regulation(model, at, LQ).current.regulator
     assert whole is not None
     for gone in (0, 1):
         regulation = Regulation(model, at, LQ)
         regulation.form([gone], [2], [2])
-        assert regulation.regulator is not None
-        assert np.abs(regulation.regulator.K).max() < 3.0 * np.abs(whole.K).max()
+        assert regulation.current.regulator is not None
+        assert np.abs(regulation.current.regulator.K).max() < 3.0 * np.abs(whole.K).max()
+
+
+def test_a_reference_that_is_changed_in_place_is_another_one() -> None:
+    """Laws are shared by the numbers they follow from, (36c): not by the array that held them."""
+    system = table_1()
+    at, model = hover(system), Model(system)
+    X_ref = reference_states(system, at, "ramp", INSTANTS)
+    before = Regulation(model, at, LQ, Sampled(X=X_ref))
+    alike = Regulation(model, at, LQ, Sampled(X=X_ref.copy()))
+    assert alike.current.preview is before.current.preview, "equal numbers are computed once"
+
+    X_ref[INSTANTS // 2 :, state.R0] += [0.0, 0.0, 1.0]
+    after = Regulation(model, at, LQ, Sampled(X=X_ref))
+    alone = Regulation(Model(system), at, changed(LQ, relaxation=0.5), Sampled(X=X_ref.copy()))
+    steps = 0, INSTANTS
+    new = after.current.feedforward(*steps)
+    np.testing.assert_array_equal(new, alone.current.feedforward(*steps))
+    assert np.abs(new - before.current.feedforward(*steps)).max() > A_CORRECTION

@@ -7,15 +7,17 @@ import daqp
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from mpc.qp import QP, RESIDUAL_TOLERANCE, residuals, solve, solve_clarabel, solve_daqp
-from mpc.settings import SolverName
 from tests.support.programs import collected, random_qp, without_solution
+from transport.model.arrays import Array
+from transport.mpc.qp import QP, RESIDUAL_TOLERANCE, residuals, solve, solve_clarabel, solve_daqp
+from transport.mpc.settings import SolverName
 
-# Relative to the largest entry: two solvers meeting the residual tolerance on well-conditioned programs.
+# Relative to the largest entry: two solvers meeting the residual tolerance on well-conditioned
+# programs.
 AGREEMENT = 1e-6
-# Half ranges of the inputs. A shared slack under many active rows leaves Clarabel, which stops at a duality gap of
-# 1e-9, sqrt(2 * 1e-9 / 0.005) away at most, 0.005 being the weakest curvature (of the yaw moments).
+# Half ranges of the inputs. A shared slack under many active rows leaves Clarabel, which stops at a
+# duality gap of 1e-9, sqrt(2 * 1e-9 / 0.005) away at most, 0.005 being the weakest curvature (of
+# the yaw moments).
 AGREEMENT_WITH_SLACK = 6e-4
 # Relative to the objective: quadratic around the optimum, so far below the answers' own agreement.
 OBJECTIVE_AGREEMENT = 1e-8
@@ -56,7 +58,10 @@ def test_two_solvers_agree_on_the_controllers_programs(minimum_m: float, within:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_closed_form(name: SolverName) -> None:
-    """Minimise 1/2 |z|^2 - 3 z1 with z1 <= 1 and z1 + z2 = 4: z = (1, 3), multipliers 5 and -3 by hand."""
+    """Minimise 1/2 |z|^2 - 3 z1 with z1 <= 1 and z1 + z2 = 4.
+
+    Z = (1, 3), multipliers 5 and -3 by hand.
+    """
     qp = QP(
         H=np.eye(2), g=np.array([-3.0, 0.0]), lower=np.full(2, -np.inf), upper=np.array([1.0, np.inf]),
         A=np.ones((1, 2)), row_lower=np.array([4.0]), row_upper=np.array([4.0]),
@@ -84,12 +89,14 @@ def test_iteration_limit_hands_over(monkeypatch: pytest.MonkeyPatch) -> None:
     """DAQP cut short says "limit", and Clarabel's answer, flagged as fallback, is the optimum."""
     qp = collected(0.4)[-1]
     expected = solve_daqp(qp)
-    monkeypatch.setattr("mpc.qp._ITERATIONS", 2)
+    monkeypatch.setattr("transport.mpc.qp._ITERATIONS", 2)
     assert expected.iterations > 2
     assert solve_daqp(qp).status == "limit"
     answer = solve(qp, "daqp")
     assert (answer.status, answer.solver, answer.fallback) == ("solved", "clarabel", True)
-    assert np.abs(answer.z - expected.z).max() <= AGREEMENT * max(1.0, float(np.abs(expected.z).max()))
+    assert np.abs(answer.z - expected.z).max() <= AGREEMENT * max(
+        1.0, float(np.abs(expected.z).max())
+    )
 
 
 Lie = Callable[[Array, Array], tuple[Array, Array]]

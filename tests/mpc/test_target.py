@@ -6,15 +6,18 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 
-from model import state
-from model.arrays import Array
-from mpc.cost import Cost
-from mpc.fail_safe import FailSafe
-from mpc.feedback import Target, tangent, target
-from mpc.settings import ControllerSettings, PredictionName, Weights
 from tests.support.systems import Setup, controller, paper_setup, ring_setup
+from transport.model import state
+from transport.model.arrays import Array
+from transport.mpc.cost import Cost
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.manifold import tangent
+from transport.mpc.regulator import HoveringTeam
+from transport.mpc.settings import ControllerSettings, PredictionName, Weights
+from transport.mpc.steady_state import Target, target
 
-# Sums of a few dozen terms through a singular value decomposition of matrices with entries of up to 35.
+# Sums of a few dozen terms through a singular value decomposition of matrices with entries of up to
+# 35.
 ROUNDING = 1e-11
 # N and N m. Two programs' worth of solver tolerance, as between two solvers.
 PLAN_AGREEMENT = 1e-5
@@ -30,7 +33,8 @@ def setup_of(name: str) -> Setup:
 def found(name: str) -> Target:
     """The target of a system."""
     setup = setup_of(name)
-    return target(setup.model, setup.hover, Cost(WEIGHTS, setup.system, setup.hover))
+    cost = Cost(WEIGHTS, setup.system, setup.hover)
+    return target(HoveringTeam(model=setup.model, hover=setup.hover, cost=cost))
 
 
 def equations(setup: Setup) -> tuple[Array, Array, Array]:
@@ -68,7 +72,10 @@ def test_nothing_is_better(name: str) -> None:
 
 
 def test_wind_on_the_payload() -> None:
-    """Weighted outputs keep their reference under any force; the payload is off by l / (m_0 g), UAVs lean a quarter."""
+    """Weighted outputs keep their reference under any force.
+
+    The payload is off by l / (m_0 g), UAVs lean a quarter.
+    """
     setup, at = paper_setup(), found("paper")
     _, _, C = equations(setup)
     assert np.abs((C @ at.M_x)[WEIGHTS.Q(setup.system.N) > 0.0]).max() < ROUNDING
@@ -76,37 +83,51 @@ def test_wind_on_the_payload() -> None:
     assert lean.r0_I[0] == pytest.approx(3.2 / (3.0 * 9.81))
     # Against a push along x the thrust leans back: -f R k has -f sin(pitch) along x.
     assert lean.Theta[:, 1] == pytest.approx(np.full(4, 0.25 / setup.hover.u[0]))
-    # The push acts 0.125 m below the attachment points, which lie 0.25 m before and behind the centre.
+    # The push acts 0.125 m below the attachment points, which lie 0.25 m before and behind the
+    # centre.
     assert at.M_u[::4, 0] == pytest.approx(0.125 / (4.0 * 0.25) * np.array([-1.0, -1.0, 1.0, 1.0]))
 
 
 @pytest.mark.parametrize("prediction", ["open_loop", "closed_loop"])
 @pytest.mark.parametrize("owned", [(0,), (0, 1, 2, 3)])
-def test_the_controller_rests_at_the_target(prediction: PredictionName, owned: tuple[int, ...]) -> None:
-    """At the target, with all inputs there, the plan is to stay: there is no offset to trade for effort."""
+def test_the_controller_rests_at_the_target(
+    prediction: PredictionName, owned: tuple[int, ...]
+) -> None:
+    """At the target, with all inputs there, the plan is to stay.
+
+    There is no offset to trade for effort.
+    """
     setup = paper_setup()
     settings = ControllerSettings(prediction=prediction)
     one = controller(setup, settings, owned)
     F = np.append([0.0, 0.0, 5.0], np.zeros(12))
-    x, u = setup.x + one.regulation.target.M_x @ F, setup.hover.u + one.regulation.target.M_u @ F
+    x, u = (
+        setup.x + one.regulation.current.target.M_x @ F,
+        setup.hover.u + one.regulation.current.target.M_u @ F,
+    )
     U = np.tile(u, (settings.horizon, 1))
     y_ref = np.tile(setup.model.outputs(setup.x), (settings.horizon + 1, 1))
     law = one.law(x, np.tile(setup.x, (settings.horizon, 1)), np.zeros_like(U), F)
     optimum = one.step(x, u, U, y_ref, law, F)
     assert np.abs(optimum.U - u[one.own]).max() < PLAN_AGREEMENT
     assert np.abs(optimum.c).max(initial=0.0) < PLAN_AGREEMENT
-    ignorant = one.step(x, u, U, y_ref, one.law(x, np.tile(setup.x, (settings.horizon, 1)), np.zeros_like(U)))
+    ignorant = one.step(
+        x, u, U, y_ref, one.law(x, np.tile(setup.x, (settings.horizon, 1)), np.zeros_like(U))
+    )
     assert np.abs(ignorant.U - u[one.own]).max() > 0.1
 
 
 def test_a_uav_on_its_own_is_no_means() -> None:
-    """Under the fail-safe a UAV's inputs follow from its state; the others carry the payload, and all rest."""
+    """Under the fail-safe a UAV's inputs follow from its state.
+
+    The others carry the payload, and all rest.
+    """
     setup = paper_setup()
     uncontrolled = FailSafe(setup.system, setup.hover.u).gain(3)
     one = controller(setup, ControllerSettings(prediction="closed_loop"), (0,))
-    together = one.regulation.target
+    together = one.regulation.current.target
     one.without([3])
-    at = one.regulation.target
+    at = one.regulation.current.target
     rest, pushed, _ = equations(setup)
     assert np.abs(rest @ np.vstack([at.M_x, at.M_u]) - pushed).max() < ROUNDING
     own = state.input_slice(3)
@@ -114,4 +135,4 @@ def test_a_uav_on_its_own_is_no_means() -> None:
     assert np.abs(at.M_u[own, 2]).max() < ROUNDING
     assert at.M_u[::4, 2].sum() == pytest.approx(1.0)
     one.without([])
-    np.testing.assert_array_equal(one.regulation.target.M_u, together.M_u)
+    np.testing.assert_array_equal(one.regulation.current.target.M_u, together.M_u)

@@ -8,19 +8,22 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from model.curves import Curve
-from model.flat import FlatReference, Track
-from model.hover import hover
-from model.linearisation import Model
-from model.maneuver import Maneuver, Phase
-from model.obstacles import Obstacle, Solid, clearances
-from model.state import R0, StateView, input_slice
-from mpc.controller import Controller, StepResult
-from mpc.feedback import Gains
-from mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
-from mpc.tracking import INSTANTS, Course, Recursion, rollout
 from tests.model.test_flat import unequal
+from transport.model.arrays import Array
+from transport.model.curves import Curve
+from transport.model.flat import FlatReference, Track
+from transport.model.hover import hover
+from transport.model.linearisation import Model
+from transport.model.maneuver import Maneuver, Phase
+from transport.model.obstacles import Obstacle, Solid, clearances
+from transport.model.state import R0, StateView, input_slice
+from transport.mpc.controller import Controller, StepResult
+from transport.mpc.course import Course
+from transport.mpc.feedback import Gains
+from transport.mpc.reference import Sampled
+from transport.mpc.rollout import rollout
+from transport.mpc.settings import ControllerSettings, Limits, Separation, Tension, Tilt, Weights
+from transport.mpc.tracking import INSTANTS, Recursion
 
 PERIOD_S = 0.05
 SETTINGS = ControllerSettings(
@@ -40,25 +43,34 @@ def flown(instants: int = 80) -> tuple[Model, Track]:
     phase = Phase(name="eight", duration_s=8.0, displacement_I=[0, 0, 0], curve=curve)
     rest = Phase(name="rest", duration_s=1.0, displacement_I=[0, 0, 0])
     maneuver = Maneuver(start_I=[0, 0, -9.0], phases=[phase, rest], profile="smooth")
-    return Model(system), FlatReference(system, hover(system), maneuver).track(instants + 80, PERIOD_S)
+    return Model(system), FlatReference(system, hover(system), maneuver).track(
+        instants + 80, PERIOD_S
+    )
 
 
 def controller(
-    owned: tuple[int, ...] = (1,), settings: ControllerSettings = SETTINGS, obstacles: Sequence[Obstacle] = ()
+    owned: tuple[int, ...] = (1,),
+    settings: ControllerSettings = SETTINGS,
+    obstacles: Sequence[Obstacle] = (),
 ) -> Controller:
     """Return a controller on the arc."""
     model, track = flown()
-    return Controller(model, hover(model.system), settings, owned, track.X, track, obstacles)
+    return Controller(
+        model, hover(model.system), settings, owned, Sampled(X=track.X, track=track), obstacles
+    )
 
 
 def test_cost_is_the_sum_of_squares_of_corrections() -> None:
-    """From any state, corrections cost sum c' M c beyond the law: (72), simulated on (70) to the end at rest."""
+    """From any state, corrections cost sum c' M c beyond the law.
+
+    (72), simulated on (70) to the end at rest.
+    """
     model, track = flown()
     one, rng, start = controller(), np.random.default_rng(1), 60
     moving = int(np.flatnonzero((track.X[-1] != track.X).any(axis=1)).max()) + 1 - start
     c = rng.normal(scale=0.1, size=(moving, model.system.m))
     law = one.law(track.X[start], track.X[start : start + moving], c, None, start)
-    regulator = one.regulation.regulator
+    regulator = one.regulation.current.regulator
     assert law is not None
     assert law.along is not None
     assert regulator is not None
@@ -114,10 +126,13 @@ def test_no_corrections_on_and_near_the_reference() -> None:
     assert not result.c.any()
 
 
-def test_law_of_another_team_is_the_same_by_parts_and_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_law_of_another_team_is_the_same_by_parts_and_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """An agent dies; until all gains are known, its UAV has the fail-safe's gain and the others keep theirs.
 
-    No instant computes more gains than its share, also that of the death and the last one, whatever the host's speed.
+    No instant computes more gains than its share, also that of the death and the last one, whatever
+    the host's speed.
     """
     by_parts, at_once, gone, since = controller().regulation, controller().regulation, {3}, 60
     before, computed, one_gain = by_parts.gain(since + 1), Counter[int](), Recursion._step
@@ -140,7 +155,9 @@ def test_law_of_another_team_is_the_same_by_parts_and_at_once(monkeypatch: pytes
     assert max(computed.values()) == INSTANTS
     assert min(computed) > since
     model, track = flown()
-    other = Controller(model, hover(model.system), SETTINGS.model_copy(), (0,), track.X, track).regulation
+    other = Controller(
+        model, hover(model.system), SETTINGS.model_copy(), (0,), Sampled(X=track.X, track=track)
+    ).regulation
     other.form(gone, (), ())
     np.testing.assert_array_equal(meanwhile[own], other.gain(since + 1)[own])
     for k in (since, ready, 120):
@@ -151,15 +168,27 @@ def test_law_of_another_team_is_the_same_by_parts_and_at_once(monkeypatch: pytes
 @pytest.mark.parametrize(
     ("changed", "wanted"),
     [
-        ({"limits": Limits(thrust_N=(0.0, 14.0), thrust_rate_N_s=60.0, moments_Nm=(0.05, 0.05, 0.02))}, None),
+        (
+            {
+                "limits": Limits(
+                    thrust_N=(0.0, 14.0), thrust_rate_N_s=60.0, moments_Nm=(0.05, 0.05, 0.02)
+                )
+            },
+            None,
+        ),
         ({"separation": Separation(minimum_m=0.44, penalty=1000.0)}, "separation"),
         ({"tilt": Tilt(limit_deg=12.0, penalty=1000.0)}, "tilt"),
         ({"tension": Tension(minimum_N=3.0, penalty=1000.0)}, "tension"),
     ],
     ids=["inputs", "separation", "tilt", "tension"],
 )
-def test_program_keeps_limits_that_the_law_violates(changed: dict[str, object], wanted: str | None) -> None:
-    """Off the reference the law violates a limit; with the program's corrections the model keeps it."""
+def test_program_keeps_limits_that_the_law_violates(
+    changed: dict[str, object], wanted: str | None
+) -> None:
+    """Off the reference the law violates a limit.
+
+    With the program's corrections the model keeps it.
+    """
     model, track = flown()
     settings, start = SETTINGS.model_copy(update=changed), 60
     one = controller((0, 1, 2, 3), settings)
@@ -172,7 +201,8 @@ def test_program_keeps_limits_that_the_law_violates(changed: dict[str, object], 
     law = one.law(x0, track.X[start : start + 12], result.c, None, start)
     assert law is not None
     Z, U = rollout(model, settings, x0, law)
-    # All UAVs are owned, so the plan is the trajectory; limits on states hold but for the expansion's error.
+    # All UAVs are owned, so the plan is the trajectory; limits on states hold but for the
+    # expansion's error.
     np.testing.assert_allclose(U, result.U, atol=1e-6)
     changes = np.abs(np.diff(np.vstack([track.U[start - 1], U]), axis=0))
     assert (changes <= settings.step(4) + 1e-6).all()
@@ -185,7 +215,10 @@ def _violation(model: Model, settings: ControllerSettings, Z: Array, U: Array) -
     """Return the largest violation of distance, tilt or tension, m, rad or N."""
     worst = 0.0
     if settings.tension is not None:
-        worst = max(settings.tension.minimum_N - model.tensions(x, u).min() for x, u in zip(Z, U, strict=False))
+        worst = max(
+            settings.tension.minimum_N - model.tensions(x, u).min()
+            for x, u in zip(Z, U, strict=False)
+        )
     for x in Z[1:]:
         if settings.separation is not None:
             r = model.outputs(x)[:12].reshape(4, 3)
@@ -197,9 +230,14 @@ def _violation(model: Model, settings: ControllerSettings, Z: Array, U: Array) -
     return worst
 
 
-@pytest.mark.parametrize(("margin_m", "load_margin_m"), [(0.3, 0.0), (0.1, 0.3)], ids=["UAVs", "payload"])
+@pytest.mark.parametrize(
+    ("margin_m", "load_margin_m"), [(0.3, 0.0), (0.1, 0.3)], ids=["UAVs", "payload"]
+)
 def test_program_keeps_clear_of_an_obstacle(margin_m: float, load_margin_m: float) -> None:
-    """The law leads 5 cm too near to a wall; with the program's corrections the model keeps the margin, (74a)."""
+    """The law leads 5 cm too near to a wall.
+
+    With the program's corrections the model keeps the margin, (74a).
+    """
     model, track = flown()
     start, bodies = 60, slice(0, 4) if margin_m > load_margin_m else slice(8, 9)
     x0, c = track.X[start].copy(), np.zeros((12, model.system.m))
@@ -210,8 +248,14 @@ def test_program_keeps_clear_of_an_obstacle(margin_m: float, load_margin_m: floa
         return float(clearances(model.system, obstacle, Z[1:])[:, bodies].min())
 
     def wall(y_m: float) -> Obstacle:
-        solid = Solid(centre_I=np.array([0.0, y_m - 10.0, 0.0]), heading_rad=0.0, half=np.array([50.0, 10.0, np.inf]))
-        return Obstacle(name="", solids=(solid,), margin_m=margin_m, load_margin_m=load_margin_m, penalty=1e4)
+        solid = Solid(
+            centre_I=np.array([0.0, y_m - 10.0, 0.0]),
+            heading_rad=0.0,
+            half=np.array([50.0, 10.0, np.inf]),
+        )
+        return Obstacle(
+            name="", solids=(solid,), margin_m=margin_m, load_margin_m=load_margin_m, penalty=1e4
+        )
 
     obstacle = wall(least_m(free.Z, wall(-20.0)) - 20.0 + 0.05 - max(margin_m, load_margin_m))
     one = controller((0, 1, 2, 3), obstacles=[obstacle])
@@ -219,18 +263,26 @@ def test_program_keeps_clear_of_an_obstacle(margin_m: float, load_margin_m: floa
     law = one.law(x0, track.X[start : start + 12], result.c, None, start)
     assert not course.within
     assert law is not None
-    assert least_m(course.Z, obstacle) == pytest.approx(max(margin_m, load_margin_m) - 0.05, abs=1e-6)
-    assert least_m(rollout(model, SETTINGS, x0, law)[0], obstacle) > max(margin_m, load_margin_m) - 0.005
+    assert least_m(course.Z, obstacle) == pytest.approx(
+        max(margin_m, load_margin_m) - 0.05, abs=1e-6
+    )
+    assert (
+        least_m(rollout(model, SETTINGS, x0, law)[0], obstacle)
+        > max(margin_m, load_margin_m) - 0.005
+    )
     if load_margin_m < margin_m:
         return
-    # Agents of one UAV each share the payload's correction: together they do about what one agent does.
+    # Agents of one UAV each share the payload's correction: together they do about what one agent
+    # does.
     together = np.zeros_like(c)
     for uav in range(4):
         alone = controller((uav,), obstacles=[obstacle])
         together[:, alone.own] = step(alone, x0, c)[1].c
     law = one.law(x0, track.X[start : start + 12], together, None, start)
     assert law is not None
-    assert least_m(rollout(model, SETTINGS, x0, law)[0], obstacle) == pytest.approx(load_margin_m, abs=0.005)
+    assert least_m(rollout(model, SETTINGS, x0, law)[0], obstacle) == pytest.approx(
+        load_margin_m, abs=0.005
+    )
 
 
 def test_conflicting_obstacles_give_way_in_the_order_of_their_penalties() -> None:
@@ -243,7 +295,9 @@ def test_conflicting_obstacles_give_way_in_the_order_of_their_penalties() -> Non
     def wall(side: float, y_m: float, penalty: float = 1.0) -> Obstacle:
         half = np.array([50.0, 10.0, np.inf])
         solid = Solid(centre_I=np.array([0.0, y_m + 10.0 * side, 0.0]), heading_rad=0.0, half=half)
-        return Obstacle(name="", solids=(solid,), margin_m=0.0, load_margin_m=margin_m, penalty=penalty)
+        return Obstacle(
+            name="", solids=(solid,), margin_m=0.0, load_margin_m=margin_m, penalty=penalty
+        )
 
     def least_m(Z: Array, obstacle: Obstacle) -> float:
         return float(clearances(model.system, obstacle, Z[1:])[:, 8].min())
@@ -251,7 +305,9 @@ def test_conflicting_obstacles_give_way_in_the_order_of_their_penalties() -> Non
     free, _ = step(controller(), x0, c)
     apart_m = [least_m(free.Z, wall(side, 20.0 * side)) for side in sides]
     # The law leads 3 cm too near to both.
-    faces = [side * (20.0 - far_m + margin_m - 0.03) for side, far_m in zip(sides, apart_m, strict=True)]
+    faces = [
+        side * (20.0 - far_m + margin_m - 0.03) for side, far_m in zip(sides, apart_m, strict=True)
+    ]
 
     def kept_m(*penalties: float) -> list[float]:
         among = [wall(*of) for of in zip(sides, faces, penalties, strict=True) if of[-1] > 0.0]

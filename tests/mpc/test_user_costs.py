@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from mpc.controller import Controller
-from mpc.prediction import Prediction
-from mpc.settings import ControllerSettings, CostTerm, Weights
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, PlantState
 from tests.support import runs
 from tests.support.systems import changed, controller, paper_setup, situation
 from transport.flight.memory import simulate
+from transport.model.arrays import Array
+from transport.mpc.controller import Controller
+from transport.mpc.prediction import Prediction
+from transport.mpc.settings import ControllerSettings, CostTerm, Weights
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, PlantState
 
 OWNED = [(0,), (1, 3), (0, 1, 2, 3)]
 # The same sums in another order.
@@ -28,10 +28,16 @@ def programs(one: Controller, x: Array, u: Array, U: Array, y_ref: Array) -> tup
 
 @pytest.mark.parametrize("prediction", ["open_loop", "closed_loop"])
 @pytest.mark.parametrize("owned", OWNED)
-def test_a_term_that_is_an_output_adds_to_its_weight(owned: tuple[int, ...], prediction: str) -> None:
+def test_a_term_that_is_an_output_adds_to_its_weight(
+    owned: tuple[int, ...], prediction: str
+) -> None:
     """Position errors weighted half by the weights and half by terms give the same QP as the weights alone."""
     setup = paper_setup()
-    whole = ControllerSettings(horizon=6, prediction=prediction, weights=Weights(position=1.0, terminal=3.0))  # type: ignore[arg-type]
+    whole = ControllerSettings(
+        horizon=6,
+        prediction=prediction,  # type: ignore[arg-type]
+        weights=Weights(position=1.0, terminal=3.0),
+    )
     at = situation(setup, whole, seed=1)
     reference = at.y_ref[0]
     y_ref = np.tile(reference, (len(at.y_ref), 1))  # text knows no time
@@ -96,6 +102,10 @@ def test_the_payload_speed_can_be_penalised(prediction: str) -> None:
     """A payload with a weight on its speed swings less after a move than one without."""
     hover, move = "duration_s={},displacement_m=[0,0,0]", "duration_s=1.0,displacement_m=[0.5,0,0]"
     phases = f"{{name='wait',{hover.format(1.0)}}},{{name='move',{move}}},{{name='hover',{hover.format(4.0)}}}"
-    common = (f"maneuver.phase=[{phases}]", f"controller.prediction={prediction}", "controller.relaxation=auto")
+    common = (
+        f"maneuver.phase=[{phases}]",
+        f"controller.prediction={prediction}",
+        "controller.relaxation=auto",
+    )
     penalised_input = "controller.cost=[{expression='v0[0]',weight=0.3}]"
     assert swing_m(runs.setup(*common, penalised_input)) < 0.8 * swing_m(runs.setup(*common))

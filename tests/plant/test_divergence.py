@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from protocol.wire.messages import PlantState
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, roster, setup, tick
+from transport.model.arrays import Array
+from transport.protocol.wire.messages import PlantState
 
-HOVER = np.array([22.0725, 0.0, 0.0, 0.0])  # N: 1.5 kg and a quarter of the payload's 3 kg, under 9.81 m/s^2
+HOVER = np.array(
+    [22.0725, 0.0, 0.0, 0.0]
+)  # N: 1.5 kg and a quarter of the payload's 3 kg, under 9.81 m/s^2
 
 
 def last_state(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int = 1) -> PlantState:
@@ -24,7 +26,10 @@ def last_state(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int =
     found = [message for message in messages if isinstance(message, PlantState)][-1]
     if found.diverged:
         # Whatever comes now, the flight is over.
-        after = [*node.receive(tick(found.tick + 1), 0), *node.receive(plan(run, 1, found.tick + 1), 0)]
+        after = [
+            *node.receive(tick(found.tick + 1), 0),
+            *node.receive(plan(run, 1, found.tick + 1), 0),
+        ]
         assert after == []
     return found
 
@@ -38,7 +43,10 @@ def last_state(settings: tuple[str, ...], shoves: dict[int, Array], ticks: int =
     ],
 )
 def test_attitude(moments: list[float], reason: str) -> None:
-    """A UAV that tilts beyond the limit, either way, is named with its angle: 1 N m turns it by 2.5 deg in 50 ms."""
+    """A UAV that tilts beyond the limit, either way, is named with its angle.
+
+    1 N m turns it by 2.5 deg in 50 ms.
+    """
     found = last_state(("plant.max_attitude_deg=1",), {2: np.array([HOVER[0], *moments])})
     assert found.diverged == reason
 
@@ -53,8 +61,13 @@ def test_position() -> None:
 
 @pytest.mark.filterwarnings("ignore:overflow")  # that is what is tested
 def test_not_finite() -> None:
-    """A state that is no longer finite ends the flight, and is not sent: the log ends with the last finite one."""
-    found = last_state(("controller.limits.thrust_N=[0,1e12]",), {3: np.array([1e12, 0.0, 0.0, 0.0])})
+    """A state that is no longer finite ends the flight, and is not sent.
+
+    The log ends with the last finite one.
+    """
+    found = last_state(
+        ("controller.limits.thrust_N=[0,1e12]",), {3: np.array([1e12, 0.0, 0.0, 0.0])}
+    )
     assert found.diverged == "the state is no longer finite"
     assert np.isfinite(found.x).all()
     assert found.local_error == -1.0

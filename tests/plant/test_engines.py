@@ -1,4 +1,7 @@
-"""The engine of the plant: found by name, checked in all it returns; an error of it ends the run in one line."""
+"""The engine of the plant.
+
+Found by name, checked in all it returns; an error of it ends the run in one line.
+"""
 
 import sys
 from pathlib import Path
@@ -6,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from plant.engines import Engine, checked_engine, engine_version
-from plant.environment import Environment
-from protocol.scenario.errors import ScenarioError
-from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_DIVERGED
-from protocol.wire.messages import Control, Message
 from tests.support.nodes import PlantNode
 from tests.support.runs import SHORT, integrated, plant_states, recorded, reproducible, setup
 from transport.flight.memory import simulate
+from transport.model.arrays import Array
+from transport.plant.engines import Engine, checked_engine, engine_version
+from transport.plant.environment import Environment
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.exit_codes import EXIT_DIVERGED
+from transport.protocol.wire.messages import Control, Message
 
 # An engine of a person: another integrator of the same equations, to its tolerance.
 OWN = """
 from scipy.integrate import solve_ivp
-from model.linearisation import Model
+from transport.model.linearisation import Model
 
 class Own:
     version = "1.2"
@@ -44,9 +47,17 @@ FAILURES = {
         "return self.x",
         "advance raised ZeroDivisionError: no air (mine_raises.py:4)",
     ),
-    "exits": ("import sys; sys.exit(3)", "return self.x", "advance raised SystemExit: 3 (mine_exits.py:4)"),
+    "exits": (
+        "import sys; sys.exit(3)",
+        "return self.x",
+        "advance raised SystemExit: 3 (mine_exits.py:4)",
+    ),
     "shape": ("self.x = self.x[:-1]", "return self.x", "state: expected shape (60,), got (59,)"),
-    "texts": ("self.x = 'up'", "return self.x", "state raised TypeError: Cannot cast scalar from dtype('<U2')"),
+    "texts": (
+        "self.x = 'up'",
+        "return self.x",
+        "state raised TypeError: Cannot cast scalar from dtype('<U2')",
+    ),
     "rods": (
         "self.x[12:15] *= 0.5",
         "return self.x",
@@ -54,8 +65,16 @@ FAILURES = {
     ),
     "nan": ("self.x[5] = float('nan')", "return self.x", "the state is no longer finite"),
     "long": ("raise ValueError('x' * 100_000)", "return self.x", "xxx (mine_long.py:4)"),
-    "control": (r"raise ValueError('a\x1b[31m\ud800b')", "return self.x", "ValueError: a?[31m?b (mine_control.py:4)"),
-    "error": ("return 'small'", "return self.x", "advance raised TypeError: must be real number, not str at"),
+    "control": (
+        r"raise ValueError('a\x1b[31m\ud800b')",
+        "return self.x",
+        "ValueError: a?[31m?b (mine_control.py:4)",
+    ),
+    "error": (
+        "return 'small'",
+        "return self.x",
+        "advance raised TypeError: must be real number, not str at",
+    ),
 }
 
 
@@ -112,7 +131,11 @@ def test_rods_is_the_model() -> None:
 def test_an_engine_of_a_person_flies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A class in the current folder integrates the plant, wind and masses included, as the engine here does."""
     module(tmp_path, monkeypatch, "mine_flies", OWN)
-    effects = ("plant.payload_mass_factor=1.1", "plant.wind.speed_mps=[2.0,0.0,0.0]", "plant.noise.position_m=0.01")
+    effects = (
+        "plant.payload_mass_factor=1.1",
+        "plant.wind.speed_mps=[2.0,0.0,0.0]",
+        "plant.noise.position_m=0.01",
+    )
     path = list(sys.path)
     run = setup(SHORT, *effects, "plant.engine=mine_flies:Own")
     own = recorded(run)
@@ -129,12 +152,16 @@ def test_a_changed_file_is_imported_again(tmp_path: Path, monkeypatch: pytest.Mo
     """A run in this process uses the file as it is now, which is the one whose hash it records."""
     module(tmp_path, monkeypatch, "mine_edited", broken())
     assert ended(setup(SHORT, "plant.engine=mine_edited:Mine")).outcome == "completed"
-    (tmp_path / "mine_edited.py").write_text(broken("raise RuntimeError('changed')"), encoding="utf-8")
+    (tmp_path / "mine_edited.py").write_text(
+        broken("raise RuntimeError('changed')"), encoding="utf-8"
+    )
     assert "RuntimeError: changed" in ended(setup(SHORT, "plant.engine=mine_edited:Mine")).reason
 
 
 @pytest.mark.parametrize("failure", FAILURES)
-def test_a_failing_engine_ends_the_run(failure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_engine_ends_the_run(
+    failure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Whatever an engine does, the run ends at its first interval with one line that names engine and error."""
     advance, state, text = FAILURES[failure]
     name = f"mine_{failure}"
@@ -156,20 +183,29 @@ def test_a_failing_engine_ends_the_run(failure: str, tmp_path: Path, monkeypatch
         ("mine_bad:number", "the constructor raised TypeError: 'int' object is not callable"),
         ("mine_bad:Unready", "the constructor raised RuntimeError: no licence (mine_bad.py:2)"),
         ("mine_bad:Half", "expected the methods reset, advance, state, got no advance"),
-        ("mine_bad:Late", "state: expected the state given to reset, got 0 instead of -10 at index 2"),
+        (
+            "mine_bad:Late",
+            "state: expected the state given to reset, got 0 instead of -10 at index 2",
+        ),
         ("mine_broken:Mine", IMPORT + "SyntaxError: "),
         ("mine_needs:Mine", IMPORT + "ModuleNotFoundError: No module named 'bullet_4711'"),
         ("numpy:nothing_like_it", IMPORT + "AttributeError: "),
     ],
 )
-def test_an_engine_that_cannot_be_used(engine: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engine_that_cannot_be_used(
+    engine: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It is refused before anything starts: naming the key, what was expected, and what came."""
     lines = [
         "class Unready:",
         "    def __init__(self, system, section): raise RuntimeError('no licence')",
         "number = 3",
     ]
-    lines += ["class Half:", "    def __init__(self, system, section): pass", "    def reset(self, x): pass"]
+    lines += [
+        "class Half:",
+        "    def __init__(self, system, section): pass",
+        "    def reset(self, x): pass",
+    ]
     lines += ["    def state(self): pass"]
     late = broken(state="return self.x", reset="x[2] = 0.0; self.x = x").replace("Mine", "Late")
     module(tmp_path, monkeypatch, "mine_bad", "\n".join(lines) + "\n" + late)
@@ -179,11 +215,25 @@ def test_an_engine_that_cannot_be_used(engine: str, text: str, tmp_path: Path, m
 
 
 @pytest.mark.parametrize(
-    "name", ["bullet", "mine", "mine:", ":Mine", "mine:Mine()", "a b:C", "../mine:Mine", "Rods", "", "mine.:Mine"]
+    "name",
+    [
+        "bullet",
+        "mine",
+        "mine:",
+        ":Mine",
+        "mine:Mine()",
+        "a b:C",
+        "../mine:Mine",
+        "Rods",
+        "",
+        "mine.:Mine",
+    ],
 )
 def test_a_name_that_is_none(name: str) -> None:
     """Anything but the two engines and a class is refused when the scenario is read."""
-    with pytest.raises(ScenarioError, match=r"expected 'rods', 'mujoco' or 'package\.module:Class', got"):
+    with pytest.raises(
+        ScenarioError, match=r"expected 'rods', 'mujoco' or 'package\.module:Class', got"
+    ):
         setup(f"plant.engine='{name}'")
 
 
@@ -213,6 +263,8 @@ def test_settings_without_effect(settings: list[str], field: str) -> None:
 
 def test_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the package of an engine, the line says how to install it."""
-    monkeypatch.setattr("plant.engines.find_spec", lambda _: None)
+    monkeypatch.setattr("transport.plant.engines.find_spec", lambda _: None)
     problem = refusal(setup(SHORT, "plant.engine=mujoco"))
-    assert problem == "expected the package mujoco, got none; pip install 'payload-transport[mujoco]'"
+    assert (
+        problem == "expected the package mujoco, got none; pip install 'payload-transport[mujoco]'"
+    )

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from model import state
-from model.arrays import Array
-from model.state import StateView
-from plant.environment import Environment
-from protocol.scenario.setup import Setup
 from tests.support.runs import setup
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.state import StateView
+from transport.plant.environment import Environment
+from transport.protocol.scenario.setup import Setup
 
 MEAN = "plant.wind.speed_mps=[3.0,-1.0,0.5]"
 GUSTS = "plant.wind.gust_mps=[2.0,1.0,0.5]"
@@ -68,7 +68,9 @@ def test_drag_is_that_of_the_air_past_each_body() -> None:
     wind = np.array([3.0, -1.0, 0.5])
     at_rest = environment.forces(0, run.initial_state())
     assert at_rest is not None
-    assert np.abs(at_rest.reshape(5, 3) - np.outer([0.7, 0.3, 0.3, 0.3, 0.3], wind)).max() < ROUNDING
+    assert (
+        np.abs(at_rest.reshape(5, 3) - np.outer([0.7, 0.3, 0.3, 0.3, 0.3], wind)).max() < ROUNDING
+    )
     drifting = run.initial_state()
     drifting[state.V0] = wind  # level: payload frame and inertial frame agree
     carried = environment.forces(0, drifting)
@@ -77,7 +79,9 @@ def test_drag_is_that_of_the_air_past_each_body() -> None:
     x = state_in_motion(run)
     moving = environment.forces(0, x)
     assert moving is not None
-    positions = run.model.outputs(x + 1e-6 * run.model.derivative(x, run.hover.u)) - run.model.outputs(x)
+    positions = run.model.outputs(
+        x + 1e-6 * run.model.derivative(x, run.hover.u)
+    ) - run.model.outputs(x)
     velocity = positions[:3] / 1e-6  # of the first UAV
     assert np.abs(moving[3:6] - 0.3 * (wind - velocity)).max() < 1e-5
 
@@ -125,15 +129,23 @@ def test_noise_has_the_standard_deviations_asked_for() -> None:
     ):
         assert np.abs(found.std(axis=0) / level - 1.0).max() < STATISTICS
     # A rod's direction and rate only err across the rod: two of three axes.
-    for vectors, level in ((error.e_P, levels["rod_direction_rad"]), (error.Omega_P, levels["rod_rate_rads"])):
+    for vectors, level in (
+        (error.e_P, levels["rod_direction_rad"]),
+        (error.Omega_P, levels["rod_rate_rads"]),
+    ):
         across = vectors - true.e_P * (true.e_P * vectors).sum(axis=-1, keepdims=True)
-        assert np.abs(np.sqrt((across**2).sum(axis=-1).mean(axis=0) / 2.0) / level - 1.0).max() < STATISTICS
+        assert (
+            np.abs(np.sqrt((across**2).sum(axis=-1).mean(axis=0) / 2.0) / level - 1.0).max()
+            < STATISTICS
+        )
 
 
 def test_noisy_rods_are_rods() -> None:
     """|e| = 1 and e . Omega = 0 hold in every measurement."""
     run = setup(*NOISE)
     environment = Environment(run)
-    view = StateView(np.array([environment.measured(k, 1, state_in_motion(run)) for k in range(50)]))
+    view = StateView(
+        np.array([environment.measured(k, 1, state_in_motion(run)) for k in range(50)])
+    )
     assert np.abs(np.linalg.norm(view.e_P, axis=-1) - 1.0).max() < ROUNDING
     assert np.abs((view.e_P * view.Omega_P).sum(axis=-1)).max() < ROUNDING

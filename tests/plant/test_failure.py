@@ -1,14 +1,17 @@
-"""Scripted failures in the plant: motors off and rods released from their tick on, independent of the plans."""
+"""Scripted failures in the plant.
+
+Motors off and rods released from their tick on, independent of the plans.
+"""
 
 import numpy as np
 import pytest
 
-from model import state
-from plant.actuators import MOTOR_OFF
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, PlantState
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, roster, setup, tick
+from transport.model import state
+from transport.plant.actuators import MOTOR_OFF
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, PlantState
 
 TICKS = 6
 UAV = 2
@@ -46,7 +49,10 @@ def test_no_wrench_from_the_tick_on(run: Setup) -> None:
 
 
 def test_a_released_rod_hangs_down() -> None:
-    """At its tick the released bob is at rest below its corner; until then it follows the flight without fault."""
+    """At its tick the released bob is at rest below its corner.
+
+    Until then it follows the flight without fault.
+    """
     record, before = plant_states(flown(RELEASED)), plant_states(flown(setup()))
     for k in range(AT):
         np.testing.assert_array_equal(record[k].x, before[k].x)
@@ -61,9 +67,13 @@ def test_a_released_rod_hangs_down() -> None:
 
 def test_no_wind_blows_on_what_is_gone() -> None:
     """Drag acts on payload and attached UAVs only, not on a bob of a millionth of a kilogram."""
-    run = setup("faults.event=[{at_s=0.1,do='release',target='uav3'}]", "plant.wind.speed_mps=[5.0,0.0,0.0]")
+    run = setup(
+        "faults.event=[{at_s=0.1,do='release',target='uav3'}]", "plant.wind.speed_mps=[5.0,0.0,0.0]"
+    )
     node = PlantNode(run)
     node.environment.release(UAV)
     forces = node.environment.forces(0, run.initial_state())
     assert forces is not None
-    np.testing.assert_array_equal(forces.reshape(-1, 3).any(axis=1), [True, True, True, False, True])
+    np.testing.assert_array_equal(
+        forces.reshape(-1, 3).any(axis=1), [True, True, True, False, True]
+    )

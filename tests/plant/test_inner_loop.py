@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from model import motors, state
-from model.linearisation import Model
-from model.motors import rate_places
-from model.parameters import System
-from model.state import StateView, uav_slice
-from mpc.fail_safe import FailSafe
-from plant.actuators import INNER_STEP_S, RateLoop
 from tests.support.random_systems import random_input, random_state, random_system
+from transport.model import motors, state
+from transport.model.linearisation import Model
+from transport.model.motors import rate_places
+from transport.model.parameters import System
+from transport.model.state import StateView, uav_slice
+from transport.mpc.fail_safe import FailSafe
+from transport.plant.actuators import INNER_STEP_S, RateLoop
 
 GAINS = np.array([25.0, 20.0, 10.0])
 WIDE_NM = np.full(3, np.inf)
@@ -25,12 +25,17 @@ HALVES = 1e-4
 
 def with_rates(system: System) -> System:
     """Return a system whose inputs are body rates."""
-    return System(payload=system.payload, uavs=system.uavs, gravity=system.gravity, rate_gains=GAINS)
+    return System(
+        payload=system.payload, uavs=system.uavs, gravity=system.gravity, rate_gains=GAINS
+    )
 
 
 @pytest.mark.parametrize("N", [1, 3])
 def test_the_model_is_that_of_moments_with_the_inner_loop(N: int) -> None:
-    """The derivative under body rates is that under the moments of the inner loop, (57); so are the tensions."""
+    """The derivative under body rates is that under the moments of the inner loop, (57).
+
+    So are the tensions.
+    """
     rng = np.random.default_rng(N)
     system, x, u = random_system(rng, N), random_state(rng, N), random_input(rng, N)
     inputs = RateLoop(with_rates(system), WIDE_NM).moments(u.reshape(N, 4), x).reshape(-1)
@@ -42,7 +47,11 @@ def test_the_model_is_that_of_moments_with_the_inner_loop(N: int) -> None:
 def test_the_derivatives_of_the_model() -> None:
     """B_c along the inputs and the columns of A_c along body rates are those of finite differences."""
     rng, step = np.random.default_rng(5), 1e-6
-    model, x, u = Model(with_rates(random_system(rng, 2))), random_state(rng, 2), random_input(rng, 2)
+    model, x, u = (
+        Model(with_rates(random_system(rng, 2))),
+        random_state(rng, 2),
+        random_input(rng, 2),
+    )
     linear = model.linearise(x, u)
     for i in range(8):
         du = step * np.eye(8)[i]
@@ -109,8 +118,12 @@ def test_a_known_lag_is_inside_the_inner_loop(lag_s: float) -> None:
         K, command = GAINS[axis], u[4 * i + 1 + axis]
         M = np.array([[0.0, 1.0], [-K / lag_s, -1.0 / lag_s]])  # of omega - command and alpha
         rate, turning = expm(M * period_s) @ [omega[i, axis] - command, alpha[i, axis]]
-        assert StateView(found[: len(x)]).omega_B[i, axis] == pytest.approx(rate + command, abs=HALVES)
-        assert found[len(x) + 4 * i + 1 + axis] == pytest.approx(rate + command + turning / K, abs=HALVES)
+        assert StateView(found[: len(x)]).omega_B[i, axis] == pytest.approx(
+            rate + command, abs=HALVES
+        )
+        assert found[len(x) + 4 * i + 1 + axis] == pytest.approx(
+            rate + command + turning / K, abs=HALVES
+        )
 
 
 def test_the_expansion_with_a_known_lag() -> None:
@@ -123,6 +136,10 @@ def test_the_expansion_with_a_known_lag() -> None:
     inputs, states = rate_places(m)
     below = np.hstack([np.zeros((m, n)), -np.eye(m) / lag_s])
     below[inputs] += np.hstack([plain.A_c, plain.B_c])[states]
-    assert np.abs(found.A_c - np.vstack([np.hstack([plain.A_c, plain.B_c]), below])).max() < ROUNDING
-    assert np.abs(found.f[n:][inputs] - ((u - a) / lag_s)[inputs] - plain.f[states]).max() < ROUNDING
+    assert (
+        np.abs(found.A_c - np.vstack([np.hstack([plain.A_c, plain.B_c]), below])).max() < ROUNDING
+    )
+    assert (
+        np.abs(found.f[n:][inputs] - ((u - a) / lag_s)[inputs] - plain.f[states]).max() < ROUNDING
+    )
     assert (found.f[n::4] == ((u - a) / lag_s)[::4]).all()

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from model import state
-from model.arrays import Array
-from plant.actuators import Motors, Rotors
-from protocol.scenario.plant_sections import MotorsSection, RotorsSection
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import ActualInputs, Message
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, plant_states, recorded, roster, setup, tick, ticks
+from transport.model import state
+from transport.model.arrays import Array
+from transport.plant.actuators import Motors, Rotors
+from transport.protocol.scenario.plant_sections import MotorsSection, RotorsSection
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import ActualInputs, Message
 
 PERIOD_S, STEPS = 0.05, 5
 ROTORS = RotorsSection(arm_m=0.25, drag_to_thrust_m=0.016, thrust_N=(0.5, 12.0))
@@ -24,7 +24,9 @@ ROUNDING = 1e-12
 def commands(seed: int, count: int = 1) -> Array:
     """Return random commands within the limits of the paper's UAVs, (count, 16)."""
     rng = np.random.default_rng(seed)
-    return np.tile([22.0, 0.0, 0.0, 0.0], 4) + np.tile([15.0, 1.0, 1.0, 0.5], 4) * rng.uniform(-1.0, 1.0, (count, 16))
+    return np.tile([22.0, 0.0, 0.0, 0.0], 4) + np.tile([15.0, 1.0, 1.0, 0.5], 4) * rng.uniform(
+        -1.0, 1.0, (count, 16)
+    )
 
 
 def mean(motors: Motors, u: Array) -> Array:
@@ -36,8 +38,12 @@ def mean(motors: Motors, u: Array) -> Array:
 
 def test_rotors_have_the_wrench_of_their_thrusts() -> None:
     """The mixing is the sum of r x F over four arms at 45 deg, and of the drag moments, (56)."""
-    at = 0.25 * np.array([[1, 1, 0], [-1, -1, 0], [1, -1, 0], [-1, 1, 0]]) / np.sqrt(2.0)  # x forward, y right
-    drag = 0.016 * np.array([1.0, 1.0, -1.0, -1.0])  # about z down; opposite to the sense of rotation
+    at = (
+        0.25 * np.array([[1, 1, 0], [-1, -1, 0], [1, -1, 0], [-1, 1, 0]]) / np.sqrt(2.0)
+    )  # x forward, y right
+    drag = 0.016 * np.array(
+        [1.0, 1.0, -1.0, -1.0]
+    )  # about z down; opposite to the sense of rotation
     thrusts = np.array([3.0, 5.0, 7.0, 4.0])
     forces = np.outer(thrusts, [0.0, 0.0, -1.0])
     moment = np.cross(at, forces).sum(axis=0)
@@ -47,7 +53,10 @@ def test_rotors_have_the_wrench_of_their_thrusts() -> None:
 
 
 def test_limited_rotors() -> None:
-    """Commands within the limits pass bit for bit; of the others every rotor thrust is the nearest possible one."""
+    """Commands within the limits pass bit for bit.
+
+    Of the others every rotor thrust is the nearest possible one.
+    """
     rotors = Rotors(ROTORS)
     thrusts = np.random.default_rng(3).uniform(0.6, 11.9, (50, 4))
     possible = thrusts @ rotors.mixing.T
@@ -63,7 +72,9 @@ def test_steps_of_the_thrust() -> None:
     u = commands(5)[0]
     found = mean(Motors(MotorsSection(thrust_step_N=0.5), U_HOVER), u).reshape(4, 4)
     given = u.reshape(4, 4)
-    np.testing.assert_allclose(found[:, 0], np.round(given[:, 0] * 2.0) / 2.0, rtol=0.0, atol=ROUNDING)
+    np.testing.assert_allclose(
+        found[:, 0], np.round(given[:, 0] * 2.0) / 2.0, rtol=0.0, atol=ROUNDING
+    )
     np.testing.assert_allclose(found[:, 1:], given[:, 1:], rtol=0.0, atol=ROUNDING)
 
 
@@ -78,8 +89,14 @@ def test_lag_goes_on_from_period_to_period() -> None:
 
 
 def test_rotors_rise_and_fall_with_their_own_lag() -> None:
-    """Each rotor follows the exponential of its direction, (56a); equal time constants are one, bit for bit."""
-    one, two = (MotorsSection(lag_s=0.02, falling_lag_s=falling_s, rotors=ROTORS) for falling_s in (None, 0.05))
+    """Each rotor follows the exponential of its direction, (56a).
+
+    Equal time constants are one, bit for bit.
+    """
+    one, two = (
+        MotorsSection(lag_s=0.02, falling_lag_s=falling_s, rotors=ROTORS)
+        for falling_s in (None, 0.05)
+    )
     same = Motors(one.model_copy(update={"falling_lag_s": 0.02}), U_HOVER)
     rotors, motors, single = Rotors(ROTORS), Motors(two, U_HOVER), Motors(one, U_HOVER)
     a = rotors.thrusts(U_HOVER.reshape(4, 4))
@@ -94,7 +111,10 @@ def test_rotors_rise_and_fall_with_their_own_lag() -> None:
 
 
 def test_efficiency() -> None:
-    """A degraded UAV gives a share of thrust and moments, a motor-off one nothing at once; the others all."""
+    """A degraded UAV gives a share of thrust and moments, a motor-off one nothing at once.
+
+    The others all.
+    """
     motors, u = Motors(MotorsSection(lag_s=0.07), U_HOVER, fails=True), commands(7)[0]
     whole = mean(Motors(MotorsSection(lag_s=0.07), U_HOVER), u)
     motors.degrade(1, 0.8)
@@ -135,7 +155,10 @@ def test_the_plant_follows_the_augmented_equations() -> None:
 
 
 def test_actual_inputs_are_recorded_where_they_differ() -> None:
-    """A degraded UAV's inputs stand in the record from its tick on; a run with ideal motors has no such messages."""
+    """A degraded UAV's inputs stand in the record from its tick on.
+
+    A run with ideal motors has no such messages.
+    """
     event = "faults.event=[{at_s=0.1,do='degrade',target='uav2',efficiency=0.9}]"
     run = setup(ticks(4), event)
     messages = recorded(run)
@@ -144,5 +167,7 @@ def test_actual_inputs_are_recorded_where_they_differ() -> None:
     for message, before in zip(found, plant_states(messages), strict=True):
         share = np.ones((4, 1))
         share[1] = 0.9 if message.tick >= 2 else 1.0
-        np.testing.assert_allclose(message.inputs, share * before.u.reshape(4, 4), rtol=0.0, atol=ROUNDING)
+        np.testing.assert_allclose(
+            message.inputs, share * before.u.reshape(4, 4), rtol=0.0, atol=ROUNDING
+        )
     assert not any(isinstance(message, ActualInputs) for message in recorded(setup(ticks(4))))

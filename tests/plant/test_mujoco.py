@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 import transport
-from model import state
-from model.arrays import Array
-from model.linearisation import Model
-from model.parameters import System, payload_half_size, resting_height, table_1
-from model.state import StateView
-from plant.engines import Rods
-from plant.mujoco_engine import MujocoEngine
-from protocol.scenario.plant_sections import MujocoSection, PlantSection
 from tests.support.random_systems import random_forces, random_input, random_state, random_system
 from tests.support.runs import plant_states, ready, recorded
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.linearisation import Model
+from transport.model.parameters import System, payload_half_size, resting_height, table_1
+from transport.model.state import StateView
+from transport.plant.engines import Rods
+from transport.plant.mujoco_engine import MujocoEngine
+from transport.protocol.scenario.plant_sections import MujocoSection, PlantSection
 
 # The engine's coordinates are quaternions and relative rates: there and back is rounding.
 ROUNDING = 1e-9
@@ -44,7 +44,9 @@ def at_rest(system: System, z: float) -> Array:
     return x
 
 
-def advanced(engine: MujocoEngine | Rods, x: Array, u: Array, duration_s: float, forces: Array | None = None) -> Array:
+def advanced(
+    engine: MujocoEngine | Rods, x: Array, u: Array, duration_s: float, forces: Array | None = None
+) -> Array:
     """Return the state after a duration, in periods of 50 ms."""
     engine.reset(x)
     for _ in range(round(duration_s / 0.05)):
@@ -80,7 +82,10 @@ def test_the_state_is_the_given_one(N: int, section: PlantSection) -> None:
 
 @pytest.mark.parametrize("N", [1, 3, 6])
 def test_the_motion_is_that_of_the_equations(N: int) -> None:
-    """Random teams, states, inputs and forces: a period ends in nearly the same state, every component."""
+    """Random teams, states, inputs and forces.
+
+    A period ends in nearly the same state, every component.
+    """
     rng = np.random.default_rng(950 + N)
     for _ in range(4):
         system = random_system(rng, N)
@@ -99,7 +104,9 @@ def test_the_difference_is_the_mass_of_the_rods() -> None:
     expected = advanced(Rods(system, PlantSection(step_s=0.001)), x, u, 0.2)
     errors = []
     for mass in (1e-1, 1e-2, 1e-3):
-        section = PlantSection(engine="mujoco", mujoco=MujocoSection(step_s=0.001, rod_mass_kg=mass))
+        section = PlantSection(
+            engine="mujoco", mujoco=MujocoSection(step_s=0.001, rod_mass_kg=mass)
+        )
         errors.append(np.abs(advanced(MujocoEngine(system, section), x, u, 0.2) - expected).max())
     assert all(5.0 < heavy / light < 20.0 for heavy, light in pairwise(errors)), errors
 
@@ -122,13 +129,18 @@ def test_a_heading_goes_on_beyond_half_a_turn() -> None:
 def hover_inputs(system: System, share: float = 1.0) -> Array:
     """Return inputs that carry the UAVs and a share of the payload, (4 N,)."""
     u = np.zeros(system.m)
-    u[::4] = [(uav.mass + share * system.payload.mass / system.N) * system.gravity for uav in system.uavs]
+    u[::4] = [
+        (uav.mass + share * system.payload.mass / system.N) * system.gravity for uav in system.uavs
+    ]
     return u
 
 
 @pytest.mark.parametrize("section", [GROUND, GROUND_CABLES], ids=["rods", "cables"])
 def test_the_ground_carries_the_load(section: PlantSection) -> None:
-    """A load let down from 2 cm comes to rest on the ground, level; without it the same team falls on."""
+    """A load let down from 2 cm comes to rest on the ground, level.
+
+    Without it the same team falls on.
+    """
     system = table_1()
     height = resting_height(system, 0.0)
     assert height == -payload_half_size(system)[2] == -0.125
@@ -158,7 +170,10 @@ def test_uavs_lie_on_the_ground_too() -> None:
 
 
 def test_cables_pull_and_do_not_push() -> None:
-    """A cable carries the load at its length; UAVs that sink faster than the load fall freely, their cables slack."""
+    """A cable carries the load at its length.
+
+    UAVs that sink faster than the load fall freely, their cables slack.
+    """
     system = table_1()
     x = at_rest(system, -10.0)
     engine = MujocoEngine(system, CABLES)
@@ -188,7 +203,9 @@ def test_two_engines_are_equal_bit_for_bit() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["resilient", "precise"])
-@pytest.mark.parametrize("network", [IMPAIRED], ids=["impaired"])  # docs/measured_pages.py also has the perfect one
+@pytest.mark.parametrize(
+    "network", [IMPAIRED], ids=["impaired"]
+)  # docs/measured_pages.py also has the perfect one
 def test_the_controllers_hold_in_mujoco(name: str, network: tuple[str, ...]) -> None:
     """A leg completes, with a payload error of at most 1.3 times that of our equations, plus 1 cm."""
     found, own = payload_errors(name, LEG, MUJOCO, *network), payload_errors(name, LEG, *network)
@@ -199,11 +216,28 @@ def test_the_controllers_hold_in_mujoco(name: str, network: tuple[str, ...]) -> 
 
 @pytest.mark.slow
 def test_fast_flight_on_cables() -> None:
-    """At 3 m/s no cable is slack. With a fifth of its thrust a UAV slackens some for a moment; then all are taut."""
-    eight = {"name": "eight", "kind": "eight", "size_m": [2.0, 1.0, 0.0], "laps": 1.0, "speed_mps": 3.0, "ramp_s": 3.0}
+    """At 3 m/s no cable is slack.
+
+    With a fifth of its thrust a UAV slackens some for a moment; then all are taut.
+    """
+    eight = {
+        "name": "eight",
+        "kind": "eight",
+        "size_m": [2.0, 1.0, 0.0],
+        "laps": 1.0,
+        "speed_mps": 3.0,
+        "ramp_s": 3.0,
+    }
     still = {"displacement_m": [0.0, 0.0, 0.0]}
-    phases = [{"name": "hover", "duration_s": 0.5, **still}, eight, {"name": "hover", "duration_s": 1.5, **still}]
-    dip = [{"at_s": at_s, "do": "degrade", "target": "uav2", "efficiency": e} for at_s, e in ((4.0, 0.2), (4.2, 1.0))]
+    phases = [
+        {"name": "hover", "duration_s": 0.5, **still},
+        eight,
+        {"name": "hover", "duration_s": 1.5, **still},
+    ]
+    dip = [
+        {"at_s": at_s, "do": "degrade", "target": "uav2", "efficiency": e}
+        for at_s, e in ((4.0, 0.2), (4.2, 1.0))
+    ]
     settings = {"plant.engine": "mujoco", "plant.mujoco.suspension": "cables", "faults.event": dip}
     run = transport.fly("eight", settings, phases=phases, progress=False)
     tensions_N, cables = run.series["cable_tension_N"], run.summary["cables"]
@@ -217,12 +251,17 @@ def test_fast_flight_on_cables() -> None:
 
 @pytest.mark.slow
 def test_planned_tensions_keep_cables_taut() -> None:
-    """Cables become slack in a descent almost as fast as bodies fall; with a least planned tension they do not."""
+    """Cables become slack in a descent almost as fast as bodies fall.
+
+    With a least planned tension they do not.
+    """
     ways = (("hover", 1.0, 0.0), ("descend", 1.0, 6.0), ("hover", 1.5, 0.0))
     settings: dict[str, Any] = {
         "plant.engine": "mujoco",
         "plant.mujoco.suspension": "cables",
-        "maneuver.phase": [{"name": name, "duration_s": s, "displacement_m": [0.0, 0.0, z]} for name, s, z in ways],
+        "maneuver.phase": [
+            {"name": name, "duration_s": s, "displacement_m": [0.0, 0.0, z]} for name, s, z in ways
+        ],
     }
     loose, taut = (
         transport.fly("resilient", settings | more, progress=False).summary
@@ -236,7 +275,10 @@ def test_planned_tensions_keep_cables_taut() -> None:
 
 @pytest.mark.slow
 def test_rods_of_100_g_and_cables() -> None:
-    """Rods of which the controllers know nothing, with the estimate of forces; and cables: a leg completes."""
+    """Rods of which the controllers know nothing, with the estimate of forces.
+
+    And cables: a leg completes.
+    """
     own = payload_errors("resilient", LEG).max()
     heavy = ("plant.mujoco.rod_mass_kg=0.1", "controller.disturbance.estimate=true")
     for changes in (heavy, ("plant.mujoco.suspension=cables",)):

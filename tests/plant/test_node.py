@@ -1,13 +1,16 @@
-"""The plant as a state machine: measures each tick once, integrates when the inputs are decided, refuses, ends."""
+"""The plant as a state machine.
+
+Measures each tick once, integrates when the inputs are decided, refuses, ends.
+"""
 
 import numpy as np
 
-from model import state
-from plant.actuators import FAIL_SAFE
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Message, PlantState, Presence
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, end, integrated, measurement, plan, roster, setup, tick
+from transport.model import state
+from transport.plant.actuators import FAIL_SAFE
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Measurement, Message, PlantState, Presence
 
 IMMEDIATE, NEXT_TICK = "clock.actuation=immediate", "clock.actuation=next_tick"
 
@@ -50,11 +53,17 @@ def test_measures_a_tick() -> None:
 
 
 def test_truth_is_the_integrated_state() -> None:
-    """PlantState k holds the state at t_k and the inputs from there; measurement k + 1 the state they lead to."""
+    """PlantState k holds the state at t_k and the inputs from there.
+
+    Measurement k + 1 the state they lead to.
+    """
     run = setup(IMMEDIATE)
     node = ready(run)
     tell(node, tick(0))
-    x, u = run.initial_state(), run.hover.u + np.tile([1.0, 0.1, -0.1, 0.05], 4) * np.repeat([1.0, 2.0, 3.0, 0.5], 4)
+    x, u = (
+        run.initial_state(),
+        run.hover.u + np.tile([1.0, 0.1, -0.1, 0.05], 4) * np.repeat([1.0, 2.0, 3.0, 0.5], 4),
+    )
     plans = [plan(run, a, 0, inputs=np.tile(u[4 * a - 4 : 4 * a], (20, 1))) for a in ALL]
     (record,) = tell(node, *plans)
     assert isinstance(record, PlantState)
@@ -79,13 +88,20 @@ def test_lost_agents_uav_plays_on() -> None:
     tell(node, roster({1: 1, 2: 1, 3: 1}, version=2))
     sources = []
     for k in range(1, 5):
-        found = tell(node, tick(k, answered=(1, 2, 3), version=2), *[plan(run, agent, k) for agent in (1, 2, 3)])
+        found = tell(
+            node,
+            tick(k, answered=(1, 2, 3), version=2),
+            *[plan(run, agent, k) for agent in (1, 2, 3)],
+        )
         sources += [message.plan_ticks for message in found if isinstance(message, PlantState)]
     assert sources == [(1, 1, 1, 0), (2, 2, 2, 0), (3, 3, 3, FAIL_SAFE), (4, 4, 4, FAIL_SAFE)]
 
 
 def test_end_of_the_run() -> None:
-    """The coordinator's control message ends the run for the plant; without a coordinator it ends with exit code 4."""
+    """The coordinator's control message ends the run for the plant.
+
+    Without a coordinator it ends with exit code 4.
+    """
     node = ready(setup())
     assert tell(node, end()) == []
     assert node.finished == end()

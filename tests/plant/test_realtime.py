@@ -1,14 +1,17 @@
-"""The plant in real time: a tick is measured and integrated at once, with the plans received by then."""
+"""The plant in real time.
+
+A tick is measured and integrated at once, with the plans received by then.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Measurement, Message, PlantState
 from tests.support.nodes import PlantNode
 from tests.support.runs import ALL, plan, roster, setup, tick
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Measurement, Message, PlantState
 
 S, MS = 10**9, 10**6  # ns
 START_NS = 3 * S

@@ -3,30 +3,37 @@
 import numpy as np
 import pytest
 
-from model import state
-from model.arrays import Array
-from model.parameters import Payload, System, Uav
-from model.rotations import euler_rates, rotation
-from mpc.fail_safe import FailSafe
-from mpc.settings import ControllerSettings, Limits
-from plant.actuators import ActuatorSchedule
-from protocol.wire.messages import Plan
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.parameters import Payload, System, Uav
+from transport.model.rotations import euler_rates, rotation
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.settings import ControllerSettings, Limits
+from transport.plant.actuators import ActuatorSchedule
+from transport.protocol.wire.messages import Plan
 
 N, STEPS = 3, 4
 OWNED = {1: (1, 3), 2: (2,)}
-U_HOVER = np.tile([20.0, 0.0, 0.0, 0.0], N) + np.repeat([0.0, 1.0, 2.0], 4) * np.tile([1.0, 0.0, 0.0, 0.0], N)
+U_HOVER = np.tile([20.0, 0.0, 0.0, 0.0], N) + np.repeat([0.0, 1.0, 2.0], 4) * np.tile(
+    [1.0, 0.0, 0.0, 0.0], N
+)
 J = np.diag([0.029, 0.029, 0.055])
 SYSTEM = System(
     payload=Payload(mass=3.0, inertia=[0.556, 0.556, 0.556]),
-    uavs=[Uav(mass=1.5, inertia=J, rho=[x, 0.0, -0.125], rod_length=3.2) for x in (-0.25, 0.0, 0.25)],
+    uavs=[
+        Uav(mass=1.5, inertia=J, rho=[x, 0.0, -0.125], rod_length=3.2) for x in (-0.25, 0.0, 0.25)
+    ],
 )
 LIMITS = Limits()
 X = np.zeros(12 + 12 * N)
 
-PERIOD_S, SUBSTEPS = 0.05, 50  # 1 ms: Euler steps are then accurate to a fraction of a degree over seconds
+PERIOD_S, SUBSTEPS = (
+    0.05,
+    50,
+)  # 1 ms: Euler steps are then accurate to a fraction of a degree over seconds
 
-# The loop's real part is 0.8 x 6 / s and saturation costs some tenths of a second: three seconds are many of its
-# time constants, and what is left is far below a degree.
+# The loop's real part is 0.8 x 6 / s and saturation costs some tenths of a second: three seconds
+# are many of its time constants, and what is left is far below a degree.
 SETTLING_S, LEVEL_RAD, STILL_RAD_S = 3.0, np.radians(0.5), 0.02
 RATE_SLACK = 1e-12  # N and N m: rounding of a sum and a difference
 

@@ -1,16 +1,21 @@
-"""Budgets: estimates against the sizes of real controllers, messages and logs; limits that are refused, and raised."""
+"""Budgets: estimates against the sizes of real controllers, messages and logs.
+
+Limits that are refused, and raised.
+"""
 
 from pathlib import Path
 
 import pytest
 
-from mpc.rows import Decision, Rows
-from protocol.scenario.budget import estimate
-from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from protocol.scenario.schema import Scenario
-from protocol.scenario.setup import Setup
-from protocol.scenario.team import resized
 from tests.support.logs import record_run
+from transport.mpc.constraints import constraints_of
+from transport.mpc.constraints.stack import Stack
+from transport.mpc.decision import Decision
+from transport.protocol.scenario.budget import estimate
+from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.team import resized
 
 LAG = ["plant.motors.lag_s=0.05", "controller.motor_lag_s=0.05"]
 SHORT = "maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-1.0]}]"
@@ -29,23 +34,30 @@ def scenario_of(name: str, uavs: int, group: int, *settings: str) -> Scenario:
     """A ready scenario for a team of any size."""
     path = find_scenario(name)
     ready = read_scenario(path, [SHORT, *settings], allow_large=True)
-    return ready if uavs == 4 and group == 1 else resized(ready, uavs, group=group, name=None, source=name)
+    return (
+        ready
+        if uavs == 4 and group == 1
+        else resized(ready, uavs, group=group, name=None, source=name)
+    )
 
 
 @pytest.mark.parametrize(("name", "uavs", "group"), TEAMS)
 def test_size_of_the_program(name: str, uavs: int, group: int) -> None:
-    """Variables and rows are those of the largest agent's QP; the user's constraints count as one row per step each."""
+    """Variables and rows are those of the largest agent's QP.
+
+    The user's constraints count as one row per step each.
+    """
     scenario = scenario_of(name, uavs, group, "controller.horizon=7")
     setup = Setup.of(scenario, name)
     largest = max(setup.owned, key=len)
     decision = Decision(setup.system, setup.settings, largest)
-    rows = Rows(decision)
+    stack = Stack(decision, constraints_of(decision))
     found = estimate(scenario)
     assert found.ticks == setup.ticks
     constraints = len(scenario.controller.constraint)
-    actual = decision.size + len(rows.penalties)
+    actual = decision.size + len(stack.penalties)
     assert actual <= found.variables <= actual + constraints
-    actual_rows = len(rows.A)
+    actual_rows = len(stack.empty().A)
     assert actual_rows <= found.rows <= actual_rows + 7 * constraints
 
 
@@ -60,16 +72,35 @@ def test_size_of_the_log(name: str, settings: list[str], tmp_path: Path) -> None
 
 
 BEYOND = [
-    ("maneuver.phase.1.duration_s=5e8", "maneuver.phase", "expected at most 8,000 MB of memory in total, got 351,"),
-    ("plant.step_s=1e-8", "plant.step_s", "expected at most 10,000 integration steps per sampling period, got 5,000,0"),
-    ("controller.horizon=3000", "controller.horizon", "expected at most 8,000 MB of memory in total, got 39,"),
-    ("maneuver.phase.1.duration_s=2e4", "maneuver.phase", "expected at most 8,000 MB of memory in total, got "),
+    (
+        "maneuver.phase.1.duration_s=5e8",
+        "maneuver.phase",
+        "expected at most 8,000 MB of memory in total, got 351,",
+    ),
+    (
+        "plant.step_s=1e-8",
+        "plant.step_s",
+        "expected at most 10,000 integration steps per sampling period, got 5,000,0",
+    ),
+    (
+        "controller.horizon=3000",
+        "controller.horizon",
+        "expected at most 8,000 MB of memory in total, got 39,",
+    ),
+    (
+        "maneuver.phase.1.duration_s=2e4",
+        "maneuver.phase",
+        "expected at most 8,000 MB of memory in total, got ",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("setting", "field", "text"), BEYOND)
 def test_large_runs_are_refused_unless_allowed(setting: str, field: str, text: str) -> None:
-    """A run beyond a limit is refused by the setting, the limit and the estimate; it is read with `allow_large`."""
+    """A run beyond a limit is refused by the setting, the limit and the estimate.
+
+    It is read with `allow_large`.
+    """
     path = find_scenario("resilient")
     with pytest.raises(ScenarioError, match=text) as caught:
         read_scenario(path, [setting])
@@ -82,7 +113,9 @@ def test_large_runs_are_refused_unless_allowed(setting: str, field: str, text: s
 def test_the_step_of_mujoco_counts() -> None:
     """Steps of MuJoCo are its own, and a refusal names their key."""
     path, settings = find_scenario("paper"), ["plant.engine=mujoco", "plant.mujoco.step_s=1e-9"]
-    with pytest.raises(ScenarioError, match="integration steps per sampling period, got 50,000,000") as caught:
+    with pytest.raises(
+        ScenarioError, match="integration steps per sampling period, got 50,000,000"
+    ) as caught:
         read_scenario(path, settings)
     assert str(caught.value).startswith("--set plant.mujoco.step_s=1e-9: ")
     assert estimate(read_scenario(path, settings[:1])).plant_steps == 10
@@ -93,10 +126,19 @@ def test_the_step_of_mujoco_counts() -> None:
     ("setting", "text"),
     [
         ("plant.noise.position_m=1e308", "expected a magnitude of at most 10000, got 1e+308"),
-        ("links.override=[{delay_s=1e300}]", "links.override.1.delay_s: expected a magnitude of at most 1e+09"),
+        (
+            "links.override=[{delay_s=1e300}]",
+            "links.override.1.delay_s: expected a magnitude of at most 1e+09",
+        ),
         ("plant.step_s=1e-11", "expected a magnitude of at least 1e-09, got 1e-11"),
-        ("controller.weights.moments=[1e-2,1e-300,1e-2]", "weights.moments.2: expected a magnitude of at least 1e-12"),
-        ("system.payload.inertia_kgm2=[[1e99,0,0],[0,1,0],[0,0,1]]", "inertia_kgm2.1.1: expected a magnitude"),
+        (
+            "controller.weights.moments=[1e-2,1e-300,1e-2]",
+            "weights.moments.2: expected a magnitude of at least 1e-12",
+        ),
+        (
+            "system.payload.inertia_kgm2=[[1e99,0,0],[0,1,0],[0,0,1]]",
+            "inertia_kgm2.1.1: expected a magnitude",
+        ),
         ("controller.sampling_period_s=1e-7", "expected a magnitude of at least 1e-05"),
     ],
 )

@@ -4,15 +4,15 @@ from typing import Any
 
 import pytest
 
-from protocol.admission.gate import Gate
-from protocol.wire.codec import MAX_BYTES, encode
-from protocol.wire.errors import MessageError
-from protocol.wire.keys import Keys
-from protocol.wire.messages import Answer, LinkChange, Message, Plan, Relay
-from protocol.wire.node import Outbox
 from tests.support import runs
 from tests.support.messages import changed, sample
 from tests.support.runs import setup, ticks
+from transport.protocol.admission.gate import Gate
+from transport.protocol.wire.codec import MAX_BYTES, encode
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.messages import Answer, LinkChange, Message, Plan, Relay
+from transport.protocol.wire.node import Outbox
 
 RUN = setup("controller.horizon=5", ticks(60))
 KEYS = Keys(RUN.scenario.name)
@@ -38,7 +38,9 @@ class Receiver:
 def answer(*parts: Message, agent: int = 2, **changes: Any) -> Answer:
     """Return an agent's answer that carries messages."""
     ends, data = [KEYS.end(KEYS.of(part)) for part in parts], [encode(part) for part in parts]
-    bundle = Outbox(f"agent{agent}", 1).stamp(Answer, tick=parts[0].tick, agent=agent, keys=ends, parts=data)
+    bundle = Outbox(f"agent{agent}", 1).stamp(
+        Answer, tick=parts[0].tick, agent=agent, keys=ends, parts=data
+    )
     return changed(bundle, **changes)
 
 
@@ -69,7 +71,12 @@ def direct(k: int, **changes: Any) -> Plan:
         ("plan/9", encode(changed(direct(0), agent=9, sender="agent9")), "agent9", "unknown_agent"),
         ("plant_state", encode(runs.plant_state(RUN, 0)), "plant", "wrong_sender"),
         ("plan/2", encode(direct(0, uavs=(3,))), "agent2", "wrong_uavs"),
-        ("plan/2", encode(direct(0, inputs=runs.plan(RUN, 2, 0).inputs + 1e3)), "agent2", "outside_limits"),
+        (
+            "plan/2",
+            encode(direct(0, inputs=runs.plan(RUN, 2, 0).inputs + 1e3)),
+            "agent2",
+            "outside_limits",
+        ),
     ],
 )
 def test_each_check_has_its_reason(key: str, message: bytes, sender: str, reason: str) -> None:
@@ -88,9 +95,17 @@ def test_each_check_has_its_reason(key: str, message: bytes, sender: str, reason
         (direct(5), {"sequence": 99}, "past"),
         (direct(5), {"sequence": 99, "tick": 4, "start_tick": 5}, "past"),
         (direct(5), {"sequence": 99, "shared": False}, "past"),  # under the other key
-        (direct(5), {"sequence": 99, "incarnation": 0, "tick": 6, "start_tick": 7}, "wrong_incarnation"),
+        (
+            direct(5),
+            {"sequence": 99, "incarnation": 0, "tick": 6, "start_tick": 7},
+            "wrong_incarnation",
+        ),
         (direct(5), {"tick": 6, "start_tick": 7}, ""),  # where ticks grow, numbers need not
-        (direct(5), {"sequence": 99, "incarnation": 2, "tick": 6, "start_tick": 7}, "wrong_incarnation"),
+        (
+            direct(5),
+            {"sequence": 99, "incarnation": 2, "tick": 6, "start_tick": 7},
+            "wrong_incarnation",
+        ),
         (runs.tick(5), {}, "replayed"),
         (runs.tick(5), {"sequence": 99, "tick": 6}, ""),
         (runs.roster(), {"sequence": 99}, "past"),
@@ -146,12 +161,24 @@ def test_an_announced_start_ends_the_one_before() -> None:
 
 
 def test_bundles_are_opened() -> None:
-    """Each message of a bundle is checked as if it had come alone; those for others are skipped, uncounted."""
+    """Each message of a bundle is checked as if it had come alone.
+
+    Those for others are skipped, uncounted.
+    """
     receiver = Receiver("agent1")
     good, forged = plan(3), plan(3, agent=3, uavs=(2,))
     own = plan(3, agent=1)
     keys = ["plan/2", "plan/3", "plan/1", "report/2", "tick", "plan/4", "control", "unshared/4"]
-    parts = [encode(good), encode(forged), encode(own), b"any", b"any", b"?", encode(runs.end()), b"any"]
+    parts = [
+        encode(good),
+        encode(forged),
+        encode(own),
+        b"any",
+        b"any",
+        b"?",
+        encode(runs.end()),
+        b"any",
+    ]
     bundle = Outbox("coordinator", 0).stamp(Relay, tick=3, keys=keys, parts=parts)
     found = list(receiver.gate.accept(KEYS.of(bundle), encode(bundle)))
     assert [encode(message) for message in found if isinstance(message, Message)] == [encode(good)]

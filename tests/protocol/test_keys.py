@@ -2,9 +2,10 @@
 
 import pytest
 
-from protocol.wire.errors import MessageError, TransportError
-from protocol.wire.keys import Keys, Token, matches
-from protocol.wire.messages import (
+from tests.support.messages import sample
+from transport.protocol.wire.errors import MessageError, TransportError
+from transport.protocol.wire.keys import Keys, Token, matches
+from transport.protocol.wire.messages import (
     BUNDLES,
     KINDS,
     ActualInputs,
@@ -25,7 +26,6 @@ from protocol.wire.messages import (
     Tick,
     agent_name,
 )
-from tests.support.messages import sample
 
 KEYS = Keys("run-1")
 AGENTS = (1, 2, 12, 123)  # ids that begin with each other
@@ -53,7 +53,11 @@ ALL_KINDS = KINDS | BUNDLES
 def listeners(message: Message) -> set[str]:
     """Names of the processes that a message reaches, its sender not counted."""
     key = KEYS.of(message)
-    hearing = {name for name in NAMES if any(matches(expression, key) for expression in KEYS.subscriptions(name))}
+    hearing = {
+        name
+        for name in NAMES
+        if any(matches(expression, key) for expression in KEYS.subscriptions(name))
+    }
     return hearing - {message.sender}
 
 
@@ -78,7 +82,10 @@ def listeners(message: Message) -> set[str]:
     ],
 )
 def test_receivers(kind: type[Message], expected: set[str]) -> None:
-    """Each message reaches exactly the roles of its route; the recorder receives every message that is sent."""
+    """Each message reaches exactly the roles of its route.
+
+    The recorder receives every message that is sent.
+    """
     assert listeners(sample(kind)) == expected
 
 
@@ -112,7 +119,9 @@ def test_forged_senders_are_refused(kind: type[Message]) -> None:
         if name == OWNERS[kind.kind]:
             continue
         message = sample(kind, sender=name)
-        with pytest.raises(MessageError, match=f"{kind.kind} from {name}, expected it from {OWNERS[kind.kind]}"):
+        with pytest.raises(
+            MessageError, match=f"{kind.kind} from {name}, expected it from {OWNERS[kind.kind]}"
+        ):
             KEYS.check_sender(KEYS.of(message), message)
 
 
@@ -122,9 +131,14 @@ def test_tokens_are_read() -> None:
     assert KEYS.token(KEYS.ready("plant", 0)) == Token("plant", 0, None, None)
 
 
-@pytest.mark.parametrize("run", ["", "a/b", "a b", "*", "a*", "**", "$*", "a#", "a?b", "\u00e4", "a\n", "x" * 81])
+@pytest.mark.parametrize(
+    "run", ["", "a/b", "a b", "*", "a*", "**", "$*", "a#", "a?b", "\u00e4", "a\n", "x" * 81]
+)
 def test_wrong_run_names(run: str) -> None:
     """Anything that would change the meaning of a key expression is refused; the text shows it."""
     with pytest.raises(TransportError) as caught:
         Keys(run)
-    assert str(caught.value) == f"run name: expected at most 80 letters, digits, '_', '.', '-', got {run!r}"
+    assert (
+        str(caught.value)
+        == f"run name: expected at most 80 letters, digits, '_', '.', '-', got {run!r}"
+    )

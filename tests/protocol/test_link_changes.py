@@ -1,15 +1,18 @@
-"""Changes of links during a run: each applied once, in the order of time, by the receiver of the link."""
+"""Changes of links during a run.
+
+Each applied once, in the order of time, by the receiver of the link.
+"""
 
 import json
 from typing import Any
 
 import pytest
 
-from protocol.scenario.errors import RequestError
-from protocol.scenario.links import Link, LinkChanges, link_change
-from protocol.wire.errors import MessageError
-from protocol.wire.messages import LinkChange
 from tests.support.runs import setup
+from transport.protocol.scenario.errors import RequestError
+from transport.protocol.scenario.links import Link, LinkChanges, link_change
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import LinkChange
 
 SAMPLES = {"a.csv": (0.1, 0.2), "b.csv": (0.3,)}
 
@@ -20,7 +23,9 @@ def links(*settings: str) -> dict[str, Link]:
     return {sender: run.link(sender, "agent1") for sender in ("agent2", "agent3", "plant")}
 
 
-def change(number: int, tick: int, source: str = "", target: str = "", **settings: Any) -> LinkChange:
+def change(
+    number: int, tick: int, source: str = "", target: str = "", **settings: Any
+) -> LinkChange:
     """Message of the coordinator that changes links from a tick on."""
     return LinkChange(
         sender="coordinator",
@@ -50,7 +55,9 @@ def losses(found: dict[str, Link], tick: int) -> list[float]:
 def test_told_again() -> None:
     """All changes are repeated for a process that joins: known ones, by number, have no effect."""
     once = change(1, 5, loss=0.5)
-    twice = told(links(), once, change(2, 6, loss=0.7), once, change(1, 9, loss=1.0), change(2, 6, loss=0.7))
+    twice = told(
+        links(), once, change(2, 6, loss=0.7), once, change(1, 9, loss=1.0), change(2, 6, loss=0.7)
+    )
     assert [losses(twice, tick)[0] for tick in (4, 5, 6, 100)] == [0.0, 0.5, 0.7, 0.7]
 
 
@@ -85,7 +92,14 @@ def test_what_is_no_change_is_refused(settings: str) -> None:
     found = links()
     changes = LinkChanges(found.values())
     wrong = LinkChange(
-        sender="coordinator", incarnation=0, sequence=0, tick=0, number=1, source="", target="", settings=settings
+        sender="coordinator",
+        incarnation=0,
+        sequence=0,
+        tick=0,
+        number=1,
+        source="",
+        target="",
+        settings=settings,
     )
     with pytest.raises(MessageError) as refused:
         changes.apply(wrong)
@@ -95,7 +109,10 @@ def test_what_is_no_change_is_refused(settings: str) -> None:
 
 
 def test_changes_come_in_order() -> None:
-    """A change is refused before those with lower numbers: receivers would otherwise disagree about the links."""
+    """A change is refused before those with lower numbers.
+
+    Receivers would otherwise disagree about the links.
+    """
     found = links()
     changes = LinkChanges(found.values())
     with pytest.raises(MessageError) as caught:

@@ -8,15 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.scenario.file import ScenarioError, validate
-from protocol.scenario.link_sections import GilbertElliottSection, LinkSection, LinksSection, PartitionSection
-from protocol.scenario.links import Link
-from protocol.scenario.setup import Setup
 from tests.support.runs import setup
+from transport.protocol.scenario.file import ScenarioError, validate
+from transport.protocol.scenario.link_sections import (
+    GilbertElliottSection,
+    LinkSection,
+    LinksSection,
+    PartitionSection,
+)
+from transport.protocol.scenario.links import Link
+from transport.protocol.scenario.setup import Setup
 
 PERIOD_S = 0.05
 COUNT = 5_000
-# Bounds of all statistical tests: five standard errors, one false alarm in two million at fixed seeds.
+# Bounds of all statistical tests: five standard errors, one false alarm in two million at fixed
+# seeds.
 SIGMAS = 5.0
 
 
@@ -62,7 +68,9 @@ def test_bursts_of_gilbert_elliott() -> None:
     lost = np.array(
         [
             not delays
-            for delays in link_history(LinkSection(gilbert_elliott=GilbertElliottSection(enter=enter, leave=leave)))
+            for delays in link_history(
+                LinkSection(gilbert_elliott=GilbertElliottSection(enter=enter, leave=leave))
+            )
         ]
     )
     bad = enter / (enter + leave)
@@ -95,7 +103,9 @@ def test_jitter(distribution: Any, mean_s: float, deviation_s: float) -> None:
 
 def test_empirical_delays_are_drawn_evenly() -> None:
     """Each measured delay is as likely as the others, and nothing else is drawn."""
-    delays = [delays[0] for delays in link_history(LinkSection(distribution="empirical", samples=SAMPLES))]
+    delays = [
+        delays[0] for delays in link_history(LinkSection(distribution="empirical", samples=SAMPLES))
+    ]
     assert set(delays) == set(SAMPLES)
     share([delay == 0.02 for delay in delays], 0.5)
     share([delay == 0.5 for delay in delays], 0.25)
@@ -111,14 +121,18 @@ def test_duplicates_have_delays_of_their_own() -> None:
 
 def test_reordering_holds_back() -> None:
     """A share of the messages comes later by a fixed time, behind those sent after them."""
-    found = [delays[0] for delays in link_history(LinkSection(delay_s=0.02, reorder=0.1, reorder_s=0.2))]
+    found = [
+        delays[0] for delays in link_history(LinkSection(delay_s=0.02, reorder=0.1, reorder_s=0.2))
+    ]
     assert set(found) == {0.02, 0.02 + 0.2}
     share([delay > 0.1 for delay in found], 0.1)
 
 
 def test_partition_has_a_start_and_an_end() -> None:
     """No message sent in [start, end) arrives; those sent before and after do."""
-    one = link(LinkSection(), partition=[PartitionSection(between=["agent1"], start_s=0.5, end_s=1.0)])
+    one = link(
+        LinkSection(), partition=[PartitionSection(between=["agent1"], start_s=0.5, end_s=1.0)]
+    )
     assert [bool(one.delays(tick)) for tick in (9, 10, 19, 20)] == [True, False, False, True]
 
 
@@ -128,24 +142,31 @@ def test_rate_limit(rate_hz: float) -> None:
     carried = np.array([bool(delays) for delays in link_history(LinkSection(rate_hz=rate_hz))])
     assert carried[0]
     at = np.flatnonzero(carried)
-    # Seconds since the first message times the rate, rounded: at most one message from a steady flow at any instant.
+    # Seconds since the first message times the rate, rounded: at most one message from a steady
+    # flow at any instant.
     assert np.abs(np.cumsum(carried) - 1.0 - np.arange(COUNT) * PERIOD_S * rate_hz).max() <= 1.0
     apart = 1.0 / (PERIOD_S * rate_hz)
     assert set(np.diff(at)) <= {int(np.floor(apart)), int(np.ceil(apart))}
 
 
 @pytest.mark.parametrize(
-    ("delay_s", "ticks"), [(0.0, 1), (0.03, 1), (0.05, 1), (0.051, 2), (0.1, 2), (0.15, 3), (0.4, 8)]
+    ("delay_s", "ticks"),
+    [(0.0, 1), (0.03, 1), (0.05, 1), (0.051, 2), (0.1, 2), (0.15, 3), (0.4, 8)],
 )
 def test_virtual_arrival(delay_s: float, ticks: int) -> None:
-    """A message is usable at the first tick later than its own at or after its arrival. Source: docs/time.md."""
+    """A message is usable at the first tick later than its own at or after its arrival.
+
+    Source: docs/time.md.
+    """
     assert link(LinkSection(delay_s=delay_s)).usable_ticks(7) == [7 + ticks]
 
 
 def test_negotiations_are_independent() -> None:
     """Plans exchanged within one tick are lost independently of each other and of the tick's last one."""
     one = link(LinkSection(loss=0.5))
-    lost = np.array([[not one.delays(tick, negotiation) for tick in range(2000)] for negotiation in range(4)])
+    lost = np.array(
+        [[not one.delays(tick, negotiation) for tick in range(2000)] for negotiation in range(4)]
+    )
     correlations = np.corrcoef(lost)[np.triu_indices(4, 1)]
     assert np.abs(correlations).max() < SIGMAS / np.sqrt(2000)
 
@@ -154,7 +175,13 @@ def test_the_order_of_questions_does_not_matter() -> None:
     """The delays of a message do not depend on the order in which they are computed, bursts included."""
     bursts = GilbertElliottSection(enter=0.1, leave=0.3)
     model = LinkSection(
-        delay_s=0.1, jitter_s=0.1, loss=0.2, gilbert_elliott=bursts, duplicate=0.2, reorder=0.2, reorder_s=0.1
+        delay_s=0.1,
+        jitter_s=0.1,
+        loss=0.2,
+        gilbert_elliott=bursts,
+        duplicate=0.2,
+        reorder=0.2,
+        reorder_s=0.1,
     )
     ticks = np.random.default_rng(0).permutation(500)
     shuffled = {int(tick): one.delays(int(tick)) for one in [link(model)] for tick in ticks}
@@ -165,13 +192,26 @@ def test_the_order_of_questions_does_not_matter() -> None:
 def test_links_and_seeds_are_independent() -> None:
     """Another seed, sender or receiver gives an independent sequence of delays."""
     model = LinkSection(loss=0.5)
-    variants = [link(model), link(model, seed=1), link(model, sender="agent3"), link(model, receiver="agent3")]
-    lost = np.array([[not one.delays(tick) for tick in range(2000)] for one in variants], dtype=float)
+    variants = [
+        link(model),
+        link(model, seed=1),
+        link(model, sender="agent3"),
+        link(model, receiver="agent3"),
+    ]
+    lost = np.array(
+        [[not one.delays(tick) for tick in range(2000)] for one in variants], dtype=float
+    )
     correlations = np.corrcoef(lost)[np.triu_indices(len(variants), 1)]
     assert np.abs(correlations).max() < SIGMAS / np.sqrt(2000)
 
 
-ENDS = (("agent1", "agent2"), ("agent2", "agent1"), ("plant", "agent1"), ("plant", "agent2"), ("agent1", "plant"))
+ENDS = (
+    ("agent1", "agent2"),
+    ("agent2", "agent1"),
+    ("plant", "agent1"),
+    ("plant", "agent2"),
+    ("agent1", "plant"),
+)
 
 
 def delays_ms(*settings: str, tick: int = 0) -> list[int]:
@@ -196,14 +236,23 @@ def delays_ms(*settings: str, tick: int = 0) -> list[int]:
         (("links.override=[{to='plant',delay_s=0.1}]",), [0, 0, 0, 0, 100]),
         # It replaces what is said of all such links, and the last one counts.
         (
-            ("links.measurement={delay_s=0.1}", "links.override=[{from='plant',to='agent1',loss=0.5}]"),
+            (
+                "links.measurement={delay_s=0.1}",
+                "links.override=[{from='plant',to='agent1',loss=0.5}]",
+            ),
             [0, 0, 0, 100, 0],
         ),
-        (("links.override=[{from='agent1',delay_s=0.1},{to='agent2',delay_s=0.2}]",), [200, 0, 0, 0, 0]),
+        (
+            ("links.override=[{from='agent1',delay_s=0.1},{to='agent2',delay_s=0.2}]",),
+            [200, 0, 0, 0, 0],
+        ),
     ],
 )
 def test_which_links_a_section_is_for(settings: tuple[str, ...], expected: list[int]) -> None:
-    """Plans, measurements and actuation have a section each; an override applies to the links of its ends."""
+    """Plans, measurements and actuation have a section each.
+
+    An override applies to the links of its ends.
+    """
     assert delays_ms(*settings) == expected
 
 
@@ -221,7 +270,10 @@ def test_partition_with_the_plant() -> None:
 
 
 def test_scripted_change() -> None:
-    """From its instant on a change applies to the links it names; keys that it does not give stay as they are."""
+    """From its instant on a change applies to the links it names.
+
+    Keys that it does not give stay as they are.
+    """
     settings = (
         "links={delay_s=0.1,loss=0.25}",
         "links.change=[{at_s=0.5,delay_s=0.2},{at_s=1.0,to='agent1',loss=0.5},{at_s=0.75,from='plant',delay_s=0.3}]",
@@ -241,14 +293,21 @@ def test_a_change_does_not_rewrite_the_past() -> None:
     """Delays of messages sent before a change are those of a link that never changes, bursts included."""
     bursts = "links={loss=0.1,gilbert_elliott={enter=0.1,leave=0.2}}"
     before = setup(bursts).link("agent1", "agent2")
-    after = setup(bursts, "links.change=[{at_s=10.0,gilbert_elliott={enter=0.5,leave=0.1}}]").link("agent1", "agent2")
-    delays_before, delays_after = ([one.delays(tick) for tick in range(400)] for one in (before, after))
+    after = setup(bursts, "links.change=[{at_s=10.0,gilbert_elliott={enter=0.5,leave=0.1}}]").link(
+        "agent1", "agent2"
+    )
+    delays_before, delays_after = (
+        [one.delays(tick) for tick in range(400)] for one in (before, after)
+    )
     assert delays_before[:200] == delays_after[:200]
     assert sum(map(bool, delays_after[200:])) < sum(map(bool, delays_before[200:])) - 50
 
 
 def test_measured_delays_come_from_a_file(tmp_path: Path) -> None:
-    """A file of delays is read relative to the scenario; garbage in it is refused with the file and the number."""
+    """A file of delays is read relative to the scenario.
+
+    Garbage in it is refused with the file and the number.
+    """
     scenario = setup().scenario
     (tmp_path / "delays.csv").write_text("0.01, 0.02\n0.03\n")
     source = str(tmp_path / "scenario.toml")

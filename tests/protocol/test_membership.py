@@ -2,10 +2,10 @@
 
 import pytest
 
-from protocol.admission.participant import Membership
-from protocol.wire.errors import MessageError
-from protocol.wire.messages import Plan
 from tests.support.runs import INCARNATION, plan, roster, setup
+from transport.protocol.admission.participant import Membership
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import Plan
 
 
 def sent(agent: int, incarnation: int = INCARNATION, k: int = 0) -> Plan:

@@ -8,11 +8,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from protocol.wire.codec import CLASSES, MAX_BYTES, VERSION, decode, encode, header_of
-from protocol.wire.errors import MessageError
-from protocol.wire.messages import Measurement, Message, Plan, Tick
-from protocol.wire.node import Outbox
-from tests.support.messages import array, bundles, changed, content, fields, messages, packed, sample, samples
+from tests.support.messages import (
+    array,
+    bundles,
+    changed,
+    content,
+    fields,
+    messages,
+    packed,
+    sample,
+    samples,
+)
+from transport.protocol.wire.codec import CLASSES, MAX_BYTES, VERSION, decode, encode, header_of
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import Measurement, Message, Plan, Tick
+from transport.protocol.wire.node import Outbox
 
 SEED = 20240611
 RANDOM_MESSAGES = 6_000  # of each sort; a second in all
@@ -86,17 +96,47 @@ def test_well_formed_garbage() -> None:
     [
         (b"", "", "malformed", "not MessagePack"),
         (bytes([VERSION]) + bytes(MAX_BYTES), "", "oversized", f"at most {MAX_BYTES}"),
-        (bytes([VERSION + 1]) + encode(sample(Tick))[1:], "", "wrong_version", f"{VERSION + 1}, expected {VERSION}"),
+        (
+            bytes([VERSION + 1]) + encode(sample(Tick))[1:],
+            "",
+            "wrong_version",
+            f"{VERSION + 1}, expected {VERSION}",
+        ),
         (encode(sample(Tick))[:-1], "", "malformed", "not MessagePack"),
         (packed({"tick": 1}), "", "malformed", "expected str, got object"),
         (packed("truce", "agent2"), "", "unknown_kind", "unknown message kind 'truce'"),
         (packed("tick", "agent2"), "", "wrong_shape", "expected array of at least length"),
-        (packed(*content(sample(Tick)), 0), "coordinator", "wrong_shape", "at most length 10, got 11"),
-        (packed(*content(sample(Plan))[:-1], "sold"), "agent2", "out_of_range", "status: invalid enum value 'sold'"),
-        (packed(*content(sample(Plan))[:-1], 7), "agent2", "wrong_shape", "status: expected str, got int"),
-        (packed(*content(sample(Plan))[:-2], array(4, 1, 1, 1), "solved"), "agent2", "malformed", "array of 4 axes"),
+        (
+            packed(*content(sample(Tick)), 0),
+            "coordinator",
+            "wrong_shape",
+            "at most length 10, got 11",
+        ),
+        (
+            packed(*content(sample(Plan))[:-1], "sold"),
+            "agent2",
+            "out_of_range",
+            "status: invalid enum value 'sold'",
+        ),
+        (
+            packed(*content(sample(Plan))[:-1], 7),
+            "agent2",
+            "wrong_shape",
+            "status: expected str, got int",
+        ),
+        (
+            packed(*content(sample(Plan))[:-2], array(4, 1, 1, 1), "solved"),
+            "agent2",
+            "malformed",
+            "array of 4 axes",
+        ),
         (packed("plan", "agent-2", *content(sample(Plan))[2:-1], 7), "", "wrong_shape", "status"),
-        (packed("plan", ["agent2"], *content(sample(Plan))[2:]), "", "wrong_shape", "sender: expected str"),
+        (
+            packed("plan", ["agent2"], *content(sample(Plan))[2:]),
+            "",
+            "wrong_shape",
+            "sender: expected str",
+        ),
     ],
 )
 def test_why_and_whose(data: bytes, sender: str, reason: str, text: str) -> None:
@@ -113,7 +153,11 @@ ARRAYS = [(kind, field) for kind in CLASSES.values() for field in kind.shapes]
 def test_arrays_are_checked(kind: type[Message], field: str) -> None:
     """An array of a wrong shape, with an entry that is not finite, or no array, is refused with its field."""
     good = fields(kind)[field]
-    for value in (good[:-1] if good.ndim == 1 else good[:, :-1], np.zeros((*good.shape, 1)), np.zeros(())):
+    for value in (
+        good[:-1] if good.ndim == 1 else good[:, :-1],
+        np.zeros((*good.shape, 1)),
+        np.zeros(()),
+    ):
         with pytest.raises(MessageError, match=rf"{field}: expected shape \("):
             decode(encode(sample(kind, **{field: value})))
     for number in (NAN, INF, -INF):
@@ -128,8 +172,15 @@ def test_arrays_are_checked(kind: type[Message], field: str) -> None:
 
 
 def test_own_messages_keep_their_arrays() -> None:
-    """A stamped message owns its arrays: later changes of what it was made from do not reach it, nor can it change."""
-    given_fields = {name: value for name, value in fields(Measurement).items() if name not in ("sender", "sequence")}
+    """A stamped message owns its arrays.
+
+    Later changes of what it was made from do not reach it, nor can it change.
+    """
+    given_fields = {
+        name: value
+        for name, value in fields(Measurement).items()
+        if name not in ("sender", "sequence")
+    }
     del given_fields["incarnation"]
     payload = given_fields["payload"] = np.arange(12)
     message = Outbox("plant", 0).stamp(Measurement, **given_fields)

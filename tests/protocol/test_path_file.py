@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 import tomli_w
 
-from model import state
-from protocol.scenario.file import ScenarioError, read_scenario
-from protocol.scenario.setup import Setup
 from tests.support.runs import PAPER, completed, plant_states
+from transport.model import state
+from transport.protocol.scenario.file import ScenarioError, read_scenario
+from transport.protocol.scenario.setup import Setup
 
 HEADING = "t_s,x_m,y_m,z_m\n"
-# A quarter of a circle of 2 m radius, 0.4 m/s on average, one row per sampling period; from a place of its own.
+# A quarter of a circle of 2 m radius, 0.4 m/s on average, one row per sampling period; from a place
+# of its own.
 T = np.linspace(0.0, 8.0, 161)
 ANGLE = np.pi / 2.0 * (T / 8.0)
-QUARTER = np.column_stack([T + 100.0, 5.0 + 2.0 * np.sin(ANGLE), 2.0 - 2.0 * np.cos(ANGLE), -30.0 - 0.05 * T])
+QUARTER = np.column_stack(
+    [T + 100.0, 5.0 + 2.0 * np.sin(ANGLE), 2.0 - 2.0 * np.cos(ANGLE), -30.0 - 0.05 * T]
+)
 
 
 def written(folder: Path, text: str) -> Path:
@@ -45,7 +48,8 @@ def test_a_path_is_the_reference_where_it_has_rows(tmp_path: Path) -> None:
     assert maneuver.duration_s == pytest.approx(10.0)
     r, _ = maneuver.path(1.0 + T)
     assert r == pytest.approx(QUARTER[:, 1:] - QUARTER[0, 1:] + maneuver.start_I, abs=1e-9)
-    # Halfway between rows, where nothing rounds to the other side of a corner: constant speed from one to the next.
+    # Halfway between rows, where nothing rounds to the other side of a corner: constant speed from
+    # one to the next.
     middle, speed = maneuver.path(1.0 + (T[1:] + T[:-1]) / 2.0)
     assert middle == pytest.approx((r[1:] + r[:-1]) / 2.0, abs=1e-9)
     assert speed == pytest.approx(np.diff(r, axis=0) / 0.05, abs=1e-6)
@@ -57,9 +61,15 @@ def test_a_path_is_the_reference_where_it_has_rows(tmp_path: Path) -> None:
 
 
 def test_a_path_is_flown(tmp_path: Path) -> None:
-    """The team follows it as it follows phases: the error is at most the swing of a straight path of that speed."""
+    """The team follows it as it follows phases.
+
+    The error is at most the swing of a straight path of that speed.
+    """
     path = written(tmp_path, csv(QUARTER))
-    run = Setup.of(read_scenario(path, ["controller.prediction=closed_loop", "controller.relaxation=0.25"]), str(path))
+    run = Setup.of(
+        read_scenario(path, ["controller.prediction=closed_loop", "controller.relaxation=0.25"]),
+        str(path),
+    )
     x = np.array([plant_state.x for plant_state in plant_states(completed(run))])
     r, _ = run.maneuver.path(run.settings.sampling_period_s * np.arange(len(x), dtype=np.float64))
     assert np.linalg.norm(x[:, state.R0] - r, axis=1).max() < 0.6
@@ -67,7 +77,10 @@ def test_a_path_is_flown(tmp_path: Path) -> None:
 
 
 def test_the_scenario_stands_for_itself_once_read(tmp_path: Path) -> None:
-    """Written back and read without the file it is equal, with the same fingerprint: a run folder needs no copy."""
+    """Written back and read without the file it is equal, with the same fingerprint.
+
+    A run folder needs no copy.
+    """
     path = written(tmp_path, csv(QUARTER))
     scenario = read_scenario(path)
     (tmp_path / "way.csv").unlink()
@@ -88,7 +101,10 @@ GARBAGE = [
 
 @pytest.mark.parametrize(("text", "problem"), GARBAGE)
 def test_garbage_is_refused_with_row_and_reason(text: str, problem: str, tmp_path: Path) -> None:
-    """An invalid path is refused on reading: scenario, key, file, row, expected and got, in one line."""
+    """An invalid path is refused on reading.
+
+    Scenario, key, file, row, expected and got, in one line.
+    """
     path = written(tmp_path, text)
     with pytest.raises(ScenarioError) as caught:
         read_scenario(path)
@@ -112,7 +128,9 @@ def test_a_path_that_is_not_there_is_refused(tmp_path: Path) -> None:
         read_scenario(path)
 
 
-@pytest.mark.parametrize("key", ["duration_s=3.0", "displacement_m=[0.0,0.0,0.0]", "way=[[0.0,0.0,0.0,0.0]]"])
+@pytest.mark.parametrize(
+    "key", ["duration_s=3.0", "displacement_m=[0.0,0.0,0.0]", "way=[[0.0,0.0,0.0,0.0]]"]
+)
 def test_a_phase_has_one_way(key: str, tmp_path: Path) -> None:
     """A phase with a file takes duration and displacement from it and from nowhere else."""
     path = written(tmp_path, csv(QUARTER))
@@ -145,19 +163,28 @@ def circle() -> Any:
     return np.stack([t, np.cos(a) - 1.0, np.sin(a), 0.0 * t], axis=1).tolist()
 
 
-@pytest.mark.parametrize("ends", ["", "duration_s=2.0,displacement_m=[0,0,0],"], ids=["from the table", "given"])
+@pytest.mark.parametrize(
+    "ends", ["", "duration_s=2.0,displacement_m=[0,0,0],"], ids=["from the table", "given"]
+)
 def test_a_table_is_enough(ends: str) -> None:
-    """A phase with a table needs no duration and displacement; those given may differ from its ends by rounding."""
+    """A phase with a table needs no duration and displacement.
+
+    Those given may differ from its ends by rounding.
+    """
     way = circle()
     assert way[-1][2] != 0.0
-    run = Setup.of(read_scenario(PAPER, [f"maneuver.phase=[{{name='round',{ends}way={way}}}]"]), str(PAPER))
+    run = Setup.of(
+        read_scenario(PAPER, [f"maneuver.phase=[{{name='round',{ends}way={way}}}]"]), str(PAPER)
+    )
     assert run.maneuver.duration_s == 2.0
     r, _ = run.maneuver.path(np.array([0.0, 1.0, 2.0]))
     assert r - r[0] == pytest.approx(np.array([[0, 0, 0], [-2, 0, 0], [0, 0, 0]]), abs=1e-12)
 
 
 @pytest.mark.parametrize("below", [True, False], ids=["below the scenario", "elsewhere"])
-def test_files_of_settings_are_the_callers(below: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_of_settings_are_the_callers(
+    below: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A file named by a setting is relative to the current folder, one in the scenario to the scenario's folder."""
     scenario = written(tmp_path, csv(QUARTER))
     here = tmp_path / "below" if below else tmp_path.parent / f"{tmp_path.name}-elsewhere"

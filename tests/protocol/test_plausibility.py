@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from protocol.admission.plausibility import check_plausible
-from protocol.wire.errors import MessageError
-from protocol.wire.messages import Message
-from protocol.wire.node import RunShape
 from tests.support import runs
 from tests.support.logs import report
 from tests.support.messages import sample
 from tests.support.runs import setup, ticks
+from transport.protocol.admission.plausibility import check_plausible
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import Message
+from transport.protocol.wire.node import RunShape
 
 RUN = setup("controller.horizon=5", ticks(40))
 PLAN, MEASUREMENT = runs.plan(RUN, 2, 3), runs.measurement(RUN, 2, 3)
@@ -32,28 +32,103 @@ def refusal(message: Message, shape: RunShape = RUN.shape) -> tuple[str, str]:
     ("message", "changes", "reason", "text"),
     [
         (PLAN, {"tick": 40, "start_tick": 40}, "future", "plan of tick 40, expected 39 or earlier"),
-        (runs.end(), {"tick": 2**40}, "future", "control of tick 1099511627776, expected 39 or earlier"),
+        (
+            runs.end(),
+            {"tick": 2**40},
+            "future",
+            "control of tick 1099511627776, expected 39 or earlier",
+        ),
         (PLAN, {"agent": 9, "sender": "agent9"}, "unknown_agent", "plan of agent 9, the run has 4"),
         (PLAN, {"uavs": (3,)}, "wrong_uavs", "plan of UAVs [3], agent 2 has [2]"),
         (PLAN, {"start_tick": 4}, "future", "plan of tick 3 that starts at tick 4"),
         (PLAN, {"start_tick": 2}, "past", "plan of tick 3 that starts at tick 2"),
         (PLAN, {"negotiation": 1}, "out_of_range", "negotiation: expected less than 1, got 1"),
-        (PLAN, {"inputs": PLAN.inputs + 30.0}, "outside_limits", "inputs outside the limits of agent2"),
-        (PLAN, {"inputs": PLAN.inputs - 30.0}, "outside_limits", "inputs outside the limits of agent2"),
-        (PLAN, {"corrections": PLAN.inputs - 2e6}, "out_of_range", "corrections: expected at most 1e+06, got 2e+06"),
-        (PLAN, {"uav_states": PLAN.uav_states * 0.5}, "out_of_range", "expected rod directions of length 1, got 0.5"),
-        (PLAN, {"uav_states": PLAN.uav_states + 1e7}, "out_of_range", "uav_states: expected at most 1e+06, got 1e+07"),
-        (PLAN, {"uav_states": np.zeros((1, 80))}, "wrong_shape", "uav_states: expected 12 numbers of a UAV, got 80"),
+        (
+            PLAN,
+            {"inputs": PLAN.inputs + 30.0},
+            "outside_limits",
+            "inputs outside the limits of agent2",
+        ),
+        (
+            PLAN,
+            {"inputs": PLAN.inputs - 30.0},
+            "outside_limits",
+            "inputs outside the limits of agent2",
+        ),
+        (
+            PLAN,
+            {"corrections": PLAN.inputs - 2e6},
+            "out_of_range",
+            "corrections: expected at most 1e+06, got 2e+06",
+        ),
+        (
+            PLAN,
+            {"uav_states": PLAN.uav_states * 0.5},
+            "out_of_range",
+            "expected rod directions of length 1, got 0.5",
+        ),
+        (
+            PLAN,
+            {"uav_states": PLAN.uav_states + 1e7},
+            "out_of_range",
+            "uav_states: expected at most 1e+06, got 1e+07",
+        ),
+        (
+            PLAN,
+            {"uav_states": np.zeros((1, 80))},
+            "wrong_shape",
+            "uav_states: expected 12 numbers of a UAV, got 80",
+        ),
         (MEASUREMENT, {"uavs": (1,)}, "wrong_uavs", "measurement of UAVs [1], agent 2 has [2]"),
         (MEASUREMENT, {"agent": 5}, "unknown_agent", "measurement of agent 5, the run has 4"),
-        (MEASUREMENT, {"answered": (2, 5, 7)}, "unknown_agent", "answered: expected agents of this run, got [5, 7]"),
-        (MEASUREMENT, {"payload": np.full(12, -1e9)}, "out_of_range", "payload: expected at most 1e+06, got 1e+09"),
-        (MEASUREMENT, {"inputs": np.full((1, 4), 1e300)}, "out_of_range", "inputs: expected at most 1e+06, got 1e+300"),
-        (runs.tick(3), {"members": (1, 5)}, "unknown_agent", "members: expected agents of this run, got [5]"),
-        (runs.tick(3), {"answered": (256,)}, "unknown_agent", "answered: expected agents of this run, got [256]"),
-        (runs.roster({1: 0, 6: 0}), {}, "unknown_agent", "agents: expected agents of this run, got [6]"),
-        (runs.roster({1: 0}), {"released": (200,)}, "unknown_agent", "released: expected UAVs of this run, got [200]"),
-        (report(RUN, 2, 3), {"peers": (1, 3, 9)}, "unknown_agent", "peers: expected agents of this run, got [9]"),
+        (
+            MEASUREMENT,
+            {"answered": (2, 5, 7)},
+            "unknown_agent",
+            "answered: expected agents of this run, got [5, 7]",
+        ),
+        (
+            MEASUREMENT,
+            {"payload": np.full(12, -1e9)},
+            "out_of_range",
+            "payload: expected at most 1e+06, got 1e+09",
+        ),
+        (
+            MEASUREMENT,
+            {"inputs": np.full((1, 4), 1e300)},
+            "out_of_range",
+            "inputs: expected at most 1e+06, got 1e+300",
+        ),
+        (
+            runs.tick(3),
+            {"members": (1, 5)},
+            "unknown_agent",
+            "members: expected agents of this run, got [5]",
+        ),
+        (
+            runs.tick(3),
+            {"answered": (256,)},
+            "unknown_agent",
+            "answered: expected agents of this run, got [256]",
+        ),
+        (
+            runs.roster({1: 0, 6: 0}),
+            {},
+            "unknown_agent",
+            "agents: expected agents of this run, got [6]",
+        ),
+        (
+            runs.roster({1: 0}),
+            {"released": (200,)},
+            "unknown_agent",
+            "released: expected UAVs of this run, got [200]",
+        ),
+        (
+            report(RUN, 2, 3),
+            {"peers": (1, 3, 9)},
+            "unknown_agent",
+            "peers: expected agents of this run, got [9]",
+        ),
         (
             sample(type(runs.plant_state(RUN, 3))),
             {"tick": 3},
@@ -62,7 +137,9 @@ def refusal(message: Message, shape: RunShape = RUN.shape) -> tuple[str, str]:
         ),
     ],
 )
-def test_implausible_messages_are_refused(message: Message, changes: dict[str, Any], reason: str, text: str) -> None:
+def test_implausible_messages_are_refused(
+    message: Message, changes: dict[str, Any], reason: str, text: str
+) -> None:
     """Each impossible field is refused with its reason and a text."""
     found = refusal(replace(message, **changes))
     assert found[0] == reason

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 import tomli_w
 
-from protocol.scenario.file import read_scenario, validate
-from protocol.scenario.schema import Scenario
-from protocol.scenario.setup import Setup
 from tests.support.runs import PAPER, SCENARIOS, setup
+from transport.protocol.scenario.file import read_scenario, validate
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.setup import Setup
 
 # A value of the same type that differs, for what cannot simply be counted up.
 OTHER_WORDS = {
@@ -99,7 +99,7 @@ def changed(tree: dict[str, Any], path: tuple[str | int, ...]) -> dict[str, Any]
         node[path[-1]] = OTHER_WORDS[next(key for key in reversed(path) if isinstance(key, str))]
     elif path[-1] in ("loss", "duplicate", "reorder", "enter", "leave"):
         node[path[-1]] = 0.5
-    elif path[-1] in ("relaxation", "step_s"):
+    elif path[-1] in ("relaxation", "step_s", "failed_share"):
         node[path[-1]] = value / 2
     else:
         node[path[-1]] = value + 1
@@ -116,9 +116,14 @@ def minimal() -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize(("name", "owned"), [("paper", ((0,), (1,), (2,), (3,))), ("centralized", ((0, 1, 2, 3),))])
+@pytest.mark.parametrize(
+    ("name", "owned"), [("paper", ((0,), (1,), (2,), (3,))), ("centralized", ((0, 1, 2, 3),))]
+)
 def test_ready_scenarios(name: str, owned: tuple[tuple[int, ...], ...]) -> None:
-    """The scenarios that come with the project load and build; they differ only in name and ownership."""
+    """The scenarios that come with the project load and build.
+
+    They differ only in name and ownership.
+    """
     path = SCENARIOS / f"{name}.toml"
     scenario = read_scenario(path)
     built = Setup.of(scenario, str(path))
@@ -136,7 +141,7 @@ def test_defaults() -> None:
     expected = read_scenario(PAPER).tree()
     expected["controller"]["received_plans"] = "by_age"
     del expected["controller"]["separation"]
-    expected["agents"] = {"controller": "mpc"}
+    expected["agents"] = {"controller": "mpc", "failed_share": 0.05}
     assert tree == expected
     assert tree["seed"] == 0
     assert tree["clock"] == {
@@ -167,12 +172,20 @@ def test_written_back(settings: tuple[str, ...], tmp_path: Path) -> None:
 
 
 def test_changes_are_written_back_as_given(tmp_path: Path) -> None:
-    """A scripted change of links is written with the keys it was given and no others: a default would be a change."""
+    """A scripted change of links is written with the keys it was given and no others.
+
+    A default would be a change.
+    """
     path = tmp_path / "scenario.toml"
     path.write_text(tomli_w.dumps(read_scenario(PAPER, EVERYTHING).tree()), encoding="utf-8")
     assert tomllib.loads(path.read_text(encoding="utf-8"))["links"]["change"] == [
         {"at_s": 1.0, "to": "agent2", "loss": 0.0},
-        {"at_s": 2.0, "from": "plant", "delay_s": 0.0, "gilbert_elliott": {"enter": 0.0, "leave": 1.0, "loss": 1.0}},
+        {
+            "at_s": 2.0,
+            "from": "plant",
+            "delay_s": 0.0,
+            "gilbert_elliott": {"enter": 0.0, "leave": 1.0, "loss": 1.0},
+        },
     ]
     once, again = setup(*EVERYTHING), Setup.of(read_scenario(path), str(path))
     for ends in (("agent1", "agent2"), ("plant", "agent1"), ("agent3", "plant")):
@@ -215,11 +228,15 @@ def test_digest_covers_every_field_but_the_network() -> None:
 def test_digest_ignores_formatting(tmp_path: Path) -> None:
     """Comments, order, integers for floats and spelled-out defaults do not change the digest."""
     tree = minimal()
-    spelled = read_scenario(PAPER, ["controller.separation={minimum_m=1}", "controller.received_plans=by_age"]).tree()
+    spelled = read_scenario(
+        PAPER, ["controller.separation={minimum_m=1}", "controller.received_plans=by_age"]
+    ).tree()
     del spelled["controller"]["separation"]
     del spelled["agents"]["owned"]
     path = tmp_path / "other.toml"
-    path.write_text("# a comment\n" + tomli_w.dumps(dict(reversed(spelled.items()))), encoding="utf-8")
+    path.write_text(
+        "# a comment\n" + tomli_w.dumps(dict(reversed(spelled.items()))), encoding="utf-8"
+    )
     assert read_scenario(path, ["clock.speed=0"]).digest() == validate(tree, "minimal").digest()
 
 
@@ -241,7 +258,11 @@ def test_digest_ignores_formatting(tmp_path: Path) -> None:
         ("agents.owned=[[1,2],[3,4]]", ("agents", "owned"), [[1, 2], [3, 4]]),
         ("agents.owned.2=[2]", ("agents", "owned", 1), [2]),
         ("system.uav.2.mass_kg=1.6", ("system", "uav", 1, "mass_kg"), 1.6),
-        ("controller.weights.moments.3=0.5", ("controller", "weights", "moments"), [0.01, 0.01, 0.5]),
+        (
+            "controller.weights.moments.3=0.5",
+            ("controller", "weights", "moments"),
+            [0.01, 0.01, 0.5],
+        ),
         ("maneuver.phase.5.name=wait", ("maneuver", "phase", 4, "name"), "wait"),
         ("name=run-2", ("name",), "run-2"),
         ("network.host=plant.local", ("network", "host"), "plant.local"),
@@ -260,4 +281,6 @@ def test_settings(setting: str, path: tuple[str | int, ...], value: Any) -> None
 def test_automatic_relaxation() -> None:
     """Relaxation "auto" is 1/M for M agents: the descent guarantee of cooperative distributed MPC."""
     assert setup("controller.relaxation=auto").settings.relaxation == 0.25
-    assert setup("controller.relaxation=auto", "agents.owned=[[1,2],[3,4]]").settings.relaxation == 0.5
+    assert (
+        setup("controller.relaxation=auto", "agents.owned=[[1,2],[3,4]]").settings.relaxation == 0.5
+    )

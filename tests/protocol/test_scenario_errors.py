@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.scenario.file import ScenarioError, read_scenario
-from protocol.scenario.setup import Setup
 from tests.support.runs import PAPER
+from transport.protocol.scenario.file import ScenarioError, read_scenario
+from transport.protocol.scenario.setup import Setup
 
 ONE_UAV_ASIDE = (
     "system.uav=[{id=1,mass_kg=1.5,inertia_kgm2=[0.029,0.029,0.055],rho_m=[0.25,0,-0.1],rod_length_m=3}]",
@@ -21,9 +21,14 @@ LONGEST_SHOWN = 80
 ENDS = "expected one of plant, agent1, agent2, agent3, agent4, got "
 GROUND = ("plant.engine=mujoco", "plant.ground_m=0.0")
 REALTIME = "clock.mode=realtime"
-ON_CHANGE = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.share=on_change")
+ON_CHANGE = (
+    "controller.prediction=closed_loop",
+    "controller.received_plans=by_age",
+    "controller.share=on_change",
+)
 
-# Settings, and the text that must follow: the field first where it is not the key of the first setting.
+# Settings, and the text that must follow: the field first where it is not the key of the first
+# setting.
 WRONG: list[tuple[str | tuple[str, ...], str]] = [
     # Keys.
     ("controller.horizn=20", "unknown key; did you mean 'horizon'?"),
@@ -32,8 +37,14 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("controller.separation.zzz=1", "unknown key; known: minimum_m, penalty"),
     ("shema=1", "unknown key; did you mean 'schema'?"),
     ("zzz=1", "unknown key; known: schema, name, seed, system, "),
-    ("maneuver.phase=[{name='hover',duration_s=1}]", "maneuver.phase.1.displacement_m: expected a value, got nothing"),
-    ("controller.separation={penalty=1}", "controller.separation.minimum_m: expected a value, got nothing"),
+    (
+        "maneuver.phase=[{name='hover',duration_s=1}]",
+        "maneuver.phase.1.displacement_m: expected a value, got nothing",
+    ),
+    (
+        "controller.separation={penalty=1}",
+        "controller.separation.minimum_m: expected a value, got nothing",
+    ),
     # Types.
     ("controller.weights=3", "expected a valid dictionary or instance of Weights, got 3"),
     ("system.uav=3", "expected a valid list, got 3"),
@@ -50,16 +61,25 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     # Shapes.
     ("maneuver.start_m=[0,0]", "expected 3 numbers, got [0, 0]"),
     ("controller.limits.thrust_N=[1]", "at least 2 items after validation, not 1, got [1]"),
-    ("controller.limits.thrust_N=[1,2,3]", "at most 2 items after validation, not 3, got [1, 2, 3]"),
+    (
+        "controller.limits.thrust_N=[1,2,3]",
+        "at most 2 items after validation, not 3, got [1, 2, 3]",
+    ),
     ("maneuver.phase=[]", "at least 1 item after validation, not 0, got []"),
-    ("system.payload.inertia_kgm2=[1,1]", "expected 3 principal moments or 3 rows of 3 numbers, got [1.0, 1.0]"),
+    (
+        "system.payload.inertia_kgm2=[1,1]",
+        "expected 3 principal moments or 3 rows of 3 numbers, got [1.0, 1.0]",
+    ),
     ("system.payload.inertia_kgm2=[[1,0,0],[0,1]]", "expected 3 principal moments or 3 rows"),
     ("system.payload.inertia_kgm2=x", "expected a valid list, got 'x'"),
     # Ranges.
     ("system.payload.mass_kg=-1", "expected greater than 0, got -1"),
     ("controller.horizon=0", "expected greater than or equal to 1, got 0"),
     ("controller.relaxation=0", "expected greater than 0, got 0"),
-    ("controller.weights.moments=[1,1,-1]", "controller.weights.moments.3: expected greater than 0, got -1"),
+    (
+        "controller.weights.moments=[1,1,-1]",
+        "controller.weights.moments.3: expected greater than 0, got -1",
+    ),
     ("clock.speed=-1", "expected greater than or equal to 0, got -1"),
     ("plant.max_attitude_deg=90", "expected less than 90, got 90"),
     ("network.base_port=80", "expected greater than or equal to 1024, got 80"),
@@ -69,10 +89,16 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("schema=2", "expected 1, got 2"),
     ("name='a b'", "should match pattern '^[A-Za-z0-9_-]{1,40}$', got 'a b'"),
     # Relations.
-    ("agents.owned=[[1],[1],[2,3],[4]]", "expected each UAV of [1, 2, 3, 4] once, got [1, 1, 2, 3, 4]"),
+    (
+        "agents.owned=[[1],[1],[2,3],[4]]",
+        "expected each UAV of [1, 2, 3, 4] once, got [1, 1, 2, 3, 4]",
+    ),
     ("agents.owned=[[1,2],[3]]", "expected each UAV of [1, 2, 3, 4] once, got [1, 2, 3]"),
     ("agents.owned=[[1,5],[2,3,4]]", "expected each UAV of [1, 2, 3, 4] once, got [1, 2, 3, 4, 5]"),
-    ("agents.owned=[[1,2,3,4],[]]", "agents.owned.2: at least 1 item after validation, not 0, got []"),
+    (
+        "agents.owned=[[1,2,3,4],[]]",
+        "agents.owned.2: at least 1 item after validation, not 0, got []",
+    ),
     ("system.uav.1.id=2", "system.uav.id: expected 1, 2, ... 4 in order, got [2, 2, 3, 4]"),
     ("controller.limits.thrust_N=[5,1]", "expected smallest < largest, got [5, 1]"),
     # Links.
@@ -81,11 +107,23 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("links.distribution=gauss", "expected 'uniform', 'normal', 'exponential', 'lognormal' or"),
     ("links.distribution=empirical", "links: samples: expected measured delays, got nothing"),
     ("links.actuation.from=plant", "unknown key; known: delay_s"),
-    ("links.gilbert_elliott={enter=0.1}", "links.gilbert_elliott.leave: expected a value, got nothing"),
+    (
+        "links.gilbert_elliott={enter=0.1}",
+        "links.gilbert_elliott.leave: expected a value, got nothing",
+    ),
     ("links.override=[{to='agent5'}]", f"links.override.1.to: {ENDS}'agent5'"),
-    ("links.override=[{distribution='empirical'}]", "links.override.1: samples: expected measured delays"),
-    ("links.partition=[{between=['agent1'],start_s=2,end_s=2}]", "links.partition.1.end_s: start_s 2.0, got 2.0"),
-    ("links.partition=[{between=['x'],start_s=1,end_s=2}]", f"links.partition.1.between: {ENDS}'x'"),
+    (
+        "links.override=[{distribution='empirical'}]",
+        "links.override.1: samples: expected measured delays",
+    ),
+    (
+        "links.partition=[{between=['agent1'],start_s=2,end_s=2}]",
+        "links.partition.1.end_s: start_s 2.0, got 2.0",
+    ),
+    (
+        "links.partition=[{between=['x'],start_s=1,end_s=2}]",
+        f"links.partition.1.between: {ENDS}'x'",
+    ),
     ("links.change=[{loss=0.1}]", "links.change.1.at_s: expected a value, got nothing"),
     ("links.change=[{at_s=1,from='agent0'}]", f"links.change.1.from: {ENDS}'agent0'"),
     # Clock.
@@ -118,14 +156,20 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ),
     ("controller.negotiation_iterations=21", "expected less than or equal to 20, got 21"),
     # Sensors of the vehicles.
-    ("plant.sensors=vehicle", "plant.sensors: expected 'state' with controller.estimator = 'measured', got 'vehicle'"),
+    (
+        "plant.sensors=vehicle",
+        "plant.sensors: expected 'state' with controller.estimator = 'measured', got 'vehicle'",
+    ),
     (
         ("controller.estimator=kalman", "plant.sensors=vehicle"),
         "controller.prediction: expected 'closed_loop' with controller.estimator = 'kalman', got 'open_loop'",
     ),
     # Faults.
     ("faults.event=[{at_s=1,do='kill'}]", "faults.event.1.target: expected a value, got nothing"),
-    ("faults.event=[{at_s=1,do='stab',target='plant'}]", "faults.event.1.do: 'release' or 'degrade', got 'stab'"),
+    (
+        "faults.event=[{at_s=1,do='stab',target='plant'}]",
+        "faults.event.1.do: 'release' or 'degrade', got 'stab'",
+    ),
     (
         "faults.event=[{at_s=1,do='kill',target='agent5'}]",
         "faults.event.1.target: expected one of coordinator, plant, agent1, agent2, agent3, agent4, got 'agent5'",
@@ -146,7 +190,10 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "faults.event=[{at_s=1,do='motor_off',target='agent3'}]",
         "faults.event.1.target: expected one of uav1, uav2, uav3, uav4, got 'agent3'",
     ),
-    ("faults.event=[{at_s=1,do='kill',target='uav3'}]", "faults.event.1.target: expected one of coordinator, "),
+    (
+        "faults.event=[{at_s=1,do='kill',target='uav3'}]",
+        "faults.event.1.target: expected one of coordinator, ",
+    ),
     (
         "faults.event=[{at_s=1,do='release',target='uav3'},{at_s=2,do='motor_off',target='uav3'}]",
         "faults.event.2.do: expected an action possible for uav3 after its release, got 'motor_off'",
@@ -192,9 +239,18 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         ("controller.motor_lag_s=0.05", "controller.tension.minimum_N=2"),
         "expected 0.0 with controller.tension = Tension(minimum_N=2.0, penalty=10.0), got 0.05",
     ),
-    ("plant.motors.falling_lag_s=0.02", "expected lag_s > 0 and rotors with it, got lag_s 0, no rotors"),
-    ("plant.motors.lag_s=1e-4", "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001"),
-    ("controller.motor_lag_s=1e-4", "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001"),
+    (
+        "plant.motors.falling_lag_s=0.02",
+        "expected lag_s > 0 and rotors with it, got lag_s 0, no rotors",
+    ),
+    (
+        "plant.motors.lag_s=1e-4",
+        "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001",
+    ),
+    (
+        "controller.motor_lag_s=1e-4",
+        "expected 0 or at least a hundredth of the sampling period, 0.0005, got 0.0001",
+    ),
     (
         "plant.motors.rotors={arm_m=0.2,drag_to_thrust_m=0.02,thrust_N=[5.0,5.0]}",
         "plant.motors.rotors.thrust_N: expected smallest < largest, got [5.0, 5.0]",
@@ -224,7 +280,10 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
         "system.payload.inertia_kgm2=[1,1,3]",
         "system.payload: no body has principal moments [1.0, 1.0, 3.0] kg m^2: the largest exceeds the sum",
     ),
-    ("system.uav.2.inertia_kgm2=[1,1,-1]", "system.uav.2: expected positive principal moments, got [-1.0, 1.0, 1.0]"),
+    (
+        "system.uav.2.inertia_kgm2=[1,1,-1]",
+        "system.uav.2: expected positive principal moments, got [-1.0, 1.0, 1.0]",
+    ),
     (
         "system.payload.inertia_kgm2=[[1,0,0],[1,1,0],[0,0,1]]",
         "system.payload: expected a symmetric matrix, got [[1.0, ",
@@ -234,7 +293,10 @@ WRONG: list[tuple[str | tuple[str, ...], str]] = [
     ("controller.constraint=[{expression='r9[2] <= 1'}]", "unknown name 'r9'; known: Omega1"),
     ("controller.constraint=[{expression='r0[2] <='}]", "constraint 'r0[2] <=': cannot be read"),
     ("controller.constraint=[{expression='r0 <= 1'}]", "expected a scalar, got shape (3, 1)"),
-    ("controller.constraint=[{expression='thrust1 <= r0[0]'}]", "expected states or inputs, got both"),
+    (
+        "controller.constraint=[{expression='thrust1 <= r0[0]'}]",
+        "expected states or inputs, got both",
+    ),
     ("controller.constraint=[{expression='__import__(1) <= 1'}]", "is not allowed"),
     # Terms of the cost.
     ("controller.cost=[{expression='v9',weight=1}]", "cost 'v9': unknown name 'v9'; known: Omega1"),
@@ -275,14 +337,18 @@ def refusal(path: Path, *settings: str) -> str:
 
 @pytest.mark.parametrize(("settings", "problem"), WRONG, ids=lambda value: str(value)[:50])
 def test_wrong_scenario(settings: str | tuple[str, ...], problem: str) -> None:
-    """An invalid value is refused before anything starts: one line with setting or file, field, expected and got."""
+    """An invalid value is refused before anything starts.
+
+    One line with setting or file, field, expected and got.
+    """
     given = [settings] if isinstance(settings, str) else list(settings)
     text = refusal(PAPER, *given)
     key, shown = given[0].partition("=")[0], given[0]
     named = re.match(r"([\w.]+): ", problem)
     field, problem = (named[1], problem.removeprefix(named[0])) if named else (key, problem)
     if f"{key}.".startswith(f"{field}.") or f"{field}.".startswith(f"{key}."):
-        # The setting says which field it is for, so that is repeated only when something else is wrong.
+        # The setting says which field it is for, so that is repeated only when something else is
+        # wrong.
         shown = shown if len(shown) <= LONGEST_SHOWN else f"{shown[: LONGEST_SHOWN - 3]}..."
         begin = f"--set {shown}: " + (f"{field}: " if key != field else "")
     else:
@@ -294,10 +360,18 @@ def test_wrong_scenario(settings: str | tuple[str, ...], problem: str) -> None:
 @pytest.mark.parametrize(
     ("line", "wrong", "problem"),
     [
-        ("horizon = 20", "horizon = 0", "controller.horizon: expected greater than or equal to 1, got 0"),
+        (
+            "horizon = 20",
+            "horizon = 0",
+            "controller.horizon: expected greater than or equal to 1, got 0",
+        ),
         ("horizon = 20", "horizn = 20", "controller.horizn: unknown key; did you mean 'horizon'?"),
         ("mass_kg = 3.0", "", "system.payload.mass_kg: expected a value, got nothing"),
-        ("[0.0, 45.0]", "[0.0, 20.0]", "controller.limits.thrust_N: expected a range that contains the hover thrust"),
+        (
+            "[0.0, 45.0]",
+            "[0.0, 20.0]",
+            "controller.limits.thrust_N: expected a range that contains the hover thrust",
+        ),
     ],
 )
 def test_wrong_file(line: str, wrong: str, problem: str, tmp_path: Path) -> None:
@@ -312,19 +386,28 @@ def test_all_settings_of_a_field_are_blamed() -> None:
     """The error names all settings that gave its field or part of it."""
     thrusts = ["controller.limits.thrust_N.1=50", "controller.limits.thrust_N.2=40"]
     both = " ".join(f"--set {setting}" for setting in thrusts)
-    assert refusal(PAPER, *thrusts).startswith(f"{both}: controller.limits.thrust_N: expected smallest < largest")
+    assert refusal(PAPER, *thrusts).startswith(
+        f"{both}: controller.limits.thrust_N: expected smallest < largest"
+    )
     whole = ["agents.owned=[[1],[2],[3,4]]", "seed=1", "agents.owned.3=[4]"]
     last = f"--set {whole[0]} --set {whole[2]}: agents.owned: expected each UAV of [1, 2, 3, 4] once, got [1, 2, 4]"
     assert refusal(PAPER, *whole) == last
 
 
 def test_settings_that_contradict_the_cost_to_go() -> None:
-    """The cost-to-go weighs deviations from hover; a preview without control law and cost-to-go has no effect."""
-    penalised_input = refusal(PAPER, "controller.terminal=riccati", "controller.weights.penalised_input=absolute")
+    """The cost-to-go weighs deviations from hover.
+
+    A preview without control law and cost-to-go has no effect.
+    """
+    penalised_input = refusal(
+        PAPER, "controller.terminal=riccati", "controller.weights.penalised_input=absolute"
+    )
     expected = "expected 'deviation' with controller.terminal = 'riccati', got 'absolute'"
     assert penalised_input == f"--set controller.weights.penalised_input=absolute: {expected}"
     alone = refusal(PAPER, "controller.preview=true")
-    assert alone.startswith("--set controller.preview=true: expected controller.prediction = 'closed_loop' or ")
+    assert alone.startswith(
+        "--set controller.preview=true: expected controller.prediction = 'closed_loop' or "
+    )
 
 
 @pytest.mark.parametrize(("setting", "problem"), WRONG_SETTINGS)
@@ -333,7 +416,9 @@ def test_wrong_setting(setting: str, problem: str) -> None:
     assert refusal(PAPER, setting) == f"--set {setting or EMPTY}: {problem}"
 
 
-@pytest.mark.parametrize("key", ["agents[1]", "float", "int", "str", "controller.weights.float", "agents.owned[1]"])
+@pytest.mark.parametrize(
+    "key", ["agents[1]", "float", "int", "str", "controller.weights.float", "agents.owned[1]"]
+)
 def test_unknown_key_of_any_name(key: str) -> None:
     """A key is unknown by any name, also one that looks like a type or an index."""
     assert refusal(PAPER, f"{key}=1").startswith(f"--set {key}=1: unknown key; ")
@@ -353,7 +438,9 @@ def test_unreadable_file(tmp_path: Path) -> None:
     assert refusal(path).startswith(f"{path}: not valid TOML: 'utf-8' codec")
 
 
-@pytest.mark.parametrize("content", ["name = ", "name = 'a'\nname = 'b'", "[system\n", "\0", "a" * 200])
+@pytest.mark.parametrize(
+    "content", ["name = ", "name = 'a'\nname = 'b'", "[system\n", "\0", "a" * 200]
+)
 def test_invalid_toml(content: str, tmp_path: Path) -> None:
     """A file that is no TOML is refused with the place in the file."""
     path = tmp_path / "bad.toml"

@@ -7,18 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from protocol.scenario.file import ScenarioError, read_scenario
-from protocol.scenario.schema import Scenario, SystemSection
-from protocol.scenario.setup import Setup
-from protocol.scenario.team import FEWEST, given, resized, ring
 from tests.support.runs import PAPER, SCENARIOS
+from transport.model.arrays import Array
+from transport.protocol.scenario.file import ScenarioError, read_scenario
+from transport.protocol.scenario.schema import Scenario, SystemSection
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.team import FEWEST, given, resized, ring
 
 SIZES = [*range(FEWEST, 17), 24]
 NEIGHBOURS_M, GRAVITY = 0.5, 9.81
 
-# Lengths and inertias are rounded to the sixth decimal, half a unit of it at most; a distance is made of two
-# points in a plane. Thrusts share what the rounding of the points does to their balance, relative to 0.25 m.
+# Lengths and inertias are rounded to the sixth decimal, half a unit of it at most; a distance is
+# made of two points in a plane. Thrusts share what the rounding of the points does to their
+# balance, relative to 0.25 m.
 ROUNDING, DISTANCE_ROUNDING, SHARE_ROUNDING = 0.5e-6, 2e-6, 1e-5
 
 
@@ -27,7 +28,9 @@ def system_of(uavs: int) -> SystemSection:
     return SystemSection.model_validate(ring(uavs, GRAVITY))
 
 
-def scenario_of(uavs: int, template: Path = PAPER, group: int | None = None, name: str | None = None) -> Scenario:
+def scenario_of(
+    uavs: int, template: Path = PAPER, group: int | None = None, name: str | None = None
+) -> Scenario:
     """A team with the settings of a scenario."""
     return resized(read_scenario(template), uavs, group=group, name=name, source="--from paper")
 
@@ -57,7 +60,10 @@ def test_neighbours_are_as_far_apart_as_the_papers(uavs: int) -> None:
 
 @pytest.mark.parametrize("uavs", SIZES)
 def test_the_payload_keeps_its_shape(uavs: int) -> None:
-    """0.75 kg for each UAV; inertia over mass grows with the square of the lengths, heights included."""
+    """0.75 kg for each UAV.
+
+    Inertia over mass grows with the square of the lengths, heights included.
+    """
     paper, system = system_of(4), system_of(uavs)
     scale = NEIGHBOURS_M / (2.0 * math.sin(math.pi / uavs)) / math.hypot(0.25, 0.25)
     assert system.payload.mass_kg == 0.75 * uavs
@@ -68,17 +74,25 @@ def test_the_payload_keeps_its_shape(uavs: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("uavs", "template"), [*((uavs, "resilient") for uavs in SIZES), (3, "paper"), (3, "centralized"), (6, "paper")]
+    ("uavs", "template"),
+    [*((uavs, "resilient") for uavs in SIZES), (3, "paper"), (3, "centralized"), (6, "paper")],
 )
 def test_every_size_is_valid(uavs: int, template: str) -> None:
-    """Every size builds, also from other scenarios; the start is an equilibrium with the same thrust for all."""
+    """Every size builds, also from other scenarios.
+
+    The start is an equilibrium with the same thrust for all.
+    """
     scenario = scenario_of(uavs, SCENARIOS / f"{template}.toml")
-    run = Setup.of(scenario, "team")  # refuses a hover outside the thrust limits or closer than the separation
+    run = Setup.of(
+        scenario, "team"
+    )  # refuses a hover outside the thrust limits or closer than the separation
     assert len(run.hover.tensions) == uavs
     # (1.5 + 0.75) kg for each: 22.07 N of the 45 N there are.
     np.testing.assert_allclose(run.hover.u[::4], 2.25 * GRAVITY, rtol=SHARE_ROUNDING)
     # Accelerations of an equilibrium are rounding: a few ulp of g.
-    np.testing.assert_allclose(run.model.derivative(run.initial_state(), run.hover.u), 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        run.model.derivative(run.initial_state(), run.hover.u), 0.0, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("template", ["paper", "centralized", "resilient"])
@@ -107,15 +121,24 @@ def test_the_rest_is_the_templates(template: str) -> None:
     ],
 )
 def test_ownership(template: str, uavs: int, group: int | None, owned: list[list[int]]) -> None:
-    """Agents own neighbours, as many as asked for or as in the template; one that owns all still does."""
+    """Agents own neighbours, as many as asked for or as in the template.
+
+    One that owns all still does.
+    """
     scenario = scenario_of(uavs, SCENARIOS / f"{template}.toml", group)
     assert [list(ids) for ids in scenario.owned] == owned
 
 
 def test_what_names_agents_that_are_gone_is_refused(tmp_path: Path) -> None:
-    """A template whose links name agent 4 makes no team of three; the text names template, field and agents."""
+    """A template whose links name agent 4 makes no team of three.
+
+    The text names template, field and agents.
+    """
     path = tmp_path / "links.toml"
     path.write_text(PAPER.read_text() + '\n[[links.override]]\nto = "agent4"\nloss = 0.1\n')
     assert scenario_of(4, path).links.override[0].to == "agent4"
-    with pytest.raises(ScenarioError, match=r"^--from paper: links\.override\.1\.to: expected one of .*, got 'agent4'"):
+    with pytest.raises(
+        ScenarioError,
+        match=r"^--from paper: links\.override\.1\.to: expected one of .*, got 'agent4'",
+    ):
         scenario_of(3, path)

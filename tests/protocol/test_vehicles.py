@@ -6,9 +6,9 @@ import pytest
 from typer.testing import CliRunner
 
 import transport
-from protocol.scenario.errors import ScenarioError
-from protocol.scenario.team import read_vehicle
 from transport.cli.main import app
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.team import read_vehicle
 
 READY = {"crazyflie": 0.02, "x500": 3.0, "racing": None}
 # A hover, and a leg in all directions.
@@ -20,7 +20,9 @@ SHORT = [
 NEAR_M, LEVEL_DEG = 0.15, 2.0
 
 
-@pytest.mark.parametrize("vehicle", ["x500", "racing", pytest.param("crazyflie", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "vehicle", ["x500", "racing", pytest.param("crazyflie", marks=pytest.mark.slow)]
+)
 def test_ready_vehicles_fly(vehicle: str) -> None:
     """Each vehicle carries its load on a short leg, with its motors and rotors, within its limits."""
     scenario = transport.Scenario("resilient").resized(3, vehicle=vehicle, load_kg=READY[vehicle])
@@ -29,7 +31,9 @@ def test_ready_vehicles_fly(vehicle: str) -> None:
     assert run.summary["uav_tracking"]["max_m"] < NEAR_M
     assert run.summary["attitude_max_deg"] < LEVEL_DEG
     assert scenario.plant.motors.lag_s > 0.0
-    assert scenario.system.payload.mass_kg == pytest.approx(READY[vehicle] or 1.5 * scenario.system.uav[0].mass_kg)
+    assert scenario.system.payload.mass_kg == pytest.approx(
+        READY[vehicle] or 1.5 * scenario.system.uav[0].mass_kg
+    )
 
 
 @pytest.mark.slow
@@ -45,7 +49,18 @@ def test_motors_are_within_the_margin(vehicle: str) -> None:
 def test_the_command_writes_a_scenario(tmp_path: Path) -> None:
     """The file that the command writes is the scenario of the Python interface."""
     out = tmp_path / "four.toml"
-    arguments = ["scenario", "new", "--uavs", "4", "--vehicle", "x500", "--load", "3.0", "--out", str(out)]
+    arguments = [
+        "scenario",
+        "new",
+        "--uavs",
+        "4",
+        "--vehicle",
+        "x500",
+        "--load",
+        "3.0",
+        "--out",
+        str(out),
+    ]
     assert CliRunner().invoke(app, arguments).exit_code == 0
     made = transport.Scenario("resilient").resized(4, vehicle="x500", load_kg=3.0)
     assert transport.Scenario(out).digest() == made.digest()
@@ -71,9 +86,13 @@ def test_wrong_files_are_refused(tmp_path: Path, text: str, problem: str) -> Non
 
 def test_wrong_arguments_are_refused() -> None:
     """An unknown vehicle names the ready ones; a load is positive, and one that the UAVs can lift."""
-    with pytest.raises(ScenarioError, match="expected a vehicle file or the name of a ready one; known: crazyflie"):
+    with pytest.raises(
+        ScenarioError, match="expected a vehicle file or the name of a ready one; known: crazyflie"
+    ):
         read_vehicle("bumblebee")
-    with pytest.raises(ScenarioError, match=r"system\.payload\.mass_kg: expected greater than 0, got -1"):
+    with pytest.raises(
+        ScenarioError, match=r"system\.payload\.mass_kg: expected greater than 0, got -1"
+    ):
         transport.Scenario("resilient").resized(4, load_kg=-1.0)
     with pytest.raises(ScenarioError, match="hover thrust"):
         transport.Scenario("resilient").resized(4, vehicle="x500", load_kg=9.0)

@@ -13,13 +13,14 @@ from typing import Any
 
 import zenoh
 
-from protocol.wire.codec import decode
-from protocol.wire.keys import Keys
-from protocol.wire.messages import Bundle, Plan
 from tests.support.garbage import Garbage
 from transport.analysis.series import WALL_CLOCK
+from transport.protocol.wire.codec import decode
+from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.messages import Bundle, Plan
 
-# Messages at a time, and time between, s: below the rate at which receivers slow a sender down for good.
+# Messages at a time, and time between, s: below the rate at which receivers slow a sender down for
+# good.
 BURST, PAUSE_S = 200, 0.01
 
 _REMOTE, _BLOCK = zenoh.Locality.REMOTE, zenoh.CongestionControl.BLOCK
@@ -125,7 +126,9 @@ class Mesh:
         self.session, self.keys = session, keys
         self._inbox: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
         expressions = hears or [f"{keys.prefix}/**"]
-        self._subscribers = [session.declare_subscriber(key, self._inbox.put) for key in expressions]
+        self._subscribers = [
+            session.declare_subscriber(key, self._inbox.put) for key in expressions
+        ]
 
     def heard(self) -> Iterator[tuple[str, bytes]]:
         """Return keys and bytes of the messages received since the last call."""
@@ -140,7 +143,10 @@ class Mesh:
 
 @contextmanager
 def intruding(
-    keys: Keys, endpoints: Sequence[str], secure: dict[str, Any] | None = None, hears: Sequence[str] = ()
+    keys: Keys,
+    endpoints: Sequence[str],
+    secure: dict[str, Any] | None = None,
+    hears: Sequence[str] = (),
 ) -> Iterator[Mesh]:
     """Connect to every process of a run like an observer, with Zenoh's section `transport` if it needs one."""
     with session(endpoints, secure, None) as opened:
@@ -148,7 +154,13 @@ def intruding(
 
 
 def bombard(
-    mesh: Mesh, source: Garbage, process: "subprocess.Popen[str]", awaited: set[str], *, shots: int, until_tick: int
+    mesh: Mesh,
+    source: Garbage,
+    process: "subprocess.Popen[str]",
+    awaited: set[str],
+    *,
+    shots: int,
+    until_tick: int,
 ) -> Iterator[str]:
     """Send bad messages to a run until a tick, or its end, and yield the sort of each.
 
@@ -156,7 +168,8 @@ def bombard(
         mesh: Session with connections to all processes.
         source: Generator of the messages.
         process: The run.
-        awaited: Keys under which messages must have come before the first shot: they prove the connections.
+        awaited: Keys under which messages must have come before the first shot: they prove the
+            connections.
         shots: Number of messages at most.
         until_tick: Tick of the run that ends the attack.
     """
@@ -176,14 +189,20 @@ def bombard(
 
 def proofs_of_connection(keys: Keys, agents: Sequence[int]) -> set[str]:
     """Return keys of messages that coordinator, plant and every agent publish at every tick."""
-    return {f"{keys.prefix}/{end}" for end in ("relay", "record", *(f"answer/{agent}" for agent in agents))}
+    return {
+        f"{keys.prefix}/{end}"
+        for end in ("relay", "record", *(f"answer/{agent}" for agent in agents))
+    }
 
 
 def table(folder: Path) -> list[dict[str, str]]:
     """Return the step table without its wall-clock columns."""
     with (folder / "steps.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
-    return [{name: value for name, value in row.items() if not name.endswith(WALL_CLOCK)} for row in rows]
+    return [
+        {name: value for name, value in row.items() if not name.endswith(WALL_CLOCK)}
+        for row in rows
+    ]
 
 
 def main() -> None:

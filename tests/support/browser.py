@@ -25,10 +25,12 @@ from selenium.webdriver.common.keys import Keys
 from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
-from model.arrays import Array
 from tests.support.commands import PATIENCE_S, wait_for
+from transport.model.arrays import Array
 
-_CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+_CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 _DRIVER = shutil.which("chromedriver")
 _OPTIONS = (
     "--headless=new",
@@ -63,8 +65,8 @@ _CAMERA: bytes = msgpack.packb(
     }
 )
 
-# Calls back after the next drawing with its image and its geometry: the matrix of every node by name, and the
-# points of the lines directly below it, all in the coordinates of three.js.
+# Calls back after the next drawing with its image and its geometry: the matrix of every node by
+# name, and the points of the lines directly below it, all in the coordinates of three.js.
 _NEXT_DRAWING = """
 const done = arguments[arguments.length - 1], canvas = document.querySelector('canvas');
 const key = Object.keys(canvas).find((name) => name.startsWith('__reactFiber'));
@@ -99,7 +101,8 @@ class Drawing:
     Attributes:
         image: The 3D view as PNG.
         poses: Matrix of every node by name, (4, 4), page coordinates.
-        points: Ends of the line segments of every node and the nodes below it, (2 k, 3), page coordinates.
+        points: Ends of the line segments of every node and the nodes below it, (2 k, 3), page
+            coordinates.
     """
 
     image: bytes
@@ -168,7 +171,9 @@ class Browser:
     def click(self, text: str, number: int = 0) -> None:
         """Click a button with this text, by its number among those with the same text."""
         buttons = [b for b in self.driver.find_elements("css selector", "button") if b.text == text]
-        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", buttons[number])
+        self.driver.execute_script(
+            "arguments[0].scrollIntoView({block: 'center'})", buttons[number]
+        )
         buttons[number].click()
 
     def text(self) -> str | None:
@@ -178,6 +183,10 @@ class Browser:
         except StaleElementReferenceException:
             return None
 
+    def shows(self, text: str) -> bool:
+        """Return whether the page has a text."""
+        return text in (self.text() or "")
+
     def sliders(self) -> dict[float, Any]:
         """Return the handles of the sliders by their largest value."""
         found = self.driver.find_elements("css selector", "[role=slider]")
@@ -186,11 +195,15 @@ class Browser:
     def values(self) -> set[tuple[float, float]]:
         """Return largest and present value of each slider."""
         script = "return [...document.querySelectorAll('[role=slider]')].map((s) => [s.ariaValueMax, s.ariaValueNow])"
-        return {(float(largest), float(value)) for largest, value in self.driver.execute_script(script)}
+        return {
+            (float(largest), float(value)) for largest, value in self.driver.execute_script(script)
+        }
 
     def type(self, label: str, text: str) -> None:
         """Replace the text of a field, as fast as the browser takes it."""
-        field = self.driver.find_element("xpath", f"(//label[text()='{label}']/following::input)[1]")
+        field = self.driver.find_element(
+            "xpath", f"(//label[text()='{label}']/following::input)[1]"
+        )
         field.send_keys(Keys.CONTROL, "a")
         field.send_keys(text)
 
@@ -202,7 +215,9 @@ class Browser:
 
     def plots(self) -> list[str]:
         """Return the image of each plot in the panel."""
-        script = "return [...document.querySelectorAll('.uplot canvas')].map((plot) => plot.toDataURL())"
+        script = (
+            "return [...document.querySelectorAll('.uplot canvas')].map((plot) => plot.toDataURL())"
+        )
         found: list[str] = self.driver.execute_script(script)
         return found
 
@@ -232,7 +247,11 @@ class Browser:
         """Return the hosts that the browser has sent requests to."""
         log: list[dict[str, Any]] = self.driver.get_log("performance")  # type: ignore[no-untyped-call]
         entries = [json.loads(entry["message"])["message"] for entry in log]
-        urls = [e["params"]["request"]["url"] for e in entries if e["method"] == "Network.requestWillBeSent"]
+        urls = [
+            e["params"]["request"]["url"]
+            for e in entries
+            if e["method"] == "Network.requestWillBeSent"
+        ]
         return {str(urlparse(url).hostname) for url in urls if url.startswith("http")}
 
 

@@ -30,7 +30,12 @@ def command(*arguments: str | Path) -> list[str]:
 def transport(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run the command to its end and return the result."""
     return subprocess.run(
-        command(*arguments), cwd=cwd, capture_output=True, text=True, timeout=PATIENCE_S * 2, check=False
+        command(*arguments),
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S * 2,
+        check=False,
     )
 
 
@@ -53,7 +58,10 @@ def settings(*changes: str) -> list[str]:
 
 
 def command_of(process: str) -> list[str]:
-    """Return the words of a process's command line, or of its title if it has set one; none when it has ended."""
+    """Return the words of a process's command line, or of its title if it has set one.
+
+    None when it has ended.
+    """
     try:
         content = (Path("/proc") / process / "cmdline").read_bytes()
     except OSError:
@@ -80,7 +88,9 @@ def processes_of(run: str) -> dict[str, int]:
         ):
             continue
         role = words[words.index("transport") + 1]
-        found["agent" + words[words.index("--id") + 1] if role == "agent" else role] = int(entry.name)
+        found["agent" + words[words.index("--id") + 1] if role == "agent" else role] = int(
+            entry.name
+        )
     return found
 
 
@@ -115,7 +125,10 @@ def is_flying(folder: Path, names: Sequence[str]) -> Callable[[], bool]:
 
 
 def free_base() -> int:
-    """Return a base port with free ports for a run above it; simultaneous test runs and workers use different ports."""
+    """Return a base port with free ports for a run above it.
+
+    Simultaneous test runs and workers use different ports.
+    """
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
     bases = range(20_000 + 16 * (worker % 4), 30_000, 64)
     first = os.getpid() % len(bases)

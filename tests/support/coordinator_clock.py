@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable, Sequence
 
-from protocol.wire.messages import Message, Presence, agent_name
 from tests.support.nodes import CoordinatorNode
 from tests.support.runs import ALL, INCARNATION, plan, plant_state, setup, ticks
+from transport.protocol.wire.messages import Message, Presence, agent_name
 
 THREE = ticks(3)
 CONTINUE = "clock.on_agent_loss=continue"
@@ -28,7 +28,9 @@ def gone(name: str, incarnation: int = INCARNATION) -> Presence:
     return Presence(name, incarnation, alive=False)
 
 
-def tell(node: CoordinatorNode, events: Iterable[Message | Presence], now_ns: int = START_NS) -> list[Message]:
+def tell(
+    node: CoordinatorNode, events: Iterable[Message | Presence], now_ns: int = START_NS
+) -> list[Message]:
     """Deliver events at one time and return all messages."""
     return [message for event in events for message in node.receive(event, now_ns)]
 

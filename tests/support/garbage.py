@@ -1,4 +1,7 @@
-"""Messages that must be refused: made from a seed, from what a receiver has heard and from nothing at all."""
+"""Messages that must be refused.
+
+Made from a seed, from what a receiver has heard and from nothing at all.
+"""
 
 import struct
 from collections import deque
@@ -9,9 +12,9 @@ import msgpack
 import numpy as np
 from msgspec.structs import replace
 
-from protocol.wire.codec import VERSION, decode, encode
-from protocol.wire.keys import Keys, matches
-from protocol.wire.messages import (
+from transport.protocol.wire.codec import VERSION, decode, encode
+from transport.protocol.wire.keys import Keys, matches
+from transport.protocol.wire.messages import (
     Answer,
     Bundle,
     Instant,
@@ -85,7 +88,10 @@ class Garbage:
         self.sorts |= {"bad parts": self._bad_parts, "renumbered bundle": self._renumbered_bundle}
 
     def heard(self, key: str, data: bytes) -> None:
-        """Note a message of the run before its delivery, but no notice of refusals: a changed one is a valid one."""
+        """Note a message of the run before its delivery, but no notice of refusals.
+
+        A changed one is a valid one.
+        """
         if self._keys.end(key).startswith(f"{Rejected.kind}/"):
             return
         self._coming.append((key, data))
@@ -101,9 +107,16 @@ class Garbage:
     def _opened(self, bundle: Bundle) -> list[tuple[str, bytes]]:
         """Return keys and bytes of the messages of a bundle that are for this receiver."""
         own = self._keys.publications(self._name)
-        parts = [(f"{self._keys.prefix}/{end}", data) for end, data in zip(bundle.keys, bundle.parts, strict=True)]
+        parts = [
+            (f"{self._keys.prefix}/{end}", data)
+            for end, data in zip(bundle.keys, bundle.parts, strict=True)
+        ]
         hears = self._keys.subscriptions(self._name)
-        return [part for part in parts if part[0] not in own and any(matches(one, part[0]) for one in hears)]
+        return [
+            part
+            for part in parts
+            if part[0] not in own and any(matches(one, part[0]) for one in hears)
+        ]
 
     def next(self) -> tuple[str, str, bytes]:
         """Return sort, key and bytes of the next bad message."""
@@ -164,7 +177,10 @@ class Garbage:
     def _other_kind(self) -> tuple[str, bytes]:
         key, data = self._old()
         return key, self._packed(
-            [self._one_of(["ticks", "", "PLAN", "plant_state", "tick", "x" * 500]), *self._wire(data)[1:]]
+            [
+                self._one_of(["ticks", "", "PLAN", "plant_state", "tick", "x" * 500]),
+                *self._wire(data)[1:],
+            ]
         )
 
     def _strange_fields(self) -> tuple[str, bytes]:
@@ -177,7 +193,11 @@ class Garbage:
     def _not_finite(self) -> tuple[str, bytes]:
         key, message = self._message(Measurement, Plan, PlantState, StepReport)
         values = self._wire(encode(self._new(message, tick=self.tick + 1)))
-        arrays = [i for i, value in enumerate(values) if isinstance(value, msgpack.ExtType) and len(value.data) > 16]
+        arrays = [
+            i
+            for i, value in enumerate(values)
+            if isinstance(value, msgpack.ExtType) and len(value.data) > 16
+        ]
         at = self._one_of(arrays)
         data = bytearray(values[at].data)
         place = 16 + 8 * int(self._rng.integers((len(data) - 16) // 8))
@@ -187,7 +207,10 @@ class Garbage:
 
     def _deep(self) -> tuple[str, bytes]:
         key, data = self._old()
-        opening, depth = self._one_of([b"\x91", b"\x81\xa1k"]), self._one_of([10, 400, 1000, 1030, 5000])
+        opening, depth = (
+            self._one_of([b"\x91", b"\x81\xa1k"]),
+            self._one_of([10, 400, 1000, 1030, 5000]),
+        )
         values = [msgpack.packb(value) for value in self._wire(data)]
         values[int(self._rng.integers(len(values)))] = opening * depth + b"\xc0"
         return key, bytes([VERSION, 0xDC]) + struct.pack(">H", len(values)) + b"".join(values)
@@ -204,13 +227,24 @@ class Garbage:
         """Return a message under another message's key."""
         key, message = self._message()
         others = [
-            other for other in [*self._keys_here, f"{key}/2", f"{key}x", f"{self._keys.prefix}/plan/02"] if other != key
+            other
+            for other in [*self._keys_here, f"{key}/2", f"{key}x", f"{self._keys.prefix}/plan/02"]
+            if other != key
         ]
         return self._one_of(others), encode(self._new(message, tick=self.tick + 1))
 
     def _other_sender(self) -> tuple[str, bytes]:
         key, message = self._message()
-        names = ["coordinator", "plant", "recorder", "agent1", "agent2", "agent9", "agent256", self._name]
+        names = [
+            "coordinator",
+            "plant",
+            "recorder",
+            "agent1",
+            "agent2",
+            "agent9",
+            "agent256",
+            self._name,
+        ]
         sender = self._one_of([name for name in names if name != message.sender])
         return key, encode(self._new(message, sender=sender, tick=self.tick + 1))
 
@@ -223,7 +257,9 @@ class Garbage:
             case Tick():
                 changes: list[dict[str, Any]] = [{"members": (9,)}, {"answered": (1, 2, 77)}]
             case Roster():
-                changes = [{"agents": (1, 9), "incarnations": (1, 1), "version": message.version + 1}]
+                changes = [
+                    {"agents": (1, 9), "incarnations": (1, 1), "version": message.version + 1}
+                ]
             case StepReport():
                 changes = [{"peers": tuple(range(200, 200 + len(message.peers)))}]
             case PlantState():
@@ -267,7 +303,9 @@ class Garbage:
         """Return a bundle of the next tick with messages of an old one, some left out, some twice."""
         key, bundle = self._message(Answer, Relay, Instant, Record)
         assert isinstance(bundle, Bundle)
-        kept = [int(i) for i in self._rng.integers(len(bundle.parts), size=int(self._rng.integers(4)))]
+        kept = [
+            int(i) for i in self._rng.integers(len(bundle.parts), size=int(self._rng.integers(4)))
+        ]
         if isinstance(bundle, Answer):
             kept = sorted(set(kept))  # it cannot have a key twice
         keys, parts = [bundle.keys[i] for i in kept], [bundle.parts[i] for i in kept]

@@ -1,10 +1,14 @@
-"""A laboratory of several hosts on one machine: network namespaces on a switch, with cables that can be cut.
+"""A laboratory of several hosts on one machine.
 
-    python -m tests.support.lab --set clock.mode=realtime --set clock.speed=1 --cut agent2:8:1 --out lab
+Network namespaces on a switch, with cables that can be cut.
 
-Each process of the run, recorder included, has its own host and runs from the folders that `transport deploy render`
-writes. The lab is in its own network, process and mount namespace: when its first process ends, for any reason, the
-kernel ends all other processes in it and removes the network.
+    python -m tests.support.lab --set clock.mode=realtime --set clock.speed=1 --cut agent2:8:1 --out
+    lab
+
+Each process of the run, recorder included, has its own host and runs from the folders that
+`transport deploy render`
+writes. The lab is in its own network, process and mount namespace: when its first process ends, for
+any reason, the kernel ends all other processes in it and removes the network.
 """
 
 import argparse
@@ -20,14 +24,22 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.hosts import DeployError, Host, Inventory, Placement, command, placements, render
-from deploy.keys import LOOPBACK, OTHERS, make_certificates
-from protocol.network.endpoints import process_names
-from protocol.network.parent import ENVIRONMENT, python
-from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_USAGE
-from protocol.wire.keys import RECORDER
+from transport.deploy.hosts import (
+    DeployError,
+    Host,
+    Inventory,
+    Placement,
+    command,
+    placements,
+    render,
+)
+from transport.deploy.keys import LOOPBACK, OTHERS, make_certificates
+from transport.protocol.network.endpoints import process_names
+from transport.protocol.network.parent import ENVIRONMENT, python
+from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_SCENARIO, EXIT_USAGE
+from transport.protocol.wire.keys import RECORDER
 
 EXIT_UNAVAILABLE, EXIT_TIMEOUT = 69, 70
 
@@ -67,7 +79,9 @@ class Cut:
             host, at_s, for_s = [*text.split(":"), ""][:3] if text.count(":") < 3 else []
             return Cut(host, float(at_s), float(for_s) if for_s else None)
         except ValueError as error:
-            raise argparse.ArgumentTypeError(f"expected HOST:AT or HOST:AT:FOR in seconds, got {text!r}") from error
+            raise argparse.ArgumentTypeError(
+                f"expected HOST:AT or HOST:AT:FOR in seconds, got {text!r}"
+            ) from error
 
 
 class Lab:
@@ -89,7 +103,18 @@ class Lab:
                 raise LabError(f"host {name}: no network namespace")
             self._hosts[name] = holder
             cable = self._cable(name)
-            _ip("link", "add", cable, "type", "veth", "peer", "name", f"eth{number}", "netns", str(holder.pid))
+            _ip(
+                "link",
+                "add",
+                cable,
+                "type",
+                "veth",
+                "peer",
+                "name",
+                f"eth{number}",
+                "netns",
+                str(holder.pid),
+            )
             _ip("link", "set", cable, "master", _SWITCH, "up")
             for arguments in (
                 ("addr", "add", f"{address}/24", "dev", f"eth{number}"),
@@ -98,7 +123,9 @@ class Lab:
             ):
                 subprocess.run([*self._at(name), "ip", *arguments], check=True)
 
-    def start(self, host: str, command: Sequence[str], log: Path, cwd: Path) -> subprocess.Popen[bytes]:
+    def start(
+        self, host: str, command: Sequence[str], log: Path, cwd: Path
+    ) -> subprocess.Popen[bytes]:
         """Start a command on a host, in a folder, with its output in a file."""
         with log.open("wb") as output:
             return subprocess.Popen(
@@ -126,7 +153,9 @@ def unavailable() -> str:
     missing = [tool for tool in _TOOLS if shutil.which(tool) is None]
     if missing:
         return f"no {missing[0]} (util-linux, iproute2)"
-    tried = subprocess.run([*_enter(), "ip", "link", "add", "x", "type", "bridge"], capture_output=True, check=False)
+    tried = subprocess.run(
+        [*_enter(), "ip", "link", "add", "x", "type", "bridge"], capture_output=True, check=False
+    )
     error = tried.stderr.decode(errors="replace").strip()
     return "" if tried.returncode == 0 else f"no namespaces here: {error or tried.returncode}"
 
@@ -162,7 +191,10 @@ def simulate(setup: Setup, out: Path, cuts: Sequence[Cut], timeout_s: float) -> 
     with ExitStack() as stack:
         for placement in placements(inventory, processes, "tls"):
             started = lab.start(
-                placement.host.name, _command(placement, inventory, out), out / "logs" / f"{placement.process}.log", out
+                placement.host.name,
+                _command(placement, inventory, out),
+                out / "logs" / f"{placement.process}.log",
+                out,
             )
             stack.callback(started.kill)
             running[placement.process] = started
@@ -218,12 +250,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _options() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m tests.support.lab", description=(__doc__ or "").split("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.support.lab", description=(__doc__ or "").split("\n")[0]
+    )
     parser.add_argument("--scenario", default="resilient", help="scenario file or name")
     parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--cut", type=Cut.of, action="append", default=[], metavar="HOST:AT[:FOR]", help="seconds")
+    parser.add_argument(
+        "--cut", type=Cut.of, action="append", default=[], metavar="HOST:AT[:FOR]", help="seconds"
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder to create")
-    parser.add_argument("--timeout", type=float, default=120.0, help="seconds from the first tick on")
+    parser.add_argument(
+        "--timeout", type=float, default=120.0, help="seconds from the first tick on"
+    )
     return parser
 
 
@@ -239,7 +277,11 @@ def _ip(*arguments: str) -> None:
 def _command(placement: Placement, inventory: Inventory, out: Path) -> list[str]:
     """Return the command of a rendered unit, with this environment in place of /opt."""
     _, *rest = command(placement, inventory, etc=out / "hosts" / placement.host.name)
-    return [*python("transport"), *rest, *(["--out", "run"] if placement.process == RECORDER else [])]
+    return [
+        *python("transport"),
+        *rest,
+        *(["--out", "run"] if placement.process == RECORDER else []),
+    ]
 
 
 def _wait_for_start(log: Path, running: Mapping[str, subprocess.Popen[bytes]]) -> float:
@@ -264,7 +306,10 @@ def _apply(
     running: Mapping[str, subprocess.Popen[bytes]],
     timeout_s: float,
 ) -> list[dict[str, object]]:
-    """Cut and mend cables until all processes have ended or the time is over; return the changes with their times."""
+    """Cut and mend cables until all processes have ended or the time is over.
+
+    Return the changes with their times.
+    """
     due = [(cut.at_s, "cut", cut.host) for cut in cuts]
     due += [(cut.at_s + cut.for_s, "mend", cut.host) for cut in cuts if cut.for_s is not None]
     due.sort(reverse=True)

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from model.arrays import Array
-from model.discretisation import zero_order_hold
-from model.hover import Hover
-from model.linearisation import Linearisation, Model
-from model.maneuver import Maneuver, Phase, Profile, Reference
-from model.parameters import Payload, System, Uav
-from mpc.feedback import tangent
+from transport.model.arrays import Array
+from transport.model.discretisation import zero_order_hold
+from transport.model.hover import Hover
+from transport.model.linearisation import Linearisation, Model
+from transport.model.maneuver import Maneuver, Phase, Profile, Reference
+from transport.model.parameters import Payload, System, Uav
+from transport.mpc.manifold import tangent
 
 PERIOD_S = 0.05
 
@@ -75,11 +75,19 @@ def uneven() -> System:
     )
 
 
-def reference_states(system: System, at: Hover, profile: Profile, instants: int, start_I: Array | None = None) -> Array:
+def reference_states(
+    system: System, at: Hover, profile: Profile, instants: int, start_I: Array | None = None
+) -> Array:
     """Return reference states of a move in all directions that ends well before the last instant, (instants, n)."""
     start = np.array([1.0, -2.0, -10.0]) if start_I is None else start_I
-    legs = [("hover", 0.5, [0.0, 0.0, 0.0]), ("there", 0.7, [0.1, -0.05, 0.08]), ("on", 0.5, [0.0, 0.1, -0.05])]
-    phases = [Phase(name=name, duration_s=duration, displacement_I=way) for name, duration, way in legs]
+    legs = [
+        ("hover", 0.5, [0.0, 0.0, 0.0]),
+        ("there", 0.7, [0.1, -0.05, 0.08]),
+        ("on", 0.5, [0.0, 0.1, -0.05]),
+    ]
+    phases = [
+        Phase(name=name, duration_s=duration, displacement_I=way) for name, duration, way in legs
+    ]
     reference = Reference(system, at, Maneuver(start_I=start, phases=phases, profile=profile))
     return reference.states(PERIOD_S * np.arange(instants, dtype=np.float64))
 

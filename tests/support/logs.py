@@ -10,16 +10,24 @@ import pytest
 import tomli_w
 from msgspec.structs import replace
 
-from agent.kalman import TOLD
-from model import state
-from model.arrays import Array
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import FaultNote, Message, Note, Plan, PlantState, StepReport, agent_name
 from tests.support import runs
+from transport.agent.estimation.payload_pose import NAMES
 from transport.flight.memory import simulate
 from transport.log.run_log import LogTail, Recorded, RunLog
 from transport.log.writer import LogWriter
+from transport.model import state
+from transport.model.arrays import Array
+from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import (
+    FaultNote,
+    Message,
+    Note,
+    Plan,
+    PlantState,
+    StepReport,
+    agent_name,
+)
 
 M = TypeVar("M", bound=Message)
 
@@ -42,7 +50,9 @@ SINGLE_UAV = (
 )
 
 
-def log_of(messages: Sequence[Message], received_ms: Sequence[float] = (), *, cut: str = "") -> RunLog:
+def log_of(
+    messages: Sequence[Message], received_ms: Sequence[float] = (), *, cut: str = ""
+) -> RunLog:
     """Return a log of messages, received 1 ms apart unless `received_ms` is given."""
     times = list(received_ms) or [float(number) for number in range(len(messages))]
     entries = [
@@ -72,7 +82,12 @@ def report(run: Setup, agent: int, tick: int, **fields: Any) -> StepReport:
         "times_ms": np.array([0.6, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.5]),
     }
     return StepReport(
-        sender=agent_name(agent), incarnation=0, sequence=tick, tick=tick, agent=agent, **(usual | fields)
+        sender=agent_name(agent),
+        incarnation=0,
+        sequence=tick,
+        tick=tick,
+        agent=agent,
+        **(usual | fields),
     )
 
 
@@ -96,7 +111,9 @@ def plan(run: Setup, agent: int, k: int) -> Plan:
     )
 
 
-def plant_state(run: Setup, k: int, change: Callable[[Array, Array], None] = lambda x, u: None) -> PlantState:
+def plant_state(
+    run: Setup, k: int, change: Callable[[Array, Array], None] = lambda x, u: None
+) -> PlantState:
     """Return the plant state at the reference of tick k with hover inputs, after `change` of copies of x and u."""
     times_s = np.array([k * run.settings.sampling_period_s])
     x = run.hover.x.copy()
@@ -112,7 +129,7 @@ def noted(run: Setup, agent: int, tick: int) -> Note:
     estimate[:3] += run.maneuver.path(np.array([tick * run.settings.sampling_period_s]))[0][0]
     values = np.concatenate([estimate, 0.01 * np.eye(6)[np.triu_indices(6)], [30.0, 15.0]])
     return Note(
-        sender=f"agent{agent}", incarnation=0, sequence=tick, tick=tick, agent=agent, problem="", names=TOLD,
+        sender=f"agent{agent}", incarnation=0, sequence=tick, tick=tick, agent=agent, problem="", names=NAMES,
         values=values,
     )  # fmt: skip
 
@@ -128,7 +145,9 @@ def record_run(run: Setup, folder: Path) -> list[Message]:
     text = tomli_w.dumps(run.scenario.tree())
     (folder / "scenario.toml").write_text(text, encoding="utf-8")
     messages: list[Message] = []
-    with closing(LogWriter(folder / "run.mcap", HEADER | {"scenario": text}, period_ns=run.period_ns)) as writer:
+    with closing(
+        LogWriter(folder / "run.mcap", HEADER | {"scenario": text}, period_ns=run.period_ns)
+    ) as writer:
 
         def record(message: Message) -> None:
             messages.append(message)
@@ -152,7 +171,10 @@ class Growing(LogTail):
 
     def notes(self, target: str, what: str) -> bool:
         """Return whether a fault of a process by a person is noted."""
-        return any((note.target, note.what, note.origin) == (target, what, "person") for note in self.of(FaultNote))
+        return any(
+            (note.target, note.what, note.origin) == (target, what, "person")
+            for note in self.of(FaultNote)
+        )
 
 
 class EnoughError(Exception):
@@ -179,4 +201,8 @@ def bits(messages: Iterable[Message]) -> Iterator[tuple[int, str, bytes]]:
         if isinstance(message, PlantState):
             yield message.tick, message.sender, message.x.tobytes() + message.u.tobytes()
         elif isinstance(message, Plan):
-            yield message.tick, message.sender, message.inputs.tobytes() + message.corrections.tobytes()
+            yield (
+                message.tick,
+                message.sender,
+                message.inputs.tobytes() + message.corrections.tobytes(),
+            )

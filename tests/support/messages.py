@@ -1,4 +1,7 @@
-"""The catalogue of messages: one valid message or bundle of every kind, any valid one (Hypothesis), and their bytes."""
+"""The catalogue of messages.
+
+One valid message or bundle of every kind, any valid one (Hypothesis), and their bytes.
+"""
 
 import struct
 from types import SimpleNamespace
@@ -12,8 +15,8 @@ from hypothesis.extra import numpy as arrays
 from hypothesis.strategies import DrawFn, SearchStrategy
 from msgspec import inspect
 
-from protocol.wire.codec import CLASSES, VERSION
-from protocol.wire.messages import (
+from transport.protocol.wire.codec import CLASSES, VERSION
+from transport.protocol.wire.messages import (
     BUNDLES,
     KINDS,
     Bundle,
@@ -28,11 +31,12 @@ from protocol.wire.messages import (
     Target,
     Tick,
 )
-from protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER, agent_name
+from transport.protocol.wire.names import AGENT, COORDINATOR, PLANT, RECORDER, agent_name
 
 M = TypeVar("M", bound=Message)
 
-# Number of rows of an array of any length, of a sample; most entries, UAVs and steps of a drawn message.
+# Number of rows of an array of any length, of a sample; most entries, UAVs and steps of a drawn
+# message.
 ROWS, FEW = 3, 4
 
 # Fields whose values tests rely on, or that types do not tell.
@@ -43,7 +47,11 @@ OWN: dict[type[Message], dict[str, Any]] = {
     Target: {"approach_s": 4.0, "approach_ramp_s": 2.0, "way_s": 2.0, "way_ramp_s": 1.0},
     PlantState: {"diverged": ""},
     FaultNote: {"target": "agent3", "what": "killed"},
-    Rejected: {"offender": "agent3", "reason": "not_finite", "example": "inputs: expected finite numbers, got nan"},
+    Rejected: {
+        "offender": "agent3",
+        "reason": "not_finite",
+        "example": "inputs: expected finite numbers, got nan",
+    },
     Control: {"outcome": "aborted", "exit_code": 4},
 }
 _NAMES = st.sampled_from([COORDINATOR, PLANT, RECORDER]) | st.integers(1, 256).map(agent_name)
@@ -67,7 +75,10 @@ def fields(kind: type[Message]) -> dict[str, Any]:
         if field not in values and field not in kind.shapes:
             values[field] = _value(_types(kind)[field], field)
     for field, shape_of in kind.shapes.items():
-        shape = tuple(ROWS if length is None else length for length in shape_of(SimpleNamespace(**STATES | values)))
+        shape = tuple(
+            ROWS if length is None else length
+            for length in shape_of(SimpleNamespace(**STATES | values))
+        )
         values[field] = np.arange(float(np.prod(shape))).reshape(shape)
     return {field: values[field] for field in kind.__struct_fields__}
 
@@ -99,7 +110,9 @@ def content(message: Message) -> list[Any]:
     def plain(value: Any) -> Any:
         if not isinstance(value, np.ndarray):
             return value
-        return array(value.ndim, *value.shape, *[0] * (3 - value.ndim), values=value.astype("<f8").tobytes())
+        return array(
+            value.ndim, *value.shape, *[0] * (3 - value.ndim), values=value.astype("<f8").tobytes()
+        )
 
     return [message.kind, *(plain(getattr(message, field)) for field in message.__struct_fields__)]
 
@@ -154,9 +167,14 @@ def _drawn(hint: inspect.Type) -> SearchStrategy[Any]:
 def _message(draw: DrawFn, kind: type[Message]) -> Message:
     named = {"sender": _NAMES, "source": _NAMES | st.just(""), "target": _NAMES | st.just("")}
     values = {
-        field: draw(named.get(field, _drawn(hint))) for field, hint in _types(kind).items() if field not in kind.shapes
+        field: draw(named.get(field, _drawn(hint)))
+        for field, hint in _types(kind).items()
+        if field not in kind.shapes
     }
-    like = {Roster: ("agents", "incarnations"), StepReport: ("peers", "plan_ages", "state_ages")}.get(kind, ())
+    like = {
+        Roster: ("agents", "incarnations"),
+        StepReport: ("peers", "plan_ages", "state_ages"),
+    }.get(kind, ())
     like = ("keys", "parts") if issubclass(kind, Bundle) else like
     shortest = min((len(values[field]) for field in like), default=0)
     values |= {field: values[field][:shortest] for field in like}
@@ -165,7 +183,10 @@ def _message(draw: DrawFn, kind: type[Message]) -> Message:
     rows = draw(st.integers(1, FEW))
     for field, shape_of in kind.shapes.items():
         none = field == "corrections" and draw(st.booleans())
-        shape = tuple((0 if none else rows) if n is None else n for n in shape_of(SimpleNamespace(**STATES | values)))
+        shape = tuple(
+            (0 if none else rows) if n is None else n
+            for n in shape_of(SimpleNamespace(**STATES | values))
+        )
         values[field] = draw(arrays.arrays("float64", shape, elements=_drawn(inspect.FloatType())))
     return kind(**values)
 

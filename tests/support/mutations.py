@@ -1,4 +1,7 @@
-"""Random mutations of scenarios: of values, types, lists, keys and of the TOML text; each drawn from a seed."""
+"""Random mutations of scenarios.
+
+Of values, types, lists, keys and of the TOML text; each drawn from a seed.
+"""
 
 import copy
 import random
@@ -24,7 +27,17 @@ _STRINGS = (
     "r0[9] <= 1", "1/0 <= 1", "9**9**9**9 <= 1", "sqrt(-1) <= r0[0]", "r0[0] == 0", "__import__('os')", "v0[0]",
     "e1[0]*1e300", "log(r0[0])", "tcp/127.0.0.1:1", "tls/x:99999999", "192.0.2.1", "not a host", "localhost",
 )  # fmt: skip
-_OTHERS: tuple[Any, ...] = (True, False, [], {}, [[]], [1, 2, 3], [0.0, 0.0, 0.0], [[1.0, 0.0], [0.0]], {"a": 1})
+_OTHERS: tuple[Any, ...] = (
+    True,
+    False,
+    [],
+    {},
+    [[]],
+    [1, 2, 3],
+    [0.0, 0.0, 0.0],
+    [[1.0, 0.0], [0.0]],
+    {"a": 1},
+)
 
 # Sections that few scenarios have, to be mutated as well.
 _ADDED: tuple[tuple[tuple[str, ...], Any], ...] = (
@@ -87,13 +100,24 @@ def _put(tree: Tree, path: tuple[str, ...], content: Any) -> None:
 
 def _places(node: Any) -> list[tuple[Any, Any]]:
     """Return container and key of everything below a node."""
-    items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    items = (
+        node.items()
+        if isinstance(node, dict)
+        else enumerate(node)
+        if isinstance(node, list)
+        else ()
+    )
     return [place for key, child in items for place in [(node, key), *_places(child)]]
 
 
 def _choose(tree: Tree, rng: random.Random, *types: type) -> tuple[Any, Any]:
-    """Return container and key of a random value of some types; numbers of Table I are no more likely than others."""
-    places = [(node, key) for node, key in _places(tree) if isinstance(node[key], types) or not types]
+    """Return container and key of a random value of some types.
+
+    Numbers of Table I are no more likely than others.
+    """
+    places = [
+        (node, key) for node, key in _places(tree) if isinstance(node[key], types) or not types
+    ]
     return rng.choice(places) if places else (tree, "name")
 
 
@@ -103,7 +127,11 @@ def _magnitude(tree: Tree, rng: random.Random) -> None:
     scaled = isinstance(value, int | float) and rng.random() < 0.7
     if scaled:
         factor = 10.0 ** rng.choice((rng.uniform(-1, 1), rng.uniform(-4, 4), rng.uniform(-15, 15)))
-        node[key] = round(value * factor) if isinstance(value, int) and rng.random() < 0.8 else value * factor
+        node[key] = (
+            round(value * factor)
+            if isinstance(value, int) and rng.random() < 0.8
+            else value * factor
+        )
     else:
         node[key] = rng.choice(_NUMBERS)
 

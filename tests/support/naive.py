@@ -1,21 +1,23 @@
-"""The paper's stacked matrices, built block by block as in section III: slow, but a direct transcription.
+"""The paper's stacked matrices, built block by block as in section III.
 
-Every stack has N_p + 1 block rows, one more than (16) as published: the last one is step k + N_p, which the terminal
-cost of (17) and (25) needs.
+Slow, but a direct transcription.
+
+Every stack has N_p + 1 block rows, one more than (16) as published: the last one is step k + N_p,
+which the terminal cost of (17) and (25) needs.
 """
 
 import numpy as np
 from scipy.linalg import block_diag, expm
 
-from model.arrays import Array
-from model.linearisation import Linearisation
+from transport.model.arrays import Array
+from transport.model.linearisation import Linearisation
 
 
 def exact_hold(linear: Linearisation, period_s: float) -> tuple[Array, Array, Array]:
     """Return A, B and the drift per step of (14) from the exponential of the augmented matrix.
 
-    The published drift f(x0, u0) T_s belongs to an Euler step. With A and B of a zero-order hold the drift is the
-    integral that the same exponential contains.
+    The published drift f(x0, u0) T_s belongs to an Euler step. With A and B of a zero-order hold
+    the drift is the integral that the same exponential contains.
     """
     n, m = linear.B_c.shape
     augmented = np.zeros((n + m + 1, n + m + 1))
@@ -27,7 +29,10 @@ def exact_hold(linear: Linearisation, period_s: float) -> tuple[Array, Array, Ar
 def stacked_drift(A: Array, f_d: Array, steps: int) -> Array:
     """Return F of (16): block k is sum_{j=1}^{k} A^(j-1) f_d, ((steps + 1) n,)."""
     blocks = [
-        sum((np.linalg.matrix_power(A, j - 1) @ f_d for j in range(1, k + 1)), start=np.zeros(len(f_d)))
+        sum(
+            (np.linalg.matrix_power(A, j - 1) @ f_d for j in range(1, k + 1)),
+            start=np.zeros(len(f_d)),
+        )
         for k in range(steps + 1)
     ]
     return np.concatenate(blocks)
@@ -39,7 +44,10 @@ def stacked_state(A: Array, steps: int) -> Array:
 
 
 def stacked_input(A: Array, B: Array, steps: int) -> Array:
-    """Return H of (16), or H_i of (24) for the columns B_i: block (k, j) is A^(k-1-j) B below the diagonal."""
+    """Return H of (16), or H_i of (24) for the columns B_i.
+
+    Block (k, j) is A^(k-1-j) B below the diagonal.
+    """
     n, m = B.shape
     H = np.zeros(((steps + 1) * n, steps * m))
     for k in range(steps + 1):
@@ -54,7 +62,10 @@ def stacked_output(C: Array, steps: int) -> Array:
 
 
 def stacked_weight(Q: Array, Q_f: Array, steps: int) -> Array:
-    """Return Q-bar of (17) with the terminal weight as its last block; weights are given as diagonals."""
+    """Return Q-bar of (17) with the terminal weight as its last block.
+
+    Weights are given as diagonals.
+    """
     return np.diag(np.concatenate([np.tile(Q, steps), Q_f]))
 
 

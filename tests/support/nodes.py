@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from typing import Any
 
-from agent import node as agent_node
-from coordinator import node as coordinator_node
-from plant import node as plant_node
-from protocol.admission.gate import Rejections
-from protocol.admission.plausibility import check_plausible
-from protocol.scenario.setup import Setup
-from protocol.wire.errors import MessageError
-from protocol.wire.messages import Event, Message
+from transport.agent import node as agent_node
+from transport.coordinator import node as coordinator_node
+from transport.plant import node as plant_node
+from transport.protocol.admission.gate import Rejections
+from transport.protocol.admission.plausibility import check_plausible
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import Event, Message
 
 
 class _Checked:

@@ -1,7 +1,9 @@
-"""The accelerations in the paper's form: one linear system in (v0', omega0', Omega_1', ..., Omega_N').
+"""The accelerations in the paper's form.
 
-An oracle that shares only the order of the state with `model/`: it uses numpy instead of CasADi, the full mass matrix
-instead of rod tensions, and SciPy's rotations instead of the project's.
+One linear system in (v0', omega0', Omega_1', ..., Omega_N').
+
+An oracle that shares only the order of the state with `model/`: it uses numpy instead of CasADi,
+the full mass matrix instead of rod tensions, and SciPy's rotations instead of the project's.
 """
 
 from typing import Any
@@ -9,10 +11,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from model import state
-from model.arrays import Array
-from model.parameters import System
-from model.state import StateView
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.parameters import System
+from transport.model.state import StateView
 
 K = np.array([0.0, 0.0, 1.0])  # direction of gravity, inertial frame
 
@@ -28,9 +30,14 @@ def cross(a: Array) -> Array:
 
 
 def thrust_forces(x: Array, u: Array) -> Array:
-    """Return f_i of the paper, (N, 3), inertial frame, N: along -b3 of each UAV, because our thrust is lift."""
+    """Return f_i of the paper, (N, 3), inertial frame, N.
+
+    Along -b3 of each UAV, because our thrust is lift.
+    """
     attitudes = StateView(x).Theta
-    return np.array([-u[state.INPUTS * i] * (attitude(Theta) @ K) for i, Theta in enumerate(attitudes)])
+    return np.array(
+        [-u[state.INPUTS * i] * (attitude(Theta) @ K) for i, Theta in enumerate(attitudes)]
+    )
 
 
 def mass_matrix(system: System, x: Array) -> Array:
@@ -53,15 +60,20 @@ def mass_matrix(system: System, x: Array) -> Array:
 
 
 def effective_inertia(system: System) -> Array:
-    """Return the barred J_0 below paper (10): the payload with each UAV's mass at its attachment point, (3, 3)."""
-    return system.payload.inertia - sum(uav.mass * cross(uav.rho) @ cross(uav.rho) for uav in system.uavs)
+    """Return the barred J_0 below paper (10).
+
+    The payload with each UAV's mass at its attachment point, (3, 3).
+    """
+    return system.payload.inertia - sum(
+        uav.mass * cross(uav.rho) @ cross(uav.rho) for uav in system.uavs
+    )
 
 
 def right_hand_side(system: System, x: Array, force_I: Array) -> Array:
     """Return f_0q of paper (11), (6 + 3 N,).
 
-    Paper (7) as published has m_i l_i |Omega_i|^2 e_i behind the sum. Its free index i requires it inside the sum, as
-    in (11).
+    Paper (7) as published has m_i l_i |Omega_i|^2 e_i behind the sum. Its free index i requires it
+    inside the sum, as in (11).
     """
     view = StateView(x)
     v0, omega0 = view.v0_P, view.omega0_P
@@ -76,7 +88,10 @@ def right_hand_side(system: System, x: Array, force_I: Array) -> Array:
         external = R0.T @ (f + m * g * K)
         translation += R0.T @ f - m * (w @ w @ rho + swing)
         rotation += rho_x @ external - m * rho_x @ (w @ v0 + swing)
-        links.append(m * length * (e_x @ w @ w @ rho - length * w @ Omega + e_x @ w @ v0) - length * e_x @ external)
+        links.append(
+            m * length * (e_x @ w @ w @ rho - length * w @ Omega + e_x @ w @ v0)
+            - length * e_x @ external
+        )
     return np.concatenate([translation, rotation, *links])
 
 
@@ -89,6 +104,7 @@ def accelerations(system: System, x: Array, force_I: Array) -> tuple[Array, Arra
         force_I: f_i, (N, 3), inertial frame, N.
     """
     solution = np.asarray(
-        np.linalg.solve(mass_matrix(system, x), right_hand_side(system, x, force_I)), dtype=np.float64
+        np.linalg.solve(mass_matrix(system, x), right_hand_side(system, x, force_I)),
+        dtype=np.float64,
     )
     return solution[:3], solution[3:6], solution[6:].reshape(-1, 3)

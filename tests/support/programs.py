@@ -5,10 +5,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from model.arrays import Array
-from mpc.qp import QP
-from mpc.settings import Constraint, ControllerSettings, Separation
 from tests.support.systems import paper_setup, situations, team
+from transport.model.arrays import Array
+from transport.mpc.qp import QP
+from transport.mpc.settings import Constraint, ControllerSettings, Separation
 
 
 def random_qp(seed: int) -> QP:
@@ -40,7 +40,12 @@ def random_qp(seed: int) -> QP:
 
 def without_solution() -> dict[str, QP]:
     """Return programs whose rows contradict each other, the bounds, or another equality."""
-    free = {"H": np.eye(2), "g": np.ones(2), "lower": np.full(2, -np.inf), "upper": np.full(2, np.inf)}
+    free = {
+        "H": np.eye(2),
+        "g": np.ones(2),
+        "lower": np.full(2, -np.inf),
+        "upper": np.full(2, np.inf),
+    }
     twice = np.array([[1.0, 1.0], [1.0, 1.0]])
     return {
         "two equalities": QP(**free, A=twice, row_lower=np.array([0.0, 1.0]), row_upper=np.array([0.0, 1.0])),
@@ -76,5 +81,7 @@ def collected(minimum_m: float) -> list[QP]:
             linear = one.linearise(at.x, at.u)
             prediction = one.predict(linear, one.discretise(linear), at.U, None)
             qp = one.condense(linear, prediction, at.y_ref)
-            programs.append(QP(**{field.name: getattr(qp, field.name).copy() for field in fields(qp)}))
+            programs.append(
+                QP(**{field.name: getattr(qp, field.name).copy() for field in fields(qp)})
+            )
     return programs

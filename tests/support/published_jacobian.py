@@ -1,4 +1,6 @@
-"""The linearisation of the paper's equations (7)-(11), without elimination of unknowns: an oracle for the model's.
+"""The linearisation of the paper's equations (7)-(11), without elimination of unknowns.
+
+An oracle for the model's.
 
 No term assumes |e_i| = 1, as an elimination before the derivative may do.
 """
@@ -6,12 +8,12 @@ No term assumes |e_i| = 1, as an elimination before the derivative may do.
 import casadi as ca
 import numpy as np
 
-from model import state
-from model.arrays import Array
-from model.dynamics import Symbols
-from model.linearisation import Linearisation, Model
-from model.parameters import System
-from model.rotations import euler_rates, rotation
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.dynamics import Symbols
+from transport.model.linearisation import Linearisation, Model
+from transport.model.parameters import System
+from transport.model.rotations import euler_rates, rotation
 
 K = ca.DM([0.0, 0.0, 1.0])  # direction of gravity, inertial frame
 
@@ -33,10 +35,14 @@ class PublishedModel(Model):
         slope = ca.jacobian(b - M @ q, x)
         held, (rows, motion) = [x, u, p], kinematics(symbols)
         self._system = ca.Function("system", held, [M, b])
-        self._slope = ca.Function("slope", [*held, q], [ca.densify(slope), ca.densify(ca.jacobian(motion, x))])
+        self._slope = ca.Function(
+            "slope", [*held, q], [ca.densify(slope), ca.densify(ca.jacobian(motion, x))]
+        )
         self._rows = np.concatenate([np.arange(3, 6), np.arange(9, 12), *_rod_rates(system.N)])
         self._moving = np.array(rows)
-        self._newest: tuple[bytes, Array] | None = None  # agents with the same state need the same A_c
+        self._newest: tuple[bytes, Array] | None = (
+            None  # agents with the same state need the same A_c
+        )
 
     def accelerations(self, x: Array, u: Array) -> Array:
         """Return (v0', omega0', Omega_1', .., Omega_N'), (6 + 3 N,), SI, at any rod lengths."""
@@ -90,7 +96,10 @@ def published(symbols: Symbols) -> tuple[ca.SX, ca.SX]:
         swing = length * ca.dot(Omega, Omega) * e + length * e_x @ w @ Omega
         translation += R0.T @ force - m * (w @ w @ rho + swing)
         turning += rho_x @ external - m * rho_x @ (w @ v0 + swing)
-        links.append(m * length * (e_x @ w @ w @ rho - length * w @ Omega + e_x @ w @ v0) - length * e_x @ external)
+        links.append(
+            m * length * (e_x @ w @ w @ rho - length * w @ Omega + e_x @ w @ v0)
+            - length * e_x @ external
+        )
     M[:3, :3] = m_T * ca.SX.eye(3)
     M[3:6, 3:6] = J_bar
     translation += m_T * (g * R0.T @ K - w @ v0)

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from model import state
-from model.arrays import Array
-from model.parameters import GRAVITY, Payload, System, Uav
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.parameters import GRAVITY, Payload, System, Uav
 
 # rad; keeps Euler rates away from their singularity at 90 deg, where comparisons lose digits.
 PITCH_MAX = 1.2
@@ -15,7 +15,8 @@ def random_inertia(rng: np.random.Generator, scale: float) -> Array:
     """Return the inertia matrix of a physical body in a random frame, (3, 3), around `scale` kg m^2."""
     a, b, c = scale * rng.uniform(0.3, 1.0, 3)
     R = Rotation.random(rng=rng).as_matrix()
-    # Second moments a, b, c of a mass distribution give principal moments that obey the triangle inequality.
+    # Second moments a, b, c of a mass distribution give principal moments that obey the triangle
+    # inequality.
     J = R @ np.diag([b + c, a + c, a + b]) @ R.T
     return np.asarray((J + J.T) / 2.0)
 
@@ -32,12 +33,17 @@ def random_system(rng: np.random.Generator, N: int, gravity: float = GRAVITY) ->
         for _ in range(N)
     ]
     return System(
-        payload=Payload(mass=rng.uniform(1.0, 5.0), inertia=random_inertia(rng, 0.4)), uavs=uavs, gravity=gravity
+        payload=Payload(mass=rng.uniform(1.0, 5.0), inertia=random_inertia(rng, 0.4)),
+        uavs=uavs,
+        gravity=gravity,
     )
 
 
 def random_state(rng: np.random.Generator, N: int, rate: float = 2.0) -> Array:
-    """Return a state far from hover with velocities around `rate` (m/s, rad/s) and e . Omega = 0, (12 + 12 N,)."""
+    """Return a state far from hover with velocities around `rate` (m/s, rad/s) and e .
+
+    Omega = 0, (12 + 12 N,).
+    """
     x = np.zeros(12 + 12 * N)
     x[state.R0] = rng.normal(0.0, 5.0, 3)
     x[state.V0] = rng.normal(0.0, rate, 3)

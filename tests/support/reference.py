@@ -1,6 +1,7 @@
 """Reference accelerations and trajectories from physics engines, in the project's conventions.
 
-The file stores attitudes as matrices and thrust along +b3 (down); the model takes Euler angles and thrust along -b3
+The file stores attitudes as matrices and thrust along +b3 (down); the model takes Euler angles and
+thrust along -b3
 (lift). `tests/model/data/README.md` describes it.
 """
 
@@ -12,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from model.arrays import Array
-from model.parameters import Payload, System, Uav
-from model.rotations import euler_angles
+from transport.model.arrays import Array
+from transport.model.parameters import Payload, System, Uav
+from transport.model.rotations import euler_angles
 
 _FILE = Path(__file__).parents[1] / "model" / "data" / "engines.json.xz"
 _CASES: dict[str, dict[str, Any]] = json.loads(lzma.decompress(_FILE.read_bytes()))
@@ -32,7 +33,8 @@ class AccelerationCase:
         x: State, (12 + 12 N,), SI.
         u: Input, (4 N,), SI.
         R0: Payload attitude as stored, (3, 3).
-        expected: Derivatives, tensions, energy and momenta by name, as in the file's block `expected`.
+        expected: Derivatives, tensions, energy and momenta by name, as in the file's block
+            `expected`.
     """
 
     system: System
@@ -53,7 +55,8 @@ class TrajectoryCase:
         R0: Payload attitudes as stored, (41, 3, 3).
         R: UAV attitudes as stored, (41, N, 3, 3).
         u: Inputs held from sample to sample, (40, 4 N), SI; thrust 0 where `force_I` is given.
-        force_I: UAV forces held in the inertial frame, (40, N, 3), N, or None when thrust turns with the UAV.
+        force_I: UAV forces held in the inertial frame, (40, N, 3), N, or None when thrust turns
+            with the UAV.
     """
 
     system: System
@@ -99,15 +102,23 @@ def _arrays(block: dict[str, Any]) -> dict[str, Array]:
 def _system(params: dict[str, Any]) -> System:
     uavs = [
         Uav(mass=m, inertia=J, rho=rho, rod_length=length)
-        for m, J, rho, length in zip(params["m"], params["J"], params["rho"], params["l"], strict=True)
+        for m, J, rho, length in zip(
+            params["m"], params["J"], params["rho"], params["l"], strict=True
+        )
     ]
-    return System(payload=Payload(mass=params["m0"], inertia=params["J0"]), uavs=uavs, gravity=params["g"])
+    return System(
+        payload=Payload(mass=params["m0"], inertia=params["J0"]), uavs=uavs, gravity=params["g"]
+    )
 
 
 def _state(fields: dict[str, Array]) -> Array:
     """Return the state vector of one sample, (n,), or of several, (k, n)."""
-    payload = np.concatenate([fields["r0"], fields["v0"], euler_angles(fields["R0"]), fields["omega0"]], axis=-1)
-    uavs = np.concatenate([fields["e"], fields["Omega"], euler_angles(fields["R_i"]), fields["omega_i"]], axis=-1)
+    payload = np.concatenate(
+        [fields["r0"], fields["v0"], euler_angles(fields["R0"]), fields["omega0"]], axis=-1
+    )
+    uavs = np.concatenate(
+        [fields["e"], fields["Omega"], euler_angles(fields["R_i"]), fields["omega_i"]], axis=-1
+    )
     return np.concatenate([payload, uavs.reshape(*payload.shape[:-1], -1)], axis=-1)
 
 

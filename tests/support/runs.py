@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from model import state
-from model.arrays import Array
-from protocol.network.bus import Place
-from protocol.network.endpoints import Endpoints
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import (
+from transport.flight.memory import simulate
+from transport.model import state
+from transport.model.arrays import Array
+from transport.protocol.network.bus import Place
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import (
     STAGES,
     Control,
     Measurement,
@@ -26,21 +27,26 @@ from protocol.wire.messages import (
     Tick,
     agent_name,
 )
-from transport.flight.memory import simulate
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
 PAPER = SCENARIOS / "paper.toml"
 
-# Half a second of hover and a second of climb: 30 ticks, long enough for plans to differ from hover.
+# Half a second of hover and a second of climb: 30 ticks, long enough for plans to differ from
+# hover.
 SHORT = (
     "maneuver.phase=[{name='hover',duration_s=0.5,displacement_m=[0,0,0]},"
     "{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]}]"
 )
 
-# Sensors of the vehicles alone, with the noise of a small autopilot, and the filter that needs no more.
+# Sensors of the vehicles alone, with the noise of a small autopilot, and the filter that needs no
+# more.
 VEHICLE = (
     *("plant.sensors=vehicle", "controller.estimator=kalman", "controller.prediction=closed_loop"),
-    *("plant.noise.position_m=0.01", "plant.noise.velocity_mps=0.02", "plant.noise.attitude_rad=0.0087"),
+    *(
+        "plant.noise.position_m=0.01",
+        "plant.noise.velocity_mps=0.02",
+        "plant.noise.attitude_rad=0.0087",
+    ),
     *("plant.noise.rate_rads=0.0175", "plant.noise.specific_force_mps2=0.3"),
 )
 
@@ -76,7 +82,9 @@ def ticks(count: int) -> str:
     return f"maneuver.phase=[{{name='hover',duration_s={0.05 * count},displacement_m=[0,0,0]}}]"
 
 
-def recorded(run: Setup, flight: Callable[[Setup, Callable[[Message], None]], Control] = simulate) -> list[Message]:
+def recorded(
+    run: Setup, flight: Callable[[Setup, Callable[[Message], None]], Control] = simulate
+) -> list[Message]:
     """Return all messages of a run, in the order sent."""
     messages: list[Message] = []
     control = flight(run, messages.append)
@@ -99,10 +107,16 @@ def completed(run: Setup) -> list[Message]:
 
 def reproducible(message: Message) -> Message:
     """Return a message without its wall-clock times, the only difference between two equal runs."""
-    return replace(message, times_ms=np.zeros(len(STAGES))) if isinstance(message, StepReport) else message
+    return (
+        replace(message, times_ms=np.zeros(len(STAGES)))
+        if isinstance(message, StepReport)
+        else message
+    )
 
 
-def tick(k: int, answered: Sequence[int] = ALL, members: Sequence[int] = ALL, version: int = 1) -> Tick:
+def tick(
+    k: int, answered: Sequence[int] = ALL, members: Sequence[int] = ALL, version: int = 1
+) -> Tick:
     """Return the coordinator's message that opens tick k."""
     return Tick(
         sender="coordinator",
@@ -137,7 +151,15 @@ def roster(incarnations: dict[int, int] | None = None, k: int = 0, version: int 
 
 def end(k: int = 0) -> Control:
     """Return the coordinator's message that ends the run at tick k."""
-    return Control(sender="coordinator", incarnation=0, sequence=9, tick=k, outcome="completed", reason="", exit_code=0)
+    return Control(
+        sender="coordinator",
+        incarnation=0,
+        sequence=9,
+        tick=k,
+        outcome="completed",
+        reason="",
+        exit_code=0,
+    )
 
 
 def measurement(

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control, LinkChange, Message, Presence
 from tests.support.runs import end
 from transport.flight import memory
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Control, LinkChange, Message, Presence
 
 # Placeholder in the runtime's queue for one more delivery; the message is drawn at random.
 _SOMETHING = end()
@@ -55,9 +55,16 @@ class _Shuffled(memory.InMemoryRun):
     def _put(self, sender: str, receiver: str, event: Message | Presence) -> None:
         if receiver not in self.nodes:
             return
-        channel = sender, receiver, self._keys.of(event) if isinstance(event, Message) else _PRESENCE
+        channel = (
+            sender,
+            receiver,
+            self._keys.of(event) if isinstance(event, Message) else _PRESENCE,
+        )
         if channel not in self._channels:
-            self._channels[channel], self._speeds[channel] = deque(), 10.0 ** self._rng.uniform(-3.0, 0.0)
+            self._channels[channel], self._speeds[channel] = (
+                deque(),
+                10.0 ** self._rng.uniform(-3.0, 0.0),
+            )
         if isinstance(event, LinkChange):
             self._speeds[channel] = _SLOWEST  # so that every message that can overtake it does
         self._channels[channel].append(event)
@@ -68,7 +75,9 @@ class _Shuffled(memory.InMemoryRun):
         waiting = [channel for channel, events in self._channels.items() if events]
         talking = {(sender, receiver) for sender, receiver, key in waiting if key != _PRESENCE}
         # The end of a process arrives after all its messages.
-        busy = [channel for channel in waiting if channel[2] != _PRESENCE or channel[:2] not in talking]
+        busy = [
+            channel for channel in waiting if channel[2] != _PRESENCE or channel[:2] not in talking
+        ]
         if not busy:
             return
         speeds = np.array([self._speeds[channel] for channel in busy])

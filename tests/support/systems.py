@@ -7,18 +7,20 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from model import state
-from model.arrays import Array
-from model.hover import Hover, hover
-from model.linearisation import Model
-from model.maneuver import Maneuver, Phase, Reference
-from model.parameters import Payload, System, Uav, table_1
-from mpc.controller import Controller, StepResult
-from mpc.settings import ControllerSettings, Section
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.hover import Hover, hover
+from transport.model.linearisation import Model
+from transport.model.maneuver import Maneuver, Phase, Reference
+from transport.model.parameters import Payload, System, Uav, table_1
+from transport.mpc.controller import Controller, StepResult
+from transport.mpc.settings import ControllerSettings, Section
 
 S = TypeVar("S", bound=Section)
 
-INTEGRATION_STEPS = 5  # Dormand-Prince steps per 0.05 s: the local error is then far below every tolerance here
+INTEGRATION_STEPS = (
+    5  # Dormand-Prince steps per 0.05 s: the local error is then far below every tolerance here
+)
 
 # Initial altitude, m up: not zero, so that a missing offset is detected.
 START_I = (0.0, 0.0, -10.0)
@@ -54,7 +56,10 @@ class Situation:
 
 
 def ring(N: int) -> System:
-    """Return N UAVs on vertical rods around the payload's centre of mass; a single UAV is above the centre of mass."""
+    """Return N UAVs on vertical rods around the payload's centre of mass.
+
+    A single UAV is above the centre of mass.
+    """
     angles = 2.0 * np.pi * np.arange(N) / N
     radius = 0.0 if N == 1 else 0.5
     return System(
@@ -92,7 +97,10 @@ def _setup(system: System) -> Setup:
 
 
 def disturbed(setup: Setup, rng: np.random.Generator, size: float) -> Array:
-    """Return hover at START_I with every state disturbed by about `size`, with |e| = 1 and e . Omega = 0 kept."""
+    """Return hover at START_I with every state disturbed by about `size`, with |e| = 1 and e .
+
+    Omega = 0 kept.
+    """
     x = setup.x + size * rng.standard_normal(setup.system.n)
     for i in range(setup.system.N):
         block = x[state.uav_slice(i)]
@@ -102,8 +110,13 @@ def disturbed(setup: Setup, rng: np.random.Generator, size: float) -> Array:
     return x
 
 
-def situation(setup: Setup, settings: ControllerSettings, seed: int, size: float = 0.05) -> Situation:
-    """Return a step away from equilibrium: state, inputs, announced plans and reference are disturbed differently."""
+def situation(
+    setup: Setup, settings: ControllerSettings, seed: int, size: float = 0.05
+) -> Situation:
+    """Return a step away from equilibrium.
+
+    State, inputs, announced plans and reference are disturbed differently.
+    """
     rng = np.random.default_rng(seed)
     steps, u_hover = settings.horizon, setup.hover.u
     half = (settings.upper(setup.system.N) - settings.lower(setup.system.N)) / 2.0
@@ -119,7 +132,9 @@ def controller(setup: Setup, settings: ControllerSettings, owned: Sequence[int])
     return Controller(setup.model, setup.hover, settings, owned)
 
 
-def team(setup: Setup, settings: ControllerSettings, teams: Sequence[Sequence[int]]) -> list[Controller]:
+def team(
+    setup: Setup, settings: ControllerSettings, teams: Sequence[Sequence[int]]
+) -> list[Controller]:
     """Return one controller for each set of owned UAVs."""
     return [controller(setup, settings, owned) for owned in teams]
 
@@ -158,10 +173,14 @@ def simulate(setup: Setup, controllers: Sequence[Controller], start_s: float, st
         costs.append(cost.stage(setup.model.outputs(at.x), at.y_ref[0], u))
         U.append(u)
         X.append(x)
-    return Flight(X=np.array(X), U=np.array(U), mean_cost=float(np.mean(costs)), statuses=frozenset(statuses))
+    return Flight(
+        X=np.array(X), U=np.array(U), mean_cost=float(np.mean(costs)), statuses=frozenset(statuses)
+    )
 
 
-def situations(setup: Setup, controllers: Sequence[Controller], start_s: float, steps: int) -> Iterator[Situation]:
+def situations(
+    setup: Setup, controllers: Sequence[Controller], start_s: float, steps: int
+) -> Iterator[Situation]:
     """Yield the arguments of the controllers in such a simulation."""
     for at, _, _ in _loop(setup, controllers, start_s, steps):
         yield at
@@ -176,7 +195,9 @@ def _loop(
     x, u = setup.x, setup.hover.u
     U = np.tile(u, (horizon, 1))
     for k in range(steps):
-        y_ref = reference.outputs(start_s + period * np.arange(k, k + horizon + 1, dtype=np.float64))
+        y_ref = reference.outputs(
+            start_s + period * np.arange(k, k + horizon + 1, dtype=np.float64)
+        )
         at = Situation(x=x, u=u, U=U, y_ref=y_ref)
         optima = [step(owner, at) for owner in controllers]
         announced = np.empty_like(U)
@@ -190,8 +211,16 @@ def _loop(
 
 
 def paper_maneuver() -> Maneuver:
-    """Return the maneuver of section V: hover, climb 2.5 m, translate 2.5 m in +x, descend 2.5 m, hover, 5 s each."""
-    legs = {"hover": (0, 0, 0), "climb": (0, 0, -2.5), "translate": (2.5, 0, 0), "descend": (0, 0, 2.5)}
+    """Return the maneuver of section V.
+
+    Hover, climb 2.5 m, translate 2.5 m in +x, descend 2.5 m, hover, 5 s each.
+    """
+    legs = {
+        "hover": (0, 0, 0),
+        "climb": (0, 0, -2.5),
+        "translate": (2.5, 0, 0),
+        "descend": (0, 0, 2.5),
+    }
     order = ["hover", "climb", "translate", "descend", "hover"]
     return Maneuver(
         start_I=[0.0, 0.0, -10.0],

@@ -15,8 +15,9 @@ HEAVY = (
 )
 NEXT_TICK, ITERATIONS = "clock.actuation=next_tick", "controller.negotiation_iterations=2"
 
-# One agent is frozen and continued, another is killed and restarted; for a while both are away. The timeout for a
-# frozen agent stays at its default of 5 s: a busy host can stop any process for a second.
+# One agent is frozen and continued, another is killed and restarted; for a while both are away. The
+# timeout for a frozen agent stays at its default of 5 s: a busy host can stop any process for a
+# second.
 FAULTS = (
     "clock.on_agent_loss=continue",
     "faults.event=[{at_s=0.3,do='stop',target='agent2'},{at_s=0.7,do='continue',target='agent2'},"

@@ -9,18 +9,18 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
-from protocol.admission.gate import Gate
-from protocol.network.bus import Bus, Place
-from protocol.network.endpoints import Endpoints
-from protocol.network.security import Security, access_control
-from protocol.wire.codec import VERSION, encode
-from protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
-from protocol.wire.messages import BUNDLES, KINDS, Message, Plan, agent_name
 from tests.support import attacker, runs
 from tests.support.commands import free_base
 from tests.support.keyrings import keyring
 from tests.support.messages import sample
 from tests.support.runs import setup
+from transport.protocol.admission.gate import Gate
+from transport.protocol.network.bus import Bus, Place
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.security import Security, access_control
+from transport.protocol.wire.codec import VERSION, encode
+from transport.protocol.wire.keys import ACTING, OPERATOR, ROUTER, WATCHER, Keys
+from transport.protocol.wire.messages import BUNDLES, KINDS, Message, Plan, agent_name
 
 KEYS = Keys("guarded")
 DIGEST = "0123456789ab"
@@ -47,7 +47,9 @@ class Guarded:
         self.at = f"tls/127.0.0.1:{port}"
         self.gate = Gate(name, KEYS, setup().shape)
         security = Security(keyring("one"), TEAM)
-        place = Place(run=KEYS.run, endpoints=Endpoints(listen=[self.at], connect=[], security=security))
+        place = Place(
+            run=KEYS.run, endpoints=Endpoints(listen=[self.at], connect=[], security=security)
+        )
         self.bus = Bus(name, place, DIGEST, self.gate, serves=name == "coordinator")
 
     def accepted(self, timeout_s: float) -> list[Message]:
@@ -110,7 +112,9 @@ def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
     forged = {f"{KEYS.prefix}/{end}": b"?" for end in ("plan/2", "tick", "control", "relay")}
     with session_of(plant, keyring("one"), impostor) as session:
         if impostor == "agent1":
-            assert reaches(plant, session, f"{KEYS.prefix}/plan/1")  # the session is connected: its own messages arrive
+            assert reaches(
+                plant, session, f"{KEYS.prefix}/plan/1"
+            )  # the session is connected: its own messages arrive
         else:
             time.sleep(0.3)
         plant.accepted(0.1)
@@ -137,7 +141,10 @@ def test_impostors_are_refused(plant: Guarded, impostor: str) -> None:
 
 
 def test_the_same_messages_from_the_owner(plant: Guarded) -> None:
-    """The same messages are accepted from the owner of the certificate: a tick, the end, and a token."""
+    """The same messages are accepted from the owner of the certificate.
+
+    A tick, the end, and a token.
+    """
     with session_of(plant, keyring("one"), "coordinator") as session:
         token = session.liveliness().declare_token(KEYS.alive("coordinator", 0, DIGEST, VERSION))
         assert reaches(plant, session, f"{KEYS.prefix}/tick")
@@ -149,7 +156,10 @@ def test_the_same_messages_from_the_owner(plant: Guarded) -> None:
 
 
 def test_rights_to_request() -> None:
-    """All key holders may request the health of a process; only an operator may request a change of links."""
+    """All key holders may request the health of a process.
+
+    Only an operator may request a change of links.
+    """
     port = free_base()
     coordinator = Guarded("coordinator", port)
 
@@ -157,7 +167,9 @@ def test_rights_to_request() -> None:
         with attacker.session([coordinator.at], attacker.tls(keyring("one"), name)) as session:
             deadline = time.monotonic() + (PATIENCE_S if request == "health" else 1.0)
             while time.monotonic() < deadline:
-                handler = session.get(KEYS.request("coordinator", request), payload="{}", timeout=1.0)
+                handler = session.get(
+                    KEYS.request("coordinator", request), payload="{}", timeout=1.0
+                )
                 event = coordinator.bus.next(0.1)
                 if event is not None:
                     event.reply({"fine": True})  # type: ignore[union-attr]
@@ -184,7 +196,9 @@ def test_rights_to_put() -> None:
     for policy in rules["policies"]:
         (name,) = policy["subjects"]
         own = [by_id[rule] for rule in policy["rules"] if "ingress" in by_id[rule]["flows"]]
-        may_put[name] = {key for rule in own if "put" in rule["messages"] for key in rule["key_exprs"]}
+        may_put[name] = {
+            key for rule in own if "put" in rule["messages"] for key in rule["key_exprs"]
+        }
         asks = {key for rule in own if "query" in rule["messages"] for key in rule["key_exprs"]}
         if name not in (OPERATOR, ROUTER):
             assert not asks & {KEYS.request("*", request) for request in ACTING}
@@ -195,7 +209,11 @@ def test_rights_to_put() -> None:
         if message.sender == "recorder":
             continue  # only written into the log
         key = KEYS.of(message)
-        owners = [name for name, keys in may_put.items() if key in keys or f"{key.rpartition('/')[0]}/*" in keys]
+        owners = [
+            name
+            for name, keys in may_put.items()
+            if key in keys or f"{key.rpartition('/')[0]}/*" in keys
+        ]
         assert owners == [message.sender], kind
     assert f"{KEYS.prefix}/plan/2" in may_put[agent_name(2)]
     unshared = KEYS.of(sample(Plan, shared=False))

@@ -1,4 +1,7 @@
-"""Refused scenarios, options and addresses: one line and the documented exit code, before any process starts."""
+"""Refused scenarios, options and addresses.
+
+One line and the documented exit code, before any process starts.
+"""
 
 import socket
 from pathlib import Path
@@ -14,21 +17,33 @@ USAGE, SCENARIO, LOST = 2, 3, 4
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("paper", "--set", "controller.horizn=3"), "--set controller.horizn=3: unknown key; did you mean 'horizon'?"),
+        (
+            ("paper", "--set", "controller.horizn=3"),
+            "--set controller.horizn=3: unknown key; did you mean 'horizon'?",
+        ),
         (("nowhere.toml",), "nowhere.toml: no such file"),
     ],
 )
 def test_scenario_that_cannot_be_is_refused_in_one_line(
     arguments: tuple[str, ...], expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A wrong value or file ends with exit code 3 and one line, without a run folder; all others are as this one."""
+    """A wrong value or file ends with exit code 3 and one line, without a run folder.
+
+    All others are as this one.
+    """
     monkeypatch.chdir(tmp_path)
     result = here("run", *arguments, "--out", "out")
-    assert (result.exit_code, result.stdout, result.stderr) == (SCENARIO, "", f"transport: {expected}\n")
+    assert (result.exit_code, result.stdout, result.stderr) == (
+        SCENARIO,
+        "",
+        f"transport: {expected}\n",
+    )
     assert list(tmp_path.iterdir()) == []
 
 
-def test_agent_that_is_not_in_the_scenario_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_agent_that_is_not_in_the_scenario_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """`--id 9` of four agents is a usage error."""
     monkeypatch.chdir(tmp_path)
     result = here("agent", "--id", "9")
@@ -38,7 +53,9 @@ def test_agent_that_is_not_in_the_scenario_is_refused(tmp_path: Path, monkeypatc
     )
 
 
-def test_existing_run_folder_is_not_touched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_existing_run_folder_is_not_touched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """An existing run folder is refused, and its content stays."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").mkdir()
@@ -57,7 +74,9 @@ def test_port_in_use_is_named(tmp_path: Path) -> None:
         taken.listen()
         port = taken.getsockname()[1]
         base = min(port, 65_000)
-        whole = transport("run", "paper", *settings(f"network.base_port={base}"), "--out", "out", cwd=tmp_path)
+        whole = transport(
+            "run", "paper", *settings(f"network.base_port={base}"), "--out", "out", cwd=tmp_path
+        )
         single = transport("coordinator", "--listen", f"tcp/127.0.0.1:{port}", cwd=tmp_path)
     assert whole.returncode == LOST
     assert "network.base_port: expected free ports, got" in whole.stderr
@@ -69,7 +88,16 @@ def test_port_in_use_is_named(tmp_path: Path) -> None:
 
 def test_connecting_to_nothing_ends_by_name(tmp_path: Path) -> None:
     """An agent without connections names the missing processes and its endpoints within the join timeout."""
-    options = ["--listen", "tcp/127.0.0.1:0", "--connect", "tcp/127.0.0.1:9", "--join-timeout", "1", "--run", "alone"]
+    options = [
+        "--listen",
+        "tcp/127.0.0.1:0",
+        "--connect",
+        "tcp/127.0.0.1:9",
+        "--join-timeout",
+        "1",
+        "--run",
+        "alone",
+    ]
     result = transport("agent", "--id", "1", *options, cwd=tmp_path)
     assert result.returncode == LOST
     last = result.stderr.strip().splitlines()[-1]

@@ -1,4 +1,7 @@
-"""The bus with an unknown session on its network: its messages are counted and have no other effect."""
+"""The bus with an unknown session on its network.
+
+Its messages are counted and have no other effect.
+"""
 
 import json
 import time
@@ -8,16 +11,16 @@ from contextlib import contextmanager
 import pytest
 import zenoh
 
-from protocol.admission.gate import Gate
-from protocol.network.bus import Bus, Place
-from protocol.network.endpoints import Endpoints
-from protocol.network.session import BusError
-from protocol.wire.codec import MAX_BYTES, VERSION, encode
-from protocol.wire.keys import Keys
-from protocol.wire.messages import Presence
 from tests.support import runs
 from tests.support.commands import free_base
 from tests.support.runs import setup
+from transport.protocol.admission.gate import Gate
+from transport.protocol.network.bus import Bus, Place
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.session import BusError
+from transport.protocol.wire.codec import MAX_BYTES, VERSION, encode
+from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.messages import Presence
 
 KEYS = Keys("bus")
 DIGEST = "0123456789ab"
@@ -32,7 +35,9 @@ class Plant:
         self.gate = Gate("plant", KEYS, setup().shape)
         self.rejections = self.gate.rejections
         place = Place(
-            run=KEYS.run, endpoints=Endpoints(listen=[f"tcp/127.0.0.1:{port}"], connect=[]), join_timeout_s=1.0
+            run=KEYS.run,
+            endpoints=Endpoints(listen=[f"tcp/127.0.0.1:{port}"], connect=[]),
+            join_timeout_s=1.0,
         )
         self.bus = Bus("plant", place, DIGEST, self.gate)
 
@@ -55,7 +60,11 @@ def stranger(port: int) -> Iterator[zenoh.Session]:
     """Open a session to a port; it is no process of the run."""
     configuration = {
         "mode": "peer",
-        "connect": {"endpoints": [f"tcp/127.0.0.1:{port}"], "exit_on_failure": True, "timeout_ms": 10_000},
+        "connect": {
+            "endpoints": [f"tcp/127.0.0.1:{port}"],
+            "exit_on_failure": True,
+            "timeout_ms": 10_000,
+        },
         "listen": {"endpoints": []},
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
     }
@@ -107,7 +116,10 @@ def test_a_stranger_is_counted(network: tuple[Plant, zenoh.Session]) -> None:
 
 
 def test_messages_of_announced_processes_are_accepted(network: tuple[Plant, zenoh.Session]) -> None:
-    """A message may overtake its sender's token; the end of the token is an event, unless of another scenario."""
+    """A message may overtake its sender's token.
+
+    The end of the token is an event, unless of another scenario.
+    """
     plant, session = network
     block = zenoh.CongestionControl.BLOCK
     session.put(f"{KEYS.prefix}/tick", encode(runs.tick(0)), congestion_control=block)
@@ -124,7 +136,7 @@ def test_a_process_that_waits_gives_signs_of_life(
     network: tuple[Plant, zenoh.Session], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While others are missing, a sentence names them at every interval, until the time is over."""
-    monkeypatch.setattr("protocol.network.bus.WAITING_S", 0.1)
+    monkeypatch.setattr("transport.protocol.network.bus.WAITING_S", 0.1)
     said: list[str] = []
     with pytest.raises(BusError, match="no sign of agent1, agent2 within 1 s"):
         network[0].bus.join(["agent1", "agent2"], said.append)
@@ -133,9 +145,14 @@ def test_a_process_that_waits_gives_signs_of_life(
 
 
 def test_another_version_is_refused_by_name(network: tuple[Plant, zenoh.Session]) -> None:
-    """A process with another version of the protocol is not joined; the error names both versions and the remedy."""
+    """A process with another version of the protocol is not joined.
+
+    The error names both versions and the remedy.
+    """
     plant, session = network
-    token = session.liveliness().declare_token(f"{KEYS.prefix}/alive/coordinator/0/{DIGEST}/{VERSION + 1}")
+    token = session.liveliness().declare_token(
+        f"{KEYS.prefix}/alive/coordinator/0/{DIGEST}/{VERSION + 1}"
+    )
     expected = f"coordinator speaks version {VERSION + 1} of the protocol, plant version {VERSION}: install the same"
     with pytest.raises(BusError, match=expected):
         plant.bus.join(["coordinator"])

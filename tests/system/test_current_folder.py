@@ -1,4 +1,4 @@
-"""The user's own files in the current folder: they neither break a run nor hide a package without a message."""
+"""The user's own files in the current folder disturb neither imports nor runs, whatever their names."""
 
 import subprocess
 import sys
@@ -9,36 +9,89 @@ import pytest
 from tests.support.commands import PATIENCE_S, SHORT, settings
 
 TRAP = 'raise RuntimeError("imported from the current folder")\n'
+FOLDERS = ("model", "mpc", "agent", "plant", "protocol", "coordinator", "deploy", "scenarios")
+
+HOVER = "[{'name': 'hover', 'duration_s': 0.2, 'displacement_m': [0, 0, 0]}]"
+CONTROLLER = """
+class Hover:
+    def start(self, run):
+        self.run = run
+
+    def step(self, measurement, messages):
+        return self.run.u_hover[:4]
+
+    def stop(self):
+        pass
+"""
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Return a folder with a file named like one of our packages."""
-    (tmp_path / "model.py").write_text(TRAP, encoding="utf-8")
+    """Return a folder with files named like the folders of the project."""
+    for name in FOLDERS:
+        (tmp_path / f"{name}.py").write_text(TRAP, encoding="utf-8")
     return tmp_path
 
 
-def imported(folder: Path) -> subprocess.CompletedProcess[str]:
-    """Import the project with a folder on the path, as `python -c` and notebooks do."""
-    command = [sys.executable, "-c", "import transport"]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+def python(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run Python in a folder that is on its path, as with `python -c` and in notebooks."""
+    command = [sys.executable, *arguments]
+    return subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False
+    )
 
 
 @pytest.mark.slow
 def test_a_run_does_not_import_from_the_current_folder(folder: Path) -> None:
     """The installed command completes a run, with every child process started in that folder."""
     words = ["run", "paper", *settings(SHORT), "--out", "out", "--no-figures"]
-    command = [str(Path(sys.executable).with_name("transport")), *words]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S * 2, check=False)
+    done = python(folder, str(Path(sys.executable).with_name("transport")), *words)
     assert done.returncode == 0, done.stderr
     assert (folder / "out" / "summary.json").exists()
 
 
-def test_an_import_names_the_file_that_hides_a_package(folder: Path) -> None:
-    """With the current folder on the path, importing the project names the file and the package that it hides."""
-    done = imported(folder)
-    (file,) = folder.rglob("*.py")
-    assert done.returncode == 1
-    last = done.stderr.splitlines()[-1]
-    assert last.startswith(f"ImportError: payload-transport: {file} hides its package ")
-    assert "imported from the current folder" not in done.stderr
+def test_an_import_does_not_import_from_the_current_folder(folder: Path) -> None:
+    """With the current folder on the path, the whole interface is imported from the project."""
+    program = "import transport; print([getattr(transport, name) for name in transport.__all__])"
+    done = python(folder, "-c", program)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", ["model", "agent", "plant", "test"])
+def test_an_own_class_may_lie_in_a_file_of_any_name(folder: Path, name: str) -> None:
+    """A controller in a file named like a folder of the project, or like a module of Python, flies."""
+    (folder / f"{name}.py").write_text(CONTROLLER, encoding="utf-8")
+    program = (
+        "import transport; "
+        f"run = transport.fly('resilient', controller='{name}:Hover', phases={HOVER}, progress=False); "
+        "print(run.summary['solver']['failures'])"
+    )
+    done = python(folder, "-c", program)
+    assert (done.returncode, done.stdout) == (0, "0\n"), done.stderr
+
+
+def test_a_file_with_the_name_of_an_imported_package_is_refused(tmp_path: Path) -> None:
+    """The refusal names the file and the package: it must not replace the package for others."""
+    (tmp_path / "numpy.py").write_text(CONTROLLER, encoding="utf-8")
+    words = ["validate", "resilient", "--set", "agents.controller=numpy:Hover"]
+    done = python(tmp_path, str(Path(sys.executable).with_name("transport")), *words)
+    assert done.returncode == 3
+    assert f"{tmp_path / 'numpy.py'} has the name of the imported package" in done.stderr
+    assert "rename it" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_notebook_does_not_import_from_its_folder(folder: Path) -> None:
+    """A notebook beside these files, whose folder is first on the path of its kernel, flies."""
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    cell = (
+        "import transport\n"
+        f"transport.fly('resilient', phases={HOVER}, progress=False).summary['outcome']"
+    )
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell)])
+    client = nbclient.NotebookClient(
+        notebook, timeout=PATIENCE_S, resources={"metadata": {"path": str(folder)}}
+    )
+    client.execute()
+    assert notebook.cells[0].outputs[0]["data"]["text/plain"] == "'completed'"

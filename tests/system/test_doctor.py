@@ -27,7 +27,9 @@ def test_ports() -> None:
     assert check.status == "fail"
     assert str(base + 2) in check.found
     assert "network.base_port" in check.advice
-    away = doctor.ports(runs.setup("network.host='192.0.2.1'"))  # an address reserved for documentation
+    away = doctor.ports(
+        runs.setup("network.host='192.0.2.1'")
+    )  # an address reserved for documentation
     assert away.status == "fail"
     assert "address of this machine" in away.advice
 

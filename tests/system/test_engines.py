@@ -1,4 +1,7 @@
-"""Engines of a person and a plant started by hand: they fly, and what is wrong with them ends in one line."""
+"""Engines of a person and a plant started by hand.
+
+They fly, and what is wrong with them ends in one line.
+"""
 
 import json
 import re
@@ -7,17 +10,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from protocol.wire.exit_codes import EXIT_DIVERGED, EXIT_SCENARIO, EXIT_UNREACHABLE, EXIT_USAGE
-from protocol.wire.messages import PlantState
-from tests.support.commands import SHORT, free_base, processes_of, settings, start, transport, wait_for
+from tests.support.commands import (
+    SHORT,
+    free_base,
+    processes_of,
+    settings,
+    start,
+    transport,
+    wait_for,
+)
 from tests.support.results import here
 from tests.support.runs import plant_states, ready, recorded
 from transport.log.run_log import read_log
+from transport.model.arrays import Array
+from transport.protocol.wire.exit_codes import (
+    EXIT_DIVERGED,
+    EXIT_SCENARIO,
+    EXIT_UNREACHABLE,
+    EXIT_USAGE,
+)
+from transport.protocol.wire.messages import PlantState
 
 BROKEN = """
 import time
-from plant.engines import Rods
+from transport.plant.engines import Rods
 
 class Raising(Rods):
     def advance(self, u, forces, duration_s):
@@ -35,7 +51,7 @@ class Slow(Rods):
 # What the code of an engine may do to its process.
 ROUGH = """
 import os
-from plant.engines import Rods
+from transport.plant.engines import Rods
 
 class Prints(Rods):
     def __init__(self, *arguments):
@@ -59,11 +75,26 @@ def states(folder: Path) -> Array:
 
 @pytest.mark.slow
 def test_a_plant_started_by_hand(tmp_path: Path) -> None:
-    """`--external` waits for a plant that the user starts with what is printed; the run has the same bits."""
+    """`--external` waits for a plant that the user starts with what is printed.
+
+    The run has the same bits.
+    """
     options = settings(SHORT, f"network.base_port={free_base()}")
-    run = start("run", "resilient", "--external", "plant", *options, "--out", "mine", "--no-figures", cwd=tmp_path)
+    run = start(
+        "run",
+        "resilient",
+        "--external",
+        "plant",
+        *options,
+        "--out",
+        "mine",
+        "--no-figures",
+        cwd=tmp_path,
+    )
     assert run.stderr is not None
-    line = next(line for line in run.stderr if line.startswith("waiting"))  # the model may be compiled before
+    line = next(
+        line for line in run.stderr if line.startswith("waiting")
+    )  # the model may be compiled before
     keys = re.search(r"digest \w+; it listens on .*--set '(network.keys=.*)'\n", line)
     assert keys is not None, line
     names = ("--scenario", "mine/scenario.toml", "--run", "mine", *settings(keys[1]))
@@ -71,7 +102,11 @@ def test_a_plant_started_by_hand(tmp_path: Path) -> None:
     _, errors = run.communicate(timeout=60)
     assert (plant.returncode, run.returncode) == (0, 0), (plant.stderr, errors)
     summary = json.loads((tmp_path / "mine" / "summary.json").read_text())
-    assert (summary["outcome"], summary["rejections"], summary["log_cut"]) == ("completed", [], None)
+    assert (summary["outcome"], summary["rejections"], summary["log_cut"]) == (
+        "completed",
+        [],
+        None,
+    )
     assert not (tmp_path / "mine" / "logs" / "plant.log").exists()
     own = np.array([entry.x for entry in plant_states(recorded(ready("resilient", SHORT)))])
     assert states(tmp_path / "mine").tobytes() == own.tobytes()
@@ -81,11 +116,16 @@ def test_a_plant_started_by_hand(tmp_path: Path) -> None:
 def test_mujoco_across_processes(tmp_path: Path) -> None:
     """With MuJoCo a run of separate processes equals the one in memory bit for bit, and the summary names it."""
     changes = (SHORT, "plant.engine=mujoco")
-    done = transport("run", "resilient", *settings(*changes), "--out", "out", "--no-figures", cwd=tmp_path)
+    done = transport(
+        "run", "resilient", *settings(*changes), "--out", "out", "--no-figures", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     own = np.array([entry.x for entry in plant_states(recorded(ready("resilient", *changes)))])
     assert states(tmp_path / "out").tobytes() == own.tobytes()
-    assert re.fullmatch(r"mujoco \d+\.\d+\.\d+", json.loads((tmp_path / "out" / "summary.json").read_text())["engine"])
+    assert re.fullmatch(
+        r"mujoco \d+\.\d+\.\d+",
+        json.loads((tmp_path / "out" / "summary.json").read_text())["engine"],
+    )
 
 
 @pytest.mark.slow
@@ -98,11 +138,18 @@ def test_mujoco_across_processes(tmp_path: Path) -> None:
             "transport: engine broken:Raising: advance raised OSError: the other program has gone (broken.py:7) "
             "at t = 0.00 s",
         ),
-        ("broken:Slow", EXIT_UNREACHABLE, "transport: no agent answered tick 4 in time: is the plant alive?"),
+        (
+            "broken:Slow",
+            EXIT_UNREACHABLE,
+            "transport: no agent answered tick 4 in time: is the plant alive?",
+        ),
     ],
 )
 def test_an_engine_that_fails(engine: str, code: int, text: str, tmp_path: Path) -> None:
-    """An engine that raises, or needs longer than the barrier, ends the run in one line; no process is left behind."""
+    """An engine that raises, or needs longer than the barrier, ends the run in one line.
+
+    No process is left behind.
+    """
     (tmp_path / "broken.py").write_text(BROKEN, encoding="utf-8")
     options = settings(SHORT, f"plant.engine={engine}", "clock.barrier_timeout_s=2.0")
     done = transport("run", "paper", *options, "--out", "out", "--no-figures", cwd=tmp_path)
@@ -117,17 +164,26 @@ def test_an_engine_that_fails(engine: str, code: int, text: str, tmp_path: Path)
     [
         ("rough:Prints", 0, ""),
         pytest.param(
-            *("rough:Base", EXIT_SCENARIO, "the constructor raised BaseException: no more (rough.py:12)"),
+            *(
+                "rough:Base",
+                EXIT_SCENARIO,
+                "the constructor raised BaseException: no more (rough.py:12)",
+            ),
             marks=pytest.mark.slow,
         ),
         ("rough:Exits", EXIT_UNREACHABLE, "plant ended with exit code 0 before the run began: "),
     ],
 )
 def test_an_engine_that_does_not_behave(engine: str, code: int, text: str, tmp_path: Path) -> None:
-    """Prints do not reach the results; whatever else it does to its process is named in one line, in time."""
+    """Prints do not reach the results.
+
+    Whatever else it does to its process is named in one line, in time.
+    """
     (tmp_path / "rough.py").write_text(ROUGH, encoding="utf-8")
     options = settings(SHORT, f"plant.engine={engine}", "clock.join_timeout_s=4.0")
-    done = transport("run", "paper", *options, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path)
+    done = transport(
+        "run", "paper", *options, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path
+    )
     assert done.returncode == code, done.stderr
     assert text in done.stderr
     assert "Traceback" not in done.stderr
@@ -143,7 +199,12 @@ def test_an_engine_that_does_not_behave(engine: str, code: int, text: str, tmp_p
             "--external: expected one of plant, agent1, agent2, agent3, agent4, got 'coordinator'",
         ),
         (
-            ["--external", "agent2", "--set", "faults.event=[{at_s=1.0,do='kill',target='agent2'}]"],
+            [
+                "--external",
+                "agent2",
+                "--set",
+                "faults.event=[{at_s=1.0,do='kill',target='agent2'}]",
+            ],
             "--external: expected a process without scripted faults, which act only on processes of the run, "
             "got 'agent2'",
         ),

@@ -1,4 +1,7 @@
-"""An agent without code of the project controls UAV 3 among real processes: the protocol page suffices."""
+"""An agent without code of the project controls UAV 3 among real processes.
+
+The protocol page suffices.
+"""
 
 import ast
 import json
@@ -9,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from model.parameters import table_1
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.wire.codec import VERSION
 from tests.support.commands import command, free_base, settings
 from tests.support.runs import ready
 from tests.test_architecture import LAYERS
+from transport.model.parameters import table_1
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.wire.codec import VERSION
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "foreign_agent.py"
 
@@ -34,7 +37,9 @@ def simulate(folder: Path, *changes: str) -> dict[str, Any]:
     commands = [command(*role, *options) for role in roles]
     commands.append([sys.executable, str(EXAMPLE), "mixed-team", digest, "3", str(base)])
     started = [
-        subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        subprocess.Popen(
+            words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
         for words in commands
     ]
     try:
@@ -51,7 +56,10 @@ def simulate(folder: Path, *changes: str) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_a_foreign_agent_flies_the_maneuver(tmp_path: Path) -> None:
-    """In the paper's 25 s the agent knows only the others' plans; payload attitude and separation stay in bounds."""
+    """In the paper's 25 s the agent knows only the others' plans.
+
+    Payload attitude and separation stay in bounds.
+    """
     summary = simulate(tmp_path)
     assert summary["ticks"] == 500
     assert summary["attitude_max_deg"] < 5.0
@@ -78,7 +86,9 @@ def test_its_numbers_are_those_of_the_scenario() -> None:
             names = [ast.unparse(target) for target in node.targets[0].elts]
             assert isinstance(node.value, ast.Tuple)
             texts = [ast.unparse(value).removeprefix("np.array") for value in node.value.elts]
-            values |= {name: ast.literal_eval(text) for name, text in zip(names, texts, strict=True)}
+            values |= {
+                name: ast.literal_eval(text) for name, text in zip(names, texts, strict=True)
+            }
     run = ready("resilient")
     uav = table_1().uavs[2]
     assert values["VERSION"] == VERSION

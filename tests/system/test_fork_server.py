@@ -16,10 +16,22 @@ from transport.flight import harness
 from transport.flight.fork_server import ForkServer
 from transport.flight.harness import Child, start_child
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="processes are forked on Linux alone"
+)
 
 # An agent that waits for agents that never join.
-LONELY = ("agent", "--id", "1", "--scenario", "paper", "--run", "lonely", "--listen", "tcp/127.0.0.1:0")
+LONELY = (
+    "agent",
+    "--id",
+    "1",
+    "--scenario",
+    "paper",
+    "--run",
+    "lonely",
+    "--listen",
+    "tcp/127.0.0.1:0",
+)
 
 
 @pytest.fixture
@@ -68,7 +80,9 @@ def waits(child: Child) -> bool:
 
 def test_as_if_started(begin: Begin) -> None:
     """Output and exit code of a forked command are those of a started one."""
-    for k, arguments in enumerate((["agent", "--help"], ["agent", "--id", "9"], ["agent", "--id", "x"], ["--version"])):
+    for k, arguments in enumerate(
+        (["agent", "--help"], ["agent", "--id", "9"], ["agent", "--id", "x"], ["--version"])
+    ):
         child = begin(f"{k}.log", *arguments)
         assert is_forked(child)
         expected = subprocess.run(command(*arguments), capture_output=True, text=True, check=False)
@@ -86,7 +100,8 @@ def test_place_of_its_own(begin: Begin, server: ForkServer) -> None:
     parent = psutil.Process(server._process.pid)
     assert parent.num_threads() == 1  # required for fork
     own, servers = (
-        {str(link.readlink()) for link in Path(f"/proc/{p.pid}/fd").iterdir()} for p in (child.process, parent)
+        {str(link.readlink()) for link in Path(f"/proc/{p.pid}/fd").iterdir()}
+        for p in (child.process, parent)
     )
     assert str(child.log) in own
     assert not [name for name in own & servers if name.startswith(("socket", "pipe"))]
@@ -110,7 +125,9 @@ def test_orphans_end(begin: Begin, server: ForkServer) -> None:
 
 
 @pytest.mark.parametrize("what", ["another system", "dead"])
-def test_without_server(what: str, begin: Begin, server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_server(
+    what: str, begin: Begin, server: ForkServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Processes are started as programs where fork is impossible, and where the server does not answer."""
     pid = server._process.pid
     if what == "another system":
@@ -125,10 +142,14 @@ def test_without_server(what: str, begin: Begin, server: ForkServer, monkeypatch
     assert child.wait(60.0) == 0
 
 
-def test_environment_and_folder_of_now(begin: Begin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_and_folder_of_now(
+    begin: Begin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Folder, variables and scenario are the current ones, not those at the start of the server."""
     scenario = tmp_path / "scenario.toml"
-    ready = subprocess.run(command("validate", "paper"), capture_output=True, text=True, check=True).stdout
+    ready = subprocess.run(
+        command("validate", "paper"), capture_output=True, text=True, check=True
+    ).stdout
     monkeypatch.chdir(tmp_path)
     for name in ("first", "second"):
         scenario.write_text(ready.replace('name = "paper"', f'name = "{name}"'))

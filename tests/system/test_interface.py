@@ -14,9 +14,9 @@ from zipfile import ZipFile
 import pytest
 
 import transport
-from protocol.wire.messages import Message, Plan, PlantState
 from tests.support.commands import PATIENCE_S, wait_for
 from transport.log.run_log import RunLog
+from transport.protocol.wire.messages import Message, Plan, PlantState
 
 ROOT = Path(__file__).resolve().parents[2]
 PHASES = (
@@ -24,14 +24,21 @@ PHASES = (
     {"name": "climb", "duration_s": 1.0, "displacement_m": [0.0, 0.0, -0.5]},
 )
 SETTINGS: dict[str, Any] = {"links.delay_s": 0.1, "links.loss": 0.2, "maneuver.phase": PHASES}
-PACKAGES = ("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "transport", "scenarios")
+PACKAGES = (
+    *("model", "mpc", "protocol", "agent", "plant", "coordinator", "deploy", "transport"),
+    *("scenarios", "vehicles"),
+)
 
 
 def digest(log: RunLog) -> dict[tuple[str, int, str], bytes]:
     """Return the bits of all plans and states by sender, tick and kind."""
     messages: list[Message] = [entry.message for entry in log.messages]
-    plans = {(m.sender, m.tick, m.kind): m.inputs.tobytes() for m in messages if isinstance(m, Plan)}
-    return plans | {(m.sender, m.tick, m.kind): m.x.tobytes() for m in messages if isinstance(m, PlantState)}
+    plans = {
+        (m.sender, m.tick, m.kind): m.inputs.tobytes() for m in messages if isinstance(m, Plan)
+    }
+    return plans | {
+        (m.sender, m.tick, m.kind): m.x.tobytes() for m in messages if isinstance(m, PlantState)
+    }
 
 
 def children() -> list[str]:
@@ -48,7 +55,9 @@ def children() -> list[str]:
 
 
 def open_files() -> list[str]:
-    """Return the kinds of what this process has open and a run could leave: sockets, pipes, processes, shared memory.
+    """Return the kinds of what this process has open and a run could leave.
+
+    Sockets, pipes, processes, shared memory.
 
     Zenoh's runtime starts threads when it needs them and keeps them, with their events.
     """
@@ -65,7 +74,10 @@ def open_files() -> list[str]:
 
 @pytest.mark.slow
 def test_processes_give_the_bits_of_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With processes, in the main thread or another, plans and states are those in memory; nothing stays."""
+    """With processes, in the main thread or another, plans and states are those in memory.
+
+    Nothing stays.
+    """
     monkeypatch.chdir(tmp_path)
     before = children()
     expected = digest(transport.fly("resilient", SETTINGS, progress=False).log)
@@ -73,12 +85,16 @@ def test_processes_give_the_bits_of_memory(tmp_path: Path, monkeypatch: pytest.M
     assert digest(first.log) == expected
     assert first.folder is not None
     assert first.folder.parent == Path("runs")
-    assert {"run.mcap", "summary.json", "figures", "logs"} <= {path.name for path in first.folder.iterdir()}
+    assert {"run.mcap", "summary.json", "figures", "logs"} <= {
+        path.name for path in first.folder.iterdir()
+    }
     files = open_files()
     found: list[transport.Run] = []
 
     def fly() -> None:
-        found.append(transport.fly("resilient", SETTINGS, processes=True, progress=False, folder="second"))
+        found.append(
+            transport.fly("resilient", SETTINGS, processes=True, progress=False, folder="second")
+        )
 
     thread = threading.Thread(target=fly)
     thread.start()
@@ -86,7 +102,10 @@ def test_processes_give_the_bits_of_memory(tmp_path: Path, monkeypatch: pytest.M
     assert digest(found[0].log) == expected
     assert children() == before
     assert open_files() == files
-    with pytest.raises(transport.ArgumentError, match="folder: expected a folder that does not exist yet, got second"):
+    with pytest.raises(
+        transport.ArgumentError,
+        match="folder: expected a folder that does not exist yet, got second",
+    ):
         transport.fly("resilient", SETTINGS, processes=True, folder="second")
 
 
@@ -97,13 +116,20 @@ def test_an_interrupt_ends_the_processes(tmp_path: Path) -> None:
     done = threading.Event()
 
     def interrupt() -> None:
-        wait_for(lambda: done.is_set() or ((log := folder / "run.mcap").exists() and log.stat().st_size > 50_000))
+        wait_for(
+            lambda: (
+                done.is_set()
+                or ((log := folder / "run.mcap").exists() and log.stat().st_size > 50_000)
+            )
+        )
         if not done.is_set():
             os.kill(os.getpid(), signal.SIGINT)
 
     def fly() -> None:
         try:
-            transport.fly("paper", {"clock.speed": 1.0}, processes=True, progress=False, folder=folder)
+            transport.fly(
+                "paper", {"clock.speed": 1.0}, processes=True, progress=False, folder=folder
+            )
         finally:
             done.set()
 
@@ -120,7 +146,13 @@ def test_a_run_that_cannot_start_is_an_error(tmp_path: Path) -> None:
     """A port in use: one line, the error class of the interface, no SystemExit, and nothing is left."""
     before = children()
     with pytest.raises(transport.TransportError) as caught:
-        transport.fly("paper", {"network.host": "192.0.2.1"}, processes=True, progress=False, folder=tmp_path / "run")
+        transport.fly(
+            "paper",
+            {"network.host": "192.0.2.1"},
+            processes=True,
+            progress=False,
+            folder=tmp_path / "run",
+        )
     assert "\n" not in str(caught.value)
     assert children() == before
 
@@ -142,24 +174,32 @@ def test_the_viewer_of_a_run() -> None:
 
 @pytest.mark.slow
 def test_the_wheel_is_complete(tmp_path: Path) -> None:
-    """A wheel of the sources simulates a scenario by its name in an empty folder, in memory and in processes.
+    """A wheel holds one package, and simulates a scenario in an empty folder, in both ways.
 
     The other packages are those of this environment.
     """
     sources, site, empty = (tmp_path / name for name in ("sources", "site", "empty"))
     for path in (*PACKAGES, "pyproject.toml", "README.md", "LICENSE"):
         if (ROOT / path).is_dir():
-            shutil.copytree(ROOT / path, sources / path, ignore=shutil.ignore_patterns("__pycache__"))
+            ignore = shutil.ignore_patterns("__pycache__")
+            shutil.copytree(ROOT / path, sources / path, symlinks=True, ignore=ignore)
         else:
             shutil.copy(ROOT / path, sources / path)
     # As pip builds it, but with the setuptools of this environment: pip would download its own.
     build = f"from setuptools import build_meta; build_meta.build_wheel({str(tmp_path)!r})"
-    subprocess.run([sys.executable, "-c", build], cwd=sources, check=True, capture_output=True, timeout=PATIENCE_S)
+    subprocess.run(
+        [sys.executable, "-c", build],
+        cwd=sources,
+        check=True,
+        capture_output=True,
+        timeout=PATIENCE_S,
+    )
     (wheel,) = tmp_path.glob("payload_transport-*.whl")
     with ZipFile(wheel) as archive:
         archive.extractall(site)
-    for package in PACKAGES[:-1]:
-        assert (site / package / "py.typed").exists(), package
+    names = {path.name for path in site.iterdir()}
+    assert {name for name in names if not name.endswith(".dist-info")} == {"transport"}
+    assert (site / "transport" / "py.typed").exists()
     empty.mkdir()
     program = (
         "import transport as t;"

@@ -11,7 +11,10 @@ MESSAGES, FEWEST, TICKS = 4000, 1000, 240
 
 @pytest.mark.slow
 def test_an_intruder(tmp_path: Path) -> None:
-    """A part of the campaign of hostile messages: the steps are those without them, and every process counts some."""
+    """A part of the campaign of hostile messages.
+
+    The steps are those without them, and every process counts some.
+    """
     result = campaign("open", MESSAGES, 20240611, tmp_path, ticks=TICKS)
     assert result.findings == []
     assert result.sent.total() >= FEWEST

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from protocol.wire.messages import Roster
 from tests.support.commands import (
     ENDLESS,
     PATIENCE_S,
@@ -21,6 +20,7 @@ from tests.support.commands import (
     wait_for,
 )
 from transport.log.run_log import read_log
+from transport.protocol.wire.messages import Roster
 
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
 USAGE, LOST, INTERRUPTED = 2, 4, 130
@@ -40,7 +40,8 @@ atexit.register(hang)
 sys.argv[1:] = {arguments}
 main()
 """
-# One run after another, the second in a forked process, which has none of the threads of the network.
+# One run after another, the second in a forked process, which has none of the threads of the
+# network.
 FORKED = """
 import multiprocessing
 import transport
@@ -60,7 +61,9 @@ with multiprocessing.get_context("fork").Pool(1) as pool:
 
 def take_off(tmp_path: Path, run: str, *changes: str) -> subprocess.Popen[str]:
     """Start a run paced to real time and wait until it simulates."""
-    process = start("run", "paper", *settings(*ENDLESS, *changes), "--out", run, "--no-figures", cwd=tmp_path)
+    process = start(
+        "run", "paper", *settings(*ENDLESS, *changes), "--out", run, "--no-figures", cwd=tmp_path
+    )
     assert wait_for(is_flying(tmp_path / run, TEAM)), process.communicate(timeout=10)
     log = tmp_path / run / "run.mcap"
     assert wait_for(lambda: log.exists() and log.stat().st_size > 100_000)
@@ -79,7 +82,10 @@ def test_a_process_told_to_end_leaves_at_once(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_process_stopped_before_the_run_is_named(tmp_path: Path) -> None:
-    """A plant that is stopped while the processes join: exit code 4, the plant named, no process left."""
+    """A plant that is stopped while the processes join.
+
+    Exit code 4, the plant named, no process left.
+    """
     options = settings("clock.join_timeout_s=8.0")
     for run in ("join", "again", "once-more"):
         process = start("run", "paper", *options, "--out", run, "--no-figures", cwd=tmp_path)
@@ -95,7 +101,10 @@ def test_a_process_stopped_before_the_run_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("victim", ["coordinator", "agent4"])
 def test_a_killed_process_ends_the_run_in_order(victim: str, tmp_path: Path) -> None:
-    """SIGKILL of any process: exit code 4, the victim named, the log complete up to then, no process left."""
+    """SIGKILL of any process.
+
+    Exit code 4, the victim named, the log complete up to then, no process left.
+    """
     run = f"kill-{victim}"
     process = take_off(tmp_path, run)
     os.kill(processes_of(run)[victim], signal.SIGKILL)
@@ -110,9 +119,14 @@ def test_a_killed_process_ends_the_run_in_order(victim: str, tmp_path: Path) -> 
     assert not read_log(tmp_path / run / "run.mcap").cut
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)]
+)
 def test_an_interrupted_run_is_reported(number: signal.Signals, tmp_path: Path) -> None:
-    """Ctrl-C and a closed terminal end a run in order: exit code 130, a report of what was flown, no process left."""
+    """Ctrl-C and a closed terminal end a run in order.
+
+    Exit code 130, a report of what was flown, no process left.
+    """
     process = take_off(tmp_path, "interrupted")
     process.send_signal(number)
     output, errors = process.communicate(timeout=PATIENCE_S)
@@ -125,7 +139,10 @@ def test_an_interrupted_run_is_reported(number: signal.Signals, tmp_path: Path) 
 
 @pytest.mark.slow
 def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
-    """SIGKILL of `transport run` itself: its processes notice and end; the log opens and can be reported."""
+    """SIGKILL of `transport run` itself.
+
+    Its processes notice and end; the log opens and can be reported.
+    """
     process = take_off(tmp_path, "orphans")
     process.kill()
     process.communicate(timeout=PATIENCE_S)
@@ -139,7 +156,10 @@ def test_a_killed_harness_leaves_no_orphans(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_frozen_agent_is_noticed_by_the_barrier(tmp_path: Path) -> None:
-    """SIGSTOP keeps the token alive; the barrier timeout names the agent and the run ends, with no process left."""
+    """SIGSTOP keeps the token alive.
+
+    The barrier timeout names the agent and the run ends, with no process left.
+    """
     process = take_off(tmp_path, "frozen", "clock.barrier_timeout_s=2.5")
     os.kill(processes_of("frozen")["agent2"], signal.SIGSTOP)
     _, errors = process.communicate(timeout=PATIENCE_S)
@@ -163,20 +183,35 @@ def test_the_others_continue_if_configured(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "arguments", "code"), [(signal.SIGINT, ["plot", "nowhere"], USAGE), (signal.SIGTERM, ["--help"], 0)]
+    ("number", "arguments", "code"),
+    [(signal.SIGINT, ["plot", "nowhere"], USAGE), (signal.SIGTERM, ["--help"], 0)],
 )
 def test_signals_after_the_end(number: signal.Signals, arguments: list[str], code: int) -> None:
     """A finished command keeps its exit code; a second signal ends it even if it hangs then."""
     program = SIGNALLED_AFTERWARDS.format(number=int(number), arguments=arguments)
-    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
-    assert (result.returncode, "signalled" in result.stdout, "Traceback" in result.stderr) == (code, True, False)
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (result.returncode, "signalled" in result.stdout, "Traceback" in result.stderr) == (
+        code,
+        True,
+        False,
+    )
 
 
 @pytest.mark.slow
 def test_a_run_in_a_forked_process_is_refused(tmp_path: Path) -> None:
-    """The threads of the network do not survive a fork: the second run is refused in words, at once."""
+    """The threads of the network do not survive a fork.
+
+    The second run is refused in words, at once.
+    """
     result = subprocess.run(
-        [sys.executable, "-c", FORKED], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", FORKED],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
     first, second = result.stdout.splitlines()
     assert first == "completed"

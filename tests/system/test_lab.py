@@ -8,14 +8,15 @@ from typing import Any
 
 import pytest
 
-from protocol.network.endpoints import process_names
-from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.commands import PATIENCE_S, settings
 from tests.support.lab import unavailable
 from transport.log.run_log import read_log
+from transport.protocol.network.endpoints import process_names
+from transport.protocol.scenario.file import find_scenario, read_scenario
 
 NAMES = [*process_names(read_scenario(find_scenario("resilient"))), "recorder"]
-# The clock waits for late agents: with fourteen processes starting at once on few cores the run would diverge.
+# The clock waits for late agents: with fourteen processes starting at once on few cores the run
+# would diverge.
 REAL_TIME = ("clock.mode=realtime", "clock.speed=1", "clock.on_overrun=hold")
 
 pytestmark = pytest.mark.skipif(bool(unavailable()), reason=f"no lab: {unavailable()}")
@@ -23,7 +24,9 @@ pytestmark = pytest.mark.skipif(bool(unavailable()), reason=f"no lab: {unavailab
 
 def climb(duration_s: float) -> str:
     """Return the setting of a slow climb."""
-    return f"maneuver.phase=[{{name='climb',duration_s={duration_s},displacement_m=[0.0,0.0,-1.0]}}]"
+    return (
+        f"maneuver.phase=[{{name='climb',duration_s={duration_s},displacement_m=[0.0,0.0,-1.0]}}]"
+    )
 
 
 def lab(folder: Path, *cuts: str, duration_s: float) -> subprocess.Popen[str]:
@@ -50,7 +53,10 @@ def ended(process: subprocess.Popen[str]) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_cables(tmp_path: Path) -> None:
-    """A run survives and records a second without cable; without coordinator all processes end with a whole log."""
+    """A run survives and records a second without cable.
+
+    Without coordinator all processes end with a whole log.
+    """
     # Both labs at once: the second one mostly waits for a connection timeout.
     with lab(tmp_path / "b", "coordinator:2", duration_s=30.0) as second:
         with lab(tmp_path / "a", "agent2:3:1", duration_s=6.0) as first:
@@ -58,10 +64,15 @@ def test_cables(tmp_path: Path) -> None:
         for_good = ended(second)
 
     assert briefly["exits"] == dict.fromkeys(NAMES, 0)
-    assert [(cut["did"], cut["host"]) for cut in briefly["cuts"]] == [("cut", "agent2"), ("mend", "agent2")]
+    assert [(cut["did"], cut["host"]) for cut in briefly["cuts"]] == [
+        ("cut", "agent2"),
+        ("mend", "agent2"),
+    ]
     summary = json.loads((tmp_path / "a" / "run" / "summary.json").read_text())
     assert summary["outcome"] == "completed"
-    assert summary["deadline"]["tick_late_ms"]["max"] > 800.0  # a tick was held while the cable was cut
+    assert (
+        summary["deadline"]["tick_late_ms"]["max"] > 800.0
+    )  # a tick was held while the cable was cut
 
     assert for_good["exits"] == dict.fromkeys(NAMES, 4)
     log = read_log(tmp_path / "b" / "run" / "run.mcap")

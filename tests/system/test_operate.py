@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from protocol.wire.messages import FaultNote, LinkChange, Roster, StepReport, Tick
 from tests.support.commands import PATIENCE_S, is_flying, processes_of, settings, start, wait_for
 from transport.cli.main import app
 from transport.log.run_log import RunLog, read_log
+from transport.protocol.wire.messages import FaultNote, LinkChange, Roster, StepReport, Tick
 
 TEAM = ["coordinator", "plant", "agent1", "agent2", "agent3", "agent4"]
 PACED = ("clock.speed=1.0", "clock.on_agent_loss=continue")
@@ -46,13 +46,20 @@ def operated(
 ) -> Iterator[tuple[dict[str, Any], Path, list[tuple[int, str, str]]]]:
     """Return summary, folder and refusals of a paced run that received every kind of request and then ended."""
     home = tmp_path_factory.mktemp("operated")
-    process = start("run", "resilient", *settings(*PACED), "--out", "runs/live", "--no-figures", cwd=home)
+    process = start(
+        "run", "resilient", *settings(*PACED), "--out", "runs/live", "--no-figures", cwd=home
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
         try:
-            assert wait_for(is_flying(home / "runs" / "live", TEAM)), process.communicate(timeout=10)
+            assert wait_for(is_flying(home / "runs" / "live", TEAM)), process.communicate(
+                timeout=10
+            )
             assert wait_for(
-                lambda: invoke("status")[0] == 0 and json.loads(succeed("status", "--format", "json"))["tick"] > 5
+                lambda: (
+                    invoke("status")[0] == 0
+                    and json.loads(succeed("status", "--format", "json"))["tick"] > 5
+                )
             )
             refusals = [
                 invoke("fault", "kill", "agent9"),
@@ -65,7 +72,18 @@ def operated(
                 invoke("status", "--run", "nowhere"),
             ]
             succeed("link", "set", "--from", "1", "--to", "2", "--delay", "0.2")
-            succeed("link", "set", "--from", "plant", "--to", "agent1", "--delay", "0.1", "--run", "live")
+            succeed(
+                "link",
+                "set",
+                "--from",
+                "plant",
+                "--to",
+                "agent1",
+                "--delay",
+                "0.1",
+                "--run",
+                "live",
+            )
             succeed("fault", "kill", "agent3")
             assert wait_for(lambda: members() == [1, 2, 4])
             refusals.append(invoke("fault", "stop", "agent3"))
@@ -77,7 +95,9 @@ def operated(
             assert wait_for(lambda: members() == [1, 2, 3, 4])
             succeed("link", "clear")
             tick = json.loads(succeed("status", "--format", "json"))["tick"]
-            assert wait_for(lambda: json.loads(succeed("status", "--format", "json"))["tick"] > tick + 10)
+            assert wait_for(
+                lambda: json.loads(succeed("status", "--format", "json"))["tick"] > tick + 10
+            )
         finally:
             process.send_signal(signal.SIGINT)
             output, errors = process.communicate(timeout=PATIENCE_S)
@@ -97,7 +117,9 @@ def log(operated: tuple[dict[str, Any], Path, list[tuple[int, str, str]]]) -> Ru
     return found
 
 
-def test_impossible_requests_are_refused(operated: tuple[dict[str, Any], Path, list[tuple[int, str, str]]]) -> None:
+def test_impossible_requests_are_refused(
+    operated: tuple[dict[str, Any], Path, list[tuple[int, str, str]]],
+) -> None:
     """A process, action, link or run that does not exist is refused in one line with expected and got, exit code 2."""
     expected = [
         "target: expected one of coordinator, plant, agent1, agent2, agent3, agent4, got 'agent9'",
@@ -123,26 +145,51 @@ def test_links_by_hand(log: RunLog) -> None:
     changes = list(log.of(LinkChange))
     first = {change.number: change for change in changes}
     assert list(first) == [1, 2, 3, 4, 5]
-    assert (first[1].source, first[1].target, json.loads(first[1].settings)) == ("agent1", "agent2", {"delay_s": 0.2})
+    assert (first[1].source, first[1].target, json.loads(first[1].settings)) == (
+        "agent1",
+        "agent2",
+        {"delay_s": 0.2},
+    )
     delayed, seen, cleared, seen_again = (first[number].tick for number in (1, 2, 3, 4))
-    ages = {(r.agent, r.tick): dict(zip(r.peers, r.plan_ages, strict=True)) for r in log.of(StepReport)}
+    ages = {
+        (r.agent, r.tick): dict(zip(r.peers, r.plan_ages, strict=True)) for r in log.of(StepReport)
+    }
     flown = range(delayed + 4, cleared)
     assert {ages[2, k][1] for k in flown} == {4}
     assert {ages[2, k][1] for k in range(delayed)} | {ages[1, k][2] for k in flown} <= {-1, 1}
     assert {ages[2, k][1] for k in range(cleared + 1, cleared + 5)} == {1}
-    measured = {report.tick: report.measurement_age for report in log.of(StepReport) if report.agent == 1}
+    measured = {
+        report.tick: report.measurement_age for report in log.of(StepReport) if report.agent == 1
+    }
     assert {measured[k] for k in range(seen + 2, seen_again)} == {2}
     assert {measured[k] for k in range(seen_again, seen_again + 5)} == {0}
     # The returning agent received the two active changes.
     assert [change.number for change in changes if change not in first.values()] == [1, 2] * 2
 
 
-def test_faults_by_hand(operated: tuple[dict[str, Any], Path, list[tuple[int, str, str]]], log: RunLog) -> None:
-    """Each fault is noted as requested, detected and repaired, in this order; both agents take part to the end."""
+def test_faults_by_hand(
+    operated: tuple[dict[str, Any], Path, list[tuple[int, str, str]]], log: RunLog
+) -> None:
+    """Each fault is noted as requested, detected and repaired, in this order.
+
+    Both agents take part to the end.
+    """
     notes = [(note.target, note.what) for note in log.of(FaultNote) if note.origin == "person"]
-    assert notes == [("agent3", "killed"), ("agent3", "restarted"), ("agent4", "stopped"), ("agent4", "continued")]
-    for name, words in (("agent3", ["is gone", "joined"]), ("agent4", ["did not answer", "joined"])):
-        news = [event for event in operated[0]["faults"] if event["processes"] == [name] and event["kind"] != "fault"]
+    assert notes == [
+        ("agent3", "killed"),
+        ("agent3", "restarted"),
+        ("agent4", "stopped"),
+        ("agent4", "continued"),
+    ]
+    for name, words in (
+        ("agent3", ["is gone", "joined"]),
+        ("agent4", ["did not answer", "joined"]),
+    ):
+        news = [
+            event
+            for event in operated[0]["faults"]
+            if event["processes"] == [name] and event["kind"] != "fault"
+        ]
         assert [event["kind"] for event in news] == ["detected", "rejoined"]
         assert all(word in event["what"] for word, event in zip(words, news, strict=True))
     *_, last = log.of(Roster)
@@ -159,7 +206,9 @@ def test_a_killed_agent_delays_no_other(log: RunLog) -> None:
     for entry in log.messages:
         if isinstance(entry.message, FaultNote) and entry.message.what == "killed":
             noted_s["fault"] = entry.received_ns / 1e9
-        elif isinstance(entry.message, Roster) and entry.message.reason.startswith("agent3 is gone"):
+        elif isinstance(entry.message, Roster) and entry.message.reason.startswith(
+            "agent3 is gone"
+        ):
             noted_s["detected"], tick = entry.received_ns / 1e9, entry.message.tick
     detection_s = noted_s["detected"] - noted_s["fault"]
     assert durations_s[tick] <= max(detection_s, 0.0) + BUSY_S

@@ -1,4 +1,7 @@
-"""A controller of the user among real processes: the same bits as in memory, and its failures in the report."""
+"""A controller of the user among real processes.
+
+The same bits as in memory, and its failures in the report.
+"""
 
 import json
 from pathlib import Path
@@ -8,10 +11,10 @@ import numpy as np
 import pytest
 
 import transport
-from protocol.wire.exit_codes import EXIT_SCENARIO
-from protocol.wire.messages import Note, PlantState
 from tests.support.commands import SHORT, settings
 from tests.support.commands import transport as command
+from transport.protocol.wire.exit_codes import EXIT_FAILED, EXIT_SCENARIO
+from transport.protocol.wire.messages import Note, PlantState
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 FAILS = """
@@ -30,10 +33,15 @@ class Fails:
 
 
 @pytest.mark.slow
-def test_processes_and_memory_have_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_and_memory_have_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Plant states and numbers for the log are equal, with delay, loss, and an agent killed and restarted."""
     monkeypatch.chdir(EXAMPLES)
-    faults = [{"at_s": 0.5, "do": "kill", "target": "agent2"}, {"at_s": 1.0, "do": "restart", "target": "agent2"}]
+    faults = [
+        {"at_s": 0.5, "do": "kill", "target": "agent2"},
+        {"at_s": 1.0, "do": "restart", "target": "agent2"},
+    ]
     phases = [{"name": "climb", "duration_s": 2.0, "displacement_m": [0.0, 0.0, -0.5]}]
     given: dict[str, Any] = {
         "controller": "pid:PID",
@@ -43,13 +51,17 @@ def test_processes_and_memory_have_the_same_bits(tmp_path: Path, monkeypatch: py
         "on_agent_loss": "continue",
     }
     runs = [
-        transport.fly("resilient", phases=phases, processes=processes, folder=folder, progress=False, **given)
+        transport.fly(
+            "resilient", phases=phases, processes=processes, folder=folder, progress=False, **given
+        )
         for processes, folder in ((False, None), (True, tmp_path / "run"))
     ]
     paths = [np.array([state.x for state in run.log.of(PlantState)]) for run in runs]
     assert len(paths[0]) == 40
     assert paths[0].tobytes() == paths[1].tobytes()
-    notes = [{(note.agent, note.tick): note.values.tolist() for note in run.log.of(Note)} for run in runs]
+    notes = [
+        {(note.agent, note.tick): note.values.tolist() for note in run.log.of(Note)} for run in runs
+    ]
     assert len(notes[0]) == 4 * 40 - 10
     assert notes[0] == notes[1]
     assert {run.summary["controller"]["name"] for run in runs} == {"pid:PID 1"}
@@ -57,10 +69,15 @@ def test_processes_and_memory_have_the_same_bits(tmp_path: Path, monkeypatch: py
 
 @pytest.mark.slow
 def test_a_failing_class_among_processes(tmp_path: Path) -> None:
-    """The run completes; summary and log name class, error, file and line; a class that is none is refused at once."""
+    """The run completes; summary and log name class, error, file and line.
+
+    A class that is none is refused at once.
+    """
     (tmp_path / "mine.py").write_text(FAILS, encoding="utf-8")
     options = settings(SHORT, "agents.controller=mine:Fails")
-    done = command("run", "paper", *options, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path)
+    done = command(
+        "run", "paper", *options, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert summary["solver"]["failures"] == 1
@@ -73,3 +90,57 @@ def test_a_failing_class_among_processes(tmp_path: Path) -> None:
     where = f"its import from {tmp_path} or the installed packages"
     expected = f"{where} raised AttributeError: module 'mine' has no attribute 'Other'"
     assert refused.stderr == f"transport: --set agents.controller=mine:Other: {expected}\n"
+
+
+ALWAYS = """
+class Always:
+    def start(self, run):
+        self.run = run
+    def step(self, measurement, messages):
+        if self.run.agent in {agents}:
+            raise OSError("no solver")
+        return self.run.u_hover[4 * self.run.owned[0] :][:4]
+    def stop(self):
+        pass
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("agents", [(3,), (1, 2, 3, 4)])
+def test_a_controller_that_never_works_is_no_success(
+    tmp_path: Path, agents: tuple[int, ...]
+) -> None:
+    """Exit code 7; first line, limits and events name all agents that failed, in each way of running."""
+    (tmp_path / "mine.py").write_text(ALWAYS.replace("{agents}", str(agents)), encoding="utf-8")
+    options = settings(SHORT, "agents.controller=mine:Always")
+    done = command("run", "paper", *options, "--out", "out", "--no-figures", cwd=tmp_path)
+    assert done.returncode == EXIT_FAILED, done.stderr
+
+    first, *lines = done.stdout.splitlines()
+    names = ", ".join(f"agent{agent}" for agent in agents)
+    assert first.startswith(f"paper failed: {names} failed in 30 of 30 steps")
+    assert done.stderr.splitlines()[-1].startswith(f"transport: {names} failed in 30 of 30 steps")
+    (limits,) = (line for line in lines if line.split()[:1] == ["limits"])
+    assert "held" not in limits
+    assert f"{30 * len(agents)} steps without a controller" in limits
+
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert (summary["outcome"], summary["exit_code"]) == ("failed", EXIT_FAILED)
+    assert [one["agent"] for one in summary["solver"]["failed_agents"]] == list(agents)
+    (notice,) = (event for event in summary["faults"] if event["kind"] == "notice")
+    assert notice["processes"] == [f"agent{agent}" for agent in agents]
+    assert notice["what"].startswith(f"{names}: controller mine:Always: step raised OSError")
+
+
+@pytest.mark.slow
+def test_the_allowed_share_of_failed_steps_is_a_key(tmp_path: Path) -> None:
+    """A share of one accepts every failure: the run completes, and the summary still counts them."""
+    (tmp_path / "mine.py").write_text(ALWAYS.replace("{agents}", "(1, 2)"), encoding="utf-8")
+    options = settings(SHORT, "agents.controller=mine:Always", "agents.failed_share=1")
+    done = command(
+        "run", "paper", *options, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["outcome"] == "completed"
+    assert summary["solver"]["failures"] == 60

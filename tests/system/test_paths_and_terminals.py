@@ -1,4 +1,7 @@
-"""Paths that no file can have, text that is not ASCII, and output that cannot be written: one line, the right code."""
+"""Paths that no file can have, text that is not ASCII, and output that cannot be written.
+
+One line, the right code.
+"""
 
 import os
 import resource
@@ -31,12 +34,17 @@ SHORTER = "maneuver.phase=[{name='hover', duration_s=0.2, displacement_m=[0.0, 0
         (("run", "paper", "--out", os.fsdecode(b"\xff")), USAGE),
         (("record", "--out", LONG), USAGE),
         *((("log", *rest), USAGE) for rest in (("info", LONG), ("export", LONG, "--out", "t"))),
-        *(((name, LONG, *rest), USAGE) for name, *rest in (("plot",), ("view",), ("replay", "--agent", "1"))),
+        *(
+            ((name, LONG, *rest), USAGE)
+            for name, *rest in (("plot",), ("view",), ("replay", "--agent", "1"))
+        ),
         (("compare", LONG, "other"), USAGE),
         (("scenario", "new", "--uavs", "4", "--out", LONG), USAGE),
         (("deploy", "render", "--hosts", LONG, "--out", "r"), USAGE),
     ],
-    ids=lambda value: " ".join(value).replace(LONG, "LONG") if isinstance(value, tuple) else str(value),
+    ids=lambda value: (
+        " ".join(value).replace(LONG, "LONG") if isinstance(value, tuple) else str(value)
+    ),
 )
 def test_a_path_that_no_file_can_have(
     words: tuple[str, ...], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -45,7 +53,9 @@ def test_a_path_that_no_file_can_have(
     monkeypatch.chdir(tmp_path)
     result = here(*words)
     assert result.exit_code == code
-    lines = [line for line in result.stderr.splitlines() if not line.startswith("compiling the model")]
+    lines = [
+        line for line in result.stderr.splitlines() if not line.startswith("compiling the model")
+    ]
     assert len(lines) == 1
     assert lines[0].startswith("transport: ")
 
@@ -58,7 +68,12 @@ def test_a_run_beside_a_reader_that_leaves_in_a_path_beyond_ascii(tmp_path: Path
     os.close(reading)
     words = command("run", "resilient", *settings(SHORTER), "--no-figures", "--out", folder)
     done = subprocess.run(
-        words, env=environment, stdout=writing, stderr=subprocess.PIPE, timeout=PATIENCE_S, check=False
+        words,
+        env=environment,
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        timeout=PATIENCE_S,
+        check=False,
     )
     os.close(writing)
     assert (done.returncode, done.stderr) == (0, b"")
@@ -71,7 +86,12 @@ def test_standard_output_on_a_full_disk(words: tuple[str, ...]) -> None:
     """Results that cannot be written are told in one line, with exit code 10."""
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
-            command(*words), stdout=full, stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S, check=False
+            command(*words),
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=PATIENCE_S,
+            check=False,
         )
     assert done.returncode == UNRECORDED
     expected = "transport: standard output: cannot write the results (No space left on device)"
@@ -81,14 +101,19 @@ def test_standard_output_on_a_full_disk(words: tuple[str, ...]) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full")
 def test_log_and_standard_error_on_a_full_disk(tmp_path: Path) -> None:
-    """A run whose log and messages cannot be written goes on to its end; its exit code is 10, and the log opens."""
+    """A run whose log and messages cannot be written goes on to its end.
+
+    Its exit code is 10, and the log opens.
+    """
 
     def limited() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
 
     with Path("/dev/full").open("wb") as full:
-        words = command("run", "resilient", *settings(SHORT), "--no-figures", "--out", tmp_path / "out")
+        words = command(
+            "run", "resilient", *settings(SHORT), "--no-figures", "--out", tmp_path / "out"
+        )
         done = subprocess.run(
             words,
             stdout=full,

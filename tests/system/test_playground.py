@@ -1,4 +1,7 @@
-"""The part of docs/command-line.md on a run impaired by hand: its commands, in order, on the scenario `playground`."""
+"""The part of docs/command-line.md on a run impaired by hand.
+
+Its commands, in order, on the scenario `playground`.
+"""
 
 import json
 import re
@@ -35,7 +38,10 @@ def command_lines() -> tuple[list[str], list[list[str]]]:
 
 
 def invoke(*arguments: str) -> str:
-    """Return the output of a command that must succeed; in this process, as starting one takes seconds."""
+    """Return the output of a command that must succeed.
+
+    In this process, as starting one takes seconds.
+    """
     result = CliRunner().invoke(app, list(arguments))
     assert result.exit_code == 0, (arguments, result.stderr)
     return result.stdout
@@ -69,13 +75,23 @@ def test_the_load_stays_in_the_air(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         return bool(status()["tick"] >= tick)
 
     try:
-        assert wait_for(is_flying(tmp_path / "runs" / "played", TEAM)), process.communicate(timeout=10)
-        assert wait_for((tmp_path / "runs" / "played" / "live.json").exists)  # names the run to the commands
+        assert wait_for(is_flying(tmp_path / "runs" / "played", TEAM)), process.communicate(
+            timeout=10
+        )
+        assert wait_for(
+            (tmp_path / "runs" / "played" / "live.json").exists
+        )  # names the run to the commands
         assert wait_for(partial(is_at, 1))  # the processes have started before
         members = [1, 2, 3, 4]
         for words in commands:
-            invoke(*words, *(["--once"] if words == ["top"] else []))  # it shows the agents until the run ends
-            members = {"kill": [1, 3, 4], "stop": [1, 3, 4]}.get(words[1], [1, 2, 3, 4]) if len(words) > 1 else members
+            invoke(
+                *words, *(["--once"] if words == ["top"] else [])
+            )  # it shows the agents until the run ends
+            members = (
+                {"kill": [1, 3, 4], "stop": [1, 3, 4]}.get(words[1], [1, 2, 3, 4])
+                if len(words) > 1
+                else members
+            )
             assert wait_for(partial(has, members)), words
             until = status()["tick"] + BETWEEN
             assert wait_for(partial(is_at, until))

@@ -10,12 +10,15 @@ from transport.flight.harness import HarnessError, reserved_ports
 
 HOST = "127.0.0.1"
 
-# Simultaneous runs, ports of each, and concurrent requests for any port; Linux has 28 000 such ports.
+# Simultaneous runs, ports of each, and concurrent requests for any port; Linux has 28 000 such
+# ports.
 RUNS, PORTS, OTHERS = 20, 8, 10_000
 
 
 # Elsewhere a reserved port would be blocked for the processes of the run as well.
-linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux shares a port without a listener")
+linux = pytest.mark.skipif(
+    sys.platform != "linux", reason="only Linux shares a port without a listener"
+)
 
 
 def any_port(shares: bool) -> int:
@@ -29,9 +32,16 @@ def any_port(shares: bool) -> int:
 
 @linux
 def test_ports_are_kept() -> None:
-    """Reserved ports are all different; neither a request for any port nor an outgoing connection gets one."""
+    """Reserved ports are all different.
+
+    Neither a request for any port nor an outgoing connection gets one.
+    """
     with ExitStack() as reserved, closing(socket.create_server((HOST, 0))) as server:
-        kept = [port for _ in range(RUNS) for port in reserved.enter_context(reserved_ports(HOST, [0] * PORTS))]
+        kept = [
+            port
+            for _ in range(RUNS)
+            for port in reserved.enter_context(reserved_ports(HOST, [0] * PORTS))
+        ]
         assert len(set(kept)) == RUNS * PORTS
         assert not {any_port(number % 2 == 0) for number in range(OTHERS)} & set(kept)
         for _ in range(OTHERS // 10):
@@ -43,5 +53,8 @@ def test_ports_are_kept() -> None:
 def test_an_address_of_another_machine() -> None:
     """An address of another machine is refused with its key."""
     stranger = "203.0.113.1"
-    with pytest.raises(HarnessError, match=r"network\.host: cannot listen on 203"), reserved_ports(stranger, [0]):
+    with (
+        pytest.raises(HarnessError, match=r"network\.host: cannot listen on 203"),
+        reserved_ports(stranger, [0]),
+    ):
         pass

@@ -8,19 +8,29 @@ from typing import Any
 import jsonschema
 import pytest
 
-from protocol.wire.codec import encode
-from protocol.wire.messages import Message
 from tests.mpc.test_published_equations import PUBLISHED
 from tests.support import runs
 from tests.support.commands import SHORT, command, free_base, processes_of, settings, transport
 from tests.support.troubles import ITERATIONS
 from transport.log.run_log import read_log
+from transport.protocol.wire.codec import encode
+from transport.protocol.wire.messages import Message
 
-SCHEMA = json.loads((Path(__file__).parents[2] / "transport" / "analysis" / "summary.schema.json").read_text())
+SCHEMA = json.loads(
+    (Path(__file__).parents[2] / "transport" / "analysis" / "summary.schema.json").read_text()
+)
 
 PAIRS_ON_CHANGE = (
-    *("agents.owned=[[1,2],[3,4]]", "controller.prediction=closed_loop", "controller.received_plans=by_age"),
-    *("controller.share=on_change", "controller.share_threshold=0.02", "controller.share_heartbeat_s=0.4"),
+    *(
+        "agents.owned=[[1,2],[3,4]]",
+        "controller.prediction=closed_loop",
+        "controller.received_plans=by_age",
+    ),
+    *(
+        "controller.share=on_change",
+        "controller.share_threshold=0.02",
+        "controller.share_heartbeat_s=0.4",
+    ),
 )
 FAILURES = (
     "plant.motors={lag_s=0.06,thrust_step_N=0.1}",
@@ -29,7 +39,8 @@ FAILURES = (
     "{at_s=0.65,do='release',target='uav3'}]",
 )
 
-# Expansions with and without response to rod length differ in directions that a state reaches at second order only.
+# Expansions with and without response to rod length differ in directions that a state reaches at
+# second order only.
 SAME_ALGORITHM = 0.02
 
 
@@ -47,7 +58,9 @@ def reproducible(messages: list[Message]) -> dict[tuple[str, str], list[bytes]]:
     """Return messages by sender and kind, in the order sent, without the wall-clock times of reports."""
     streams: dict[tuple[str, str], list[bytes]] = {}
     for message in sorted(messages, key=lambda m: (m.sender, m.sequence)):
-        streams.setdefault((message.sender, message.kind), []).append(encode(runs.reproducible(message)))
+        streams.setdefault((message.sender, message.kind), []).append(
+            encode(runs.reproducible(message))
+        )
     return streams
 
 
@@ -62,7 +75,10 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
 
 @pytest.mark.slow
 def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]) -> None:
-    """Section V: four agents, plant and coordinator complete 25 s; attitude within 2.5 deg, separation kept."""
+    """Section V: four agents, plant and coordinator complete 25 s.
+
+    Attitude within 2.5 deg, separation kept.
+    """
     folder, summary = paper
     assert summary["outcome"] == "completed"
     assert summary["processes"] == 6
@@ -71,7 +87,12 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
     assert summary["separation_min_m"] > 0.4
     assert summary["cost"]["mean"] == pytest.approx(PUBLISHED, rel=SAME_ALGORITHM)
     assert summary["solver"]["failures"] == 0
-    assert summary["messages"]["lost"] == summary["messages"]["late"] == summary["messages"]["rejected"] == 0
+    assert (
+        summary["messages"]["lost"]
+        == summary["messages"]["late"]
+        == summary["messages"]["rejected"]
+        == 0
+    )
 
     memory = runs.recorded(runs.ready("paper"))
     log = [recorded.message for recorded in read_log(folder / "run.mcap").messages]
@@ -84,9 +105,13 @@ def test_the_papers_maneuver_across_processes(paper: tuple[Path, dict[str, Any]]
         pytest.param(("clock.actuation=next_tick",), id="next tick"),
         pytest.param((ITERATIONS, "clock.speed=2.0"), id="paced negotiation"),
         pytest.param(
-            (*runs.VEHICLE, "links.delay_s=0.1", "links.loss=0.3"), id="vehicle sensors", marks=pytest.mark.slow
+            (*runs.VEHICLE, "links.delay_s=0.1", "links.loss=0.3"),
+            id="vehicle sensors",
+            marks=pytest.mark.slow,
         ),
-        pytest.param((*PAIRS_ON_CHANGE, *FAILURES), id="pairs, on change, failures", marks=pytest.mark.slow),
+        pytest.param(
+            (*PAIRS_ON_CHANGE, *FAILURES), id="pairs, on change, failures", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_network_equals_memory(changes: tuple[str, ...], tmp_path: Path) -> None:
@@ -104,7 +129,9 @@ def test_processes_with_different_scenarios_refuse_each_other(tmp_path: Path) ->
     plant = subprocess.Popen(
         command("plant", *options, *settings(base)), cwd=tmp_path, stderr=subprocess.PIPE, text=True
     )
-    other = transport("agent", "--id", "1", *options, *settings(base, "controller.horizon=30"), cwd=tmp_path)
+    other = transport(
+        "agent", "--id", "1", *options, *settings(base, "controller.horizon=30"), cwd=tmp_path
+    )
     _, plant_says = plant.communicate(timeout=60)
     assert (other.returncode, plant.returncode) == (4, 4)
     assert "plant runs another scenario" in other.stderr

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from protocol.wire.messages import Tick
 from tests.support.commands import processes_of, settings, transport
 from transport.log.run_log import read_log
+from transport.protocol.wire.messages import Tick
 
 REALTIME = "clock.mode=realtime"
 OVERRUN, INTERRUPTED = 5, 130
@@ -26,7 +26,9 @@ def hover(duration_s: float) -> str:
 
 def flown(folder: Path, *changes: str) -> dict[str, Any]:
     """Return the summary of a completed run with the shared control law, which tolerates delayed plans."""
-    result = transport("run", "resilient", *settings(*changes), "--out", "run", "--no-figures", cwd=folder)
+    result = transport(
+        "run", "resilient", *settings(*changes), "--out", "run", "--no-figures", cwd=folder
+    )
     assert result.returncode == 0, result.stderr
     assert processes_of("run") == {}
     summary: dict[str, Any] = json.loads((folder / "run" / "summary.json").read_text())
@@ -38,7 +40,8 @@ def test_twice_as_fast(tmp_path: Path) -> None:
     """At speed 2 a run of 3 s takes 1.5 s of wall time, and the summary counts missed deadlines."""
     summary = flown(tmp_path, hover(3.0), REALTIME, "clock.speed=2")
     assert (summary["outcome"], summary["ticks"]) == ("completed", 60)
-    # Without a clock it would take a fifth of that. A busy machine may record the first tick late, and the last one.
+    # Without a clock it would take a fifth of that. A busy machine may record the first tick late,
+    # and the last one.
     assert 0.75 <= summary["wall_time_s"] <= 1.5 + SLACK_S
     deadline = summary["deadline"]
     assert deadline["plans"] == 59 * 4
@@ -66,12 +69,18 @@ def test_delayed_plans_are_late(tmp_path: Path) -> None:
 
 def test_an_impossible_speed(tmp_path: Path) -> None:
     """With "abort" a sampling period of 1 ms, shorter than a step, ends the run with exit code 5."""
-    changes = settings(hover(5.0), REALTIME, "clock.speed=50", "clock.on_overrun=abort", "clock.overrun_limit=2")
+    changes = settings(
+        hover(5.0), REALTIME, "clock.speed=50", "clock.on_overrun=abort", "clock.overrun_limit=2"
+    )
     result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=tmp_path)
     assert result.returncode == OVERRUN, result.stderr
     assert "missed the deadline of tick" in result.stderr
     assert "missed in total, 2 allowed" in result.stderr
     assert "Traceback" not in result.stderr
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert (summary["outcome"], summary["exit_code"], summary["log_cut"]) == ("aborted", OVERRUN, None)
+    assert (summary["outcome"], summary["exit_code"], summary["log_cut"]) == (
+        "aborted",
+        OVERRUN,
+        None,
+    )
     assert processes_of("run") == {}

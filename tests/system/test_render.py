@@ -9,13 +9,20 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from deploy.hosts import DeployError, Inventory, command, placements, read_inventory, render
-from protocol.network.endpoints import process_names
-from protocol.scenario.file import read_scenario
 from tests.support.keyrings import keyring
 from tests.support.results import here
 from tests.support.runs import setup
 from transport.cli.main import app
+from transport.deploy.hosts import (
+    DeployError,
+    Inventory,
+    command,
+    placements,
+    read_inventory,
+    render,
+)
+from transport.protocol.network.endpoints import process_names
+from transport.protocol.scenario.file import read_scenario
 
 RUN = setup()
 PROCESSES = process_names(RUN.scenario)
@@ -62,7 +69,11 @@ def test_a_mesh(tmp_path: Path) -> None:
     assert found["ground/coordinator"] == ("peer", ["tls/192.0.2.10:7447"], [])
     called = [f"tls/192.0.2.10:{port}" for port in (7447, 7448, 7449, 7450)]
     assert found["remote/agent3"] == ("peer", ["tls/[::]:7451"], called)
-    assert found["remote/agent4"] == ("peer", ["tls/[::]:7452"], [*called, "tls/[2001:db8::7]:7451"])
+    assert found["remote/agent4"] == (
+        "peer",
+        ["tls/[::]:7452"],
+        [*called, "tls/[2001:db8::7]:7451"],
+    )
     every = [*called, "tls/[2001:db8::7]:7451", "tls/[2001:db8::7]:7452"]
     assert found["ground/recorder"] == ("peer", [], every)
 
@@ -91,7 +102,10 @@ def test_routers(tmp_path: Path) -> None:
         (('"remote"', '"ground"'), "host.2.name: expected each host once, got 'ground' again"),
         (("priority = 10", "priority = 99"), "host.1.priority: "),
         (("priority = 10", "prio = 9"), "host.1.prio: "),
-        (("priority = 10", 'router = "remote"'), "host.1.router: expected a host that runs a router, one of []"),
+        (
+            ("priority = 10", 'router = "remote"'),
+            "host.1.router: expected a host that runs a router, one of []",
+        ),
         (('"192.0.2.10"', '"a b"'), "host.1.address: "),
     ],
 )
@@ -106,7 +120,10 @@ def test_bad_inventories(change: tuple[str, str], expected: str, tmp_path: Path)
 
 
 def test_each_host_gets_its_own(tmp_path: Path) -> None:
-    """A host gets only its own units and keys, and the common scenario: the digest does not depend on the host."""
+    """A host gets only its own units and keys, and the common scenario.
+
+    The digest does not depend on the host.
+    """
     ground, remote = render(RUN, inventory(MESH, tmp_path), keyring("one"), tmp_path / "out")
     keys = {file.name for file in (remote / "keys").iterdir()}
     assert keys == {"ca.pem", "agent3.pem", "agent3.key", "agent4.pem", "agent4.key"}
@@ -117,10 +134,16 @@ def test_each_host_gets_its_own(tmp_path: Path) -> None:
     for folder in (ground, remote):
         scenario = read_scenario(folder / "scenario.toml")
         assert scenario.digest() == RUN.scenario.digest()
-        assert tomllib.loads((folder / "scenario.toml").read_text())["network"]["keys"] == "/etc/transport/keys"
+        assert (
+            tomllib.loads((folder / "scenario.toml").read_text())["network"]["keys"]
+            == "/etc/transport/keys"
+        )
         subprocess.run(["sh", "-n", folder / "install.sh"], check=True)
     coordinator = (ground / "systemd" / "transport-coordinator.service").read_text()
-    assert "After=network-online.target transport-plant.service transport-agent1.service" in coordinator
+    assert (
+        "After=network-online.target transport-plant.service transport-agent1.service"
+        in coordinator
+    )
     assert "\nRestart=no\n" in coordinator
     assert "--observer recorder" in coordinator
     assert "CPUSchedulingPriority=10\n" in coordinator
@@ -136,9 +159,17 @@ def test_units_are_units(tmp_path: Path) -> None:
     assert len(units) == 6
     for unit in units:
         unit.write_text(unit.read_text().replace("/opt/transport/bin/transport", "/bin/true"))
-    checked = subprocess.run(["systemd-analyze", "verify", *units], capture_output=True, text=True, check=False)
+    checked = subprocess.run(
+        ["systemd-analyze", "verify", *units], capture_output=True, text=True, check=False
+    )
     assert (checked.returncode, checked.stderr) == (0, "")
-    command_line = ["systemd-analyze", "security", "--offline=true", "--threshold=30", str(units[0])]
+    command_line = [
+        "systemd-analyze",
+        "security",
+        "--offline=true",
+        "--threshold=30",
+        str(units[0]),
+    ]
     assert subprocess.run(command_line, capture_output=True, check=False).returncode == 0
 
 
@@ -167,7 +198,15 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert rendered.exit_code == 0, rendered.stderr
     assert (tmp_path / "out" / "remote" / "install.sh").exists()
     checked = subprocess.run(
-        ["openssl", "verify", "-verify_ip", "192.0.2.10", "-CAfile", "keys/ca.pem", "keys/agent1.pem"],
+        [
+            "openssl",
+            "verify",
+            "-verify_ip",
+            "192.0.2.10",
+            "-CAfile",
+            "keys/ca.pem",
+            "keys/agent1.pem",
+        ],
         cwd=tmp_path,
         capture_output=True,
         text=True,
@@ -179,9 +218,19 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_large_run_is_rendered_on_purpose(tmp_path: Path) -> None:
-    """A run beyond the limits is refused without --allow-large; with it, its processes accept the run as well."""
+    """A run beyond the limits is refused without --allow-large.
+
+    With it, its processes accept the run as well.
+    """
     (tmp_path / "hosts.toml").write_text(f"insecure = true\n{MESH}")
-    arguments = ["deploy", "render", "--hosts", str(tmp_path / "hosts.toml"), "--out", str(tmp_path / "out")]
+    arguments = [
+        "deploy",
+        "render",
+        "--hosts",
+        str(tmp_path / "hosts.toml"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     arguments += ["--set", "plant.step_s=1e-6"]
     refused = CliRunner().invoke(app, arguments)
     assert (refused.exit_code, refused.stderr.count("--allow-large admits more")) == (3, 1)
@@ -205,5 +254,7 @@ def test_compose_equals_units(tmp_path: Path) -> None:
 
 def test_the_example_inventory(tmp_path: Path) -> None:
     """deploy/hosts.toml describes a deployment of the ready scenarios."""
-    example = read_inventory(Path(__file__).resolve().parents[2] / "deploy" / "hosts.toml", PROCESSES)
+    example = read_inventory(
+        Path(__file__).resolve().parents[2] / "deploy" / "hosts.toml", PROCESSES
+    )
     assert len(render(RUN, example, keyring("one"), tmp_path / "out")) == 2

@@ -12,12 +12,16 @@ from tests.support.logs import record_run
 from transport.cli.run import ReportProcess
 from transport.report.report import write_report
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="processes are forked on Linux alone"
+)
 
 
 def files(folder: Path) -> dict[str, bytes]:
     """Return the files of a report by name."""
-    return {path.name: path.read_bytes() for path in [*folder.glob("s*.*"), *folder.glob("figures/*")]}
+    return {
+        path.name: path.read_bytes() for path in [*folder.glob("s*.*"), *folder.glob("figures/*")]
+    }
 
 
 @pytest.mark.slow
@@ -43,7 +47,9 @@ def test_ends_with_its_parent(tmp_path: Path) -> None:
         "reporter = ReportProcess(Path('/none'))\nreporter.prepare()\nprint(reporter._child.process.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=tmp_path, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=tmp_path, text=True
+    ) as process:
         assert process.stdout is not None
         number = process.stdout.readline().strip()
         assert wait_for(lambda: command_of(number) == ["transport", "plot", "/none"])

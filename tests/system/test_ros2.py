@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.wire.messages import Message, PlantState, Target
 from tests.support.commands import free_base, settings, start, wait_for
 from tests.support.logs import Growing, bits, messages_until
+from transport.protocol.wire.messages import Message, PlantState, Target
 
 # Definitions as published by ROS 2, without comments.
 DEFINITIONS = {
@@ -21,7 +21,10 @@ DEFINITIONS = {
     "geometry_msgs/msg/Pose": "Point position\nQuaternion orientation\n",
 }
 POSE, POSE_DEFINITION = "geometry_msgs/msg/PoseStamped", "std_msgs/Header header\nPose pose\n"
-PATH, PATH_DEFINITION = "nav_msgs/msg/Path", "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n"
+PATH, PATH_DEFINITION = (
+    "nav_msgs/msg/Path",
+    "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n",
+)
 DOMAIN, SEEN = 7, 80  # poses, at 20 Hz
 # The tests end their runs.
 CLIMB = "maneuver.phase=[{name='climb',duration_s=120.0,displacement_m=[3.0,0.0,-5.0]}]"
@@ -33,7 +36,9 @@ def sdk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """The other implementation, with one session a process, and a router of this project in place of that of ROS 2."""
     module = pytest.importorskip("zenoh_ros2_sdk")
     module.port = free_base()
-    router = start("router", "--listen", f"tcp/127.0.0.1:{module.port}", cwd=tmp_path_factory.mktemp("router"))
+    router = start(
+        "router", "--listen", f"tcp/127.0.0.1:{module.port}", cwd=tmp_path_factory.mktemp("router")
+    )
     try:
         yield module
     finally:
@@ -45,15 +50,25 @@ def described(kind: str, definition: str, others: dict[str, str]) -> tuple[str, 
     """Return definition and hash of a type by the other implementation."""
     from zenoh_ros2_sdk.utils import get_type_hash
 
-    whole = definition + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others.items())
+    whole = definition + "".join(
+        f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others.items()
+    )
     return whole, get_type_hash(kind, msg_definition=definition, dependencies=others)
 
 
-def subscribe(sdk: Any, topic: str, kind: str, definition: str, others: dict[str, str], heard: list[Any]) -> Any:
+def subscribe(
+    sdk: Any, topic: str, kind: str, definition: str, others: dict[str, str], heard: list[Any]
+) -> Any:
     """Subscribe with the other implementation, which computes the hash of the type from the definitions."""
     whole, digest = described(kind, definition, others)
     return sdk.ROS2Subscriber(
-        topic, kind, heard.append, msg_definition=whole, type_hash=digest, domain_id=DOMAIN, router_port=sdk.port
+        topic,
+        kind,
+        heard.append,
+        msg_definition=whole,
+        type_hash=digest,
+        domain_id=DOMAIN,
+        router_port=sdk.port,
     )
 
 
@@ -62,7 +77,12 @@ class Publisher:
 
     def __init__(self, sdk: Any, port: int) -> None:
         whole, digest = described(POSE, POSE_DEFINITION, DEFINITIONS)
-        described_as = {"msg_definition": whole, "type_hash": digest, "domain_id": DOMAIN, "router_port": port}
+        described_as = {
+            "msg_definition": whole,
+            "type_hash": digest,
+            "domain_id": DOMAIN,
+            "router_port": port,
+        }
         self._publisher = sdk.ROS2Publisher("/target", POSE, **described_as)
         self.close = self._publisher.close
 
@@ -73,7 +93,9 @@ class Publisher:
         point = kinds["geometry_msgs/msg/Point"](x=x, y=y, z=z)
         turn = kinds["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
         pose = kinds["geometry_msgs/msg/Pose"](position=point, orientation=turn)
-        self._publisher.publish(header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=frame), pose=pose)
+        self._publisher.publish(
+            header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=frame), pose=pose
+        )
 
 
 def tokens(sdk: Any, subscriber: Any) -> list[str]:
@@ -91,13 +113,18 @@ def tokens(sdk: Any, subscriber: Any) -> list[str]:
         type_hash=subscriber.type_hash,
         qos=subscriber.qos,
     )
-    replies = subscriber.session_mgr.liveliness.get(endpoint_liveliness_keyexpr(publisher), timeout=5.0)
+    replies = subscriber.session_mgr.liveliness.get(
+        endpoint_liveliness_keyexpr(publisher), timeout=5.0
+    )
     return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
 
 @pytest.mark.slow
 def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
-    """Poses at 20 Hz and plans are seen; with a bridge, and one that is killed, the bits are those of a run alone."""
+    """Poses at 20 Hz and plans are seen.
+
+    With a bridge, and one that is killed, the bits are those of a run alone.
+    """
     poses: list[Any] = []
     plans: list[Any] = []
     options = settings("clock.speed=1.0", CLIMB)
@@ -105,7 +132,9 @@ def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
     run, log = started[0], Growing(tmp_path / "run" / "run.mcap")
     kept = [
         subscribe(sdk, "/payload/pose", POSE, POSE_DEFINITION, DEFINITIONS, poses),
-        subscribe(sdk, "/uav1/plan", PATH, PATH_DEFINITION, {**DEFINITIONS, POSE: POSE_DEFINITION}, plans),
+        subscribe(
+            sdk, "/uav1/plan", PATH, PATH_DEFINITION, {**DEFINITIONS, POSE: POSE_DEFINITION}, plans
+        ),
     ]
     try:
         assert wait_for(lambda: len(log.of(PlantState)) > 0)
@@ -128,21 +157,26 @@ def test_a_run_is_seen_and_does_not_notice(sdk: Any, tmp_path: Path) -> None:
     x = np.array([state.x for state in log.of(PlantState)])
     until = len(x) - 10
     alone = messages_until(until, tmp_path / "run" / "scenario.toml", "clock.speed=1.0")
-    assert sorted(bits(alone)) == sorted(bits(message for message in log.of(Message) if message.tick < until))
+    assert sorted(bits(alone)) == sorted(
+        bits(message for message in log.of(Message) if message.tick < until)
+    )
     ticks = {tuple(row): tick for tick, row in enumerate(x[:, :3].tolist())}
     points = [pose.pose.position for pose in poses]
     seen = [ticks[point.x, point.y, point.z] for point in points]
     assert seen == list(range(seen[0], seen[0] + len(seen)))
     stamps_s = [pose.header.stamp.sec + 1e-9 * pose.header.stamp.nanosec for pose in poses]
     assert (stamps_s[-1] - stamps_s[0]) / (seen[-1] - seen[0]) == pytest.approx(0.05, rel=0.1)
-    assert {(pose.header.frame_id, len(plan.poses)) for pose, plan in zip(poses, plans, strict=False)} == {
-        ("inertial", 21)
-    }
+    assert {
+        (pose.header.frame_id, len(plan.poses)) for pose, plan in zip(poses, plans, strict=False)
+    } == {("inertial", 21)}
 
 
 @pytest.mark.slow
 def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
-    """Targets of the other implementation are announced; a flood with NaN is refused, named, and changes no bit."""
+    """Targets of the other implementation are announced.
+
+    A flood with NaN is refused, named, and changes no bit.
+    """
     options = settings("clock.speed=1.0", HOVER)
     run = start("run", "precise", *options, "--out", "run", "--no-figures", cwd=tmp_path)
     log = Growing(tmp_path / "run" / "run.mcap")
@@ -156,7 +190,14 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
     try:
         assert wait_for(lambda: len(log.of(PlantState)) > 0)
         bridge = start(
-            "ros2", "--run", "run", "--domain", str(DOMAIN), "--connect", f"tcp/127.0.0.1:{sdk.port}", cwd=tmp_path
+            "ros2",
+            "--run",
+            "run",
+            "--domain",
+            str(DOMAIN),
+            "--connect",
+            f"tcp/127.0.0.1:{sdk.port}",
+            cwd=tmp_path,
         )
         places = [(0.5, 0.0, 10.0), (0.5, -0.5, 10.5)]
         for x, y, z in places:
@@ -184,6 +225,10 @@ def test_targets_come_from_outside(sdk: Any, tmp_path: Path) -> None:
     assert "/target: expected a finite position" in errors or "expected the frame" in errors
     script = (f"{{at_s={t.tick * 0.05!r},points_m={t.points.tolist()}}}" for t in log.of(Target))
     until = log.of(PlantState)[-1].tick - 10
-    alone = messages_until(until, tmp_path / "run" / "scenario.toml", f"maneuver.target=[{','.join(script)}]")
+    alone = messages_until(
+        until, tmp_path / "run" / "scenario.toml", f"maneuver.target=[{','.join(script)}]"
+    )
     assert len(list(bits(alone))) == until * 5
-    assert sorted(bits(alone)) == sorted(bits(message for message in log.of(Message) if message.tick < until))
+    assert sorted(bits(alone)) == sorted(
+        bits(message for message in log.of(Message) if message.tick < until)
+    )

@@ -11,8 +11,6 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from protocol.network.endpoints import process_names
-from protocol.wire.keys import Keys
 from tests.support import attacker
 from tests.support.attacker import table
 from tests.support.commands import (
@@ -31,6 +29,8 @@ from tests.support.results import here
 from tests.support.runs import ready
 from transport.cli.main import app
 from transport.cli.operate import Exporter, process_endpoints
+from transport.protocol.network.endpoints import process_names
+from transport.protocol.wire.keys import Keys
 from transport.report.report import write_report
 
 # Paced to real time, so that attackers have time; 6 s.
@@ -40,7 +40,10 @@ FLIGHT = (
     "clock.speed=1.0",
 )
 # As fast as possible.
-BRIEF = ("maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-0.5]}]", "controller.horizon=5")
+BRIEF = (
+    "maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0.0,0.0,-0.5]}]",
+    "controller.horizon=5",
+)
 FORGED, RATE_HZ = 1000, 200
 FORGED_KEYS = (
     *("plan/2", "tick", "control", "plant_state", "measurement/3", "rejected/agent2"),
@@ -61,7 +64,8 @@ def calm(folder: Path, *changes: str) -> list[dict[str, str]]:
 def test_a_run_under_attack(tmp_path: Path) -> None:
     """Forgery and repeated messages on agent 1's key do not change a lockstep run.
 
-    Forged messages reach no process. Repeated ones reach all and are counted; agent 1's own are still accepted.
+    Forged messages reach no process. Repeated ones reach all and are counted; agent 1's own are
+    still accepted.
     """
     base, keys = free_base(), Keys("out")
     secure = (f"network.base_port={base}", f"network.keys={keyring('one')}")
@@ -69,17 +73,32 @@ def test_a_run_under_attack(tmp_path: Path) -> None:
     count = len(process_names(scenario))
     endpoints = [f"tls/127.0.0.1:{base + i}" for i in range(count)]
     changes = settings(*FLIGHT, *secure)
-    run = start("run", "paper", *changes, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path)
-    repeating = [sys.executable, "-m", "tests.support.attacker", "out", "1", str(RATE_HZ), str(keyring("one"))]
+    run = start(
+        "run", "paper", *changes, "--out", "out", "--no-figures", "--format", "json", cwd=tmp_path
+    )
+    repeating = [
+        sys.executable,
+        "-m",
+        "tests.support.attacker",
+        "out",
+        "1",
+        str(RATE_HZ),
+        str(keyring("one")),
+    ]
     with subprocess.Popen([*repeating, *endpoints], stdout=subprocess.PIPE, text=True) as flood:
         assert wait_for(is_flying(tmp_path / "out", process_names(scenario)))
         with attacker.session(endpoints, attacker.tls(keyring("one"), "agent1")) as forger:
-            # Asked within this process: on a busy host the run would end before a new process has started.
+            # Asked within this process: on a busy host the run would end before a new process has
+            # started.
             status = ["status", "--format", "json", "--run", str(tmp_path / "out"), "--process"]
-            asked, other = (CliRunner().invoke(app, [*status, name]) for name in ("agent2", "agent7"))
+            asked, other = (
+                CliRunner().invoke(app, [*status, name]) for name in ("agent2", "agent7")
+            )
             exporter, families = Exporter("out", process_endpoints(scenario)), dict[str, Any]()
 
-            def all_answer() -> bool:  # each in time, once: on a busy host a process may be late in a reading
+            def all_answer() -> (
+                bool
+            ):  # each in time, once: on a busy host a process may be late in a reading
                 families.update({family.name: family for family in exporter.collect()})
                 return all(sample.value for sample in families["transport_up"].samples)
 
@@ -104,7 +123,9 @@ def test_a_run_under_attack(tmp_path: Path) -> None:
     health = json.loads(asked.stdout)
     assert (health["name"], health["incarnation"]) == ("agent2", 0)
     assert health["memory_bytes"] > 1e7
-    assert {sample.labels["process"] for sample in families["transport_up"].samples} == set(process_names(scenario))
+    assert {sample.labels["process"] for sample in families["transport_up"].samples} == set(
+        process_names(scenario)
+    )
     assert all(sample.value > 1e7 for sample in families["transport_memory_bytes"].samples)
     assert len(families["transport_refused_messages"].samples) == count
     assert other.exit_code == 2
@@ -146,13 +167,29 @@ def test_routers_on_both_sides(tmp_path: Path) -> None:
         ["--listen", there, "--connect", here, "--set", keys],
     ):
         started = [
-            start("agent", "--id", str(i), "--scenario", "paper", *own["agents"], "--incarnation", "0", cwd=tmp_path)
+            start(
+                "agent",
+                "--id",
+                str(i),
+                "--scenario",
+                "paper",
+                *own["agents"],
+                "--incarnation",
+                "0",
+                cwd=tmp_path,
+            )
             for i in range(1, 5)
         ]
-        started.append(start("plant", "--scenario", "paper", *own[""], "--incarnation", "0", cwd=tmp_path))
+        started.append(
+            start("plant", "--scenario", "paper", *own[""], "--incarnation", "0", cwd=tmp_path)
+        )
         observed = ["--observer", "recorder", "--incarnation", "0"]
-        started.append(start("coordinator", "--scenario", "paper", *own[""], *observed, cwd=tmp_path))
-        record = transport("record", "--scenario", "paper", *own[""], "--out", "out", "--no-figures", cwd=tmp_path)
+        started.append(
+            start("coordinator", "--scenario", "paper", *own[""], *observed, cwd=tmp_path)
+        )
+        record = transport(
+            "record", "--scenario", "paper", *own[""], "--out", "out", "--no-figures", cwd=tmp_path
+        )
         errors = [process.communicate(timeout=PATIENCE_S)[1] for process in started]
     assert record.returncode == 0, record.stderr
     assert [process.returncode for process in started] == [0] * 6, errors
@@ -163,7 +200,10 @@ def test_routers_on_both_sides(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--set", "network.host=0.0.0.0"], "network.host: expected a loopback address, or network.keys, or "),
+        (
+            ["--set", "network.host=0.0.0.0"],
+            "network.host: expected a loopback address, or network.keys, or ",
+        ),
         (["--set", "network.keys=nowhere"], "network.keys: expected a folder with ca.pem"),
         pytest.param(
             ["--set", "network.router=plant:7447"],
@@ -187,7 +227,11 @@ def test_refused_before_anything_starts(
         result = here(*command_line, *given)
         assert result.exit_code == 3, result.stderr
         assert expected in result.stderr
-        said = [line for line in result.stderr.splitlines() if not line.startswith("compiling the model")]
+        said = [
+            line
+            for line in result.stderr.splitlines()
+            if not line.startswith("compiling the model")
+        ]
         assert len(said) == 1
     assert not (tmp_path / "out").exists()
 

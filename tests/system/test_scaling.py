@@ -21,7 +21,10 @@ FLIGHTS = 5  # 2 and 4 UAVs distributed and centralized, 4 in pairs
 
 @pytest.mark.slow
 def test_sizes_and_ownerships() -> None:
-    """Sizes go up to the largest team requested, also an unusual one; pairs exist only for even numbers above two."""
+    """Sizes go up to the largest team requested, also an unusual one.
+
+    Pairs exist only for even numbers above two.
+    """
     points = list(design_experiments.scaling(9, SIZES))
     sizes = {
         name: [point.labels["uavs"] for point in points if point.labels["ownership"] == name]
@@ -36,10 +39,18 @@ def test_sizes_and_ownerships() -> None:
 
 
 REFUSED = [
-    (("--max", "17"), USAGE, "invalid value for '--max': expected less than or equal to 16, got '17'"),
+    (
+        ("--max", "17"),
+        USAGE,
+        "invalid value for '--max': expected less than or equal to 16, got '17'",
+    ),
     (("--max", "many"), USAGE, "invalid value for '--max'"),
     (("--jobs", "0"), USAGE, "--jobs"),
-    (("--set", "controller.horizon=0"), SCENARIO, "controller.horizon=0: expected greater than or equal to 1"),
+    (
+        ("--set", "controller.horizon=0"),
+        SCENARIO,
+        "controller.horizon=0: expected greater than or equal to 1",
+    ),
     (("--set", "agents.owned=[[1,2],[3,4]]"), SCENARIO, "agents.owned=[[1,2],[3,4]]: expected"),
     (
         ("--set", "links.override=[{from='agent3',to='agent1',loss=0.1}]"),
@@ -49,9 +60,15 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "code", "expected"), REFUSED, ids=[" ".join(row[0]) for row in REFUSED])
+@pytest.mark.parametrize(
+    ("arguments", "code", "expected"), REFUSED, ids=[" ".join(row[0]) for row in REFUSED]
+)
 def test_what_cannot_be_is_refused(
-    arguments: tuple[str, ...], code: int, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arguments: tuple[str, ...],
+    code: int,
+    expected: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A bad option ends with its exit code, expected and got; no run starts and no folder appears."""
     monkeypatch.chdir(tmp_path)
@@ -75,7 +92,15 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def test_a_trial_is_whole(trial: tuple[Path, str]) -> None:
     """Files, rows, table and sentences of a trial; the caption names the maneuver."""
     folder, printed = trial
-    names = {"experiment.json", "results.jsonl", "points.csv", "cases.csv", "figure.png", "figure.svg", "report.md"}
+    names = {
+        "experiment.json",
+        "results.jsonl",
+        "points.csv",
+        "cases.csv",
+        "figure.png",
+        "figure.svg",
+        "report.md",
+    }
     assert {path.name for path in folder.iterdir()} == names
     assert kept(folder) == FLIGHTS
     with (folder / "cases.csv").open(newline="") as file:

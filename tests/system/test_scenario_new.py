@@ -4,19 +4,27 @@ from pathlib import Path
 
 import pytest
 
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
-from protocol.scenario.team import resized
 from tests.support.results import here
 from tests.support.runs import PAPER, SCENARIOS
+from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.team import resized
 
 USAGE, SCENARIO = 2, 3
 NEW = ("scenario", "new")
 RESILIENT = SCENARIOS / "resilient.toml"
 
 REFUSED = [
-    (("--uavs", "1"), USAGE, "invalid value for '--uavs': expected greater than or equal to 2, got '1'"),
-    (("--uavs", "257"), USAGE, "invalid value for '--uavs': expected less than or equal to 256, got '257'"),
+    (
+        ("--uavs", "1"),
+        USAGE,
+        "invalid value for '--uavs': expected greater than or equal to 2, got '1'",
+    ),
+    (
+        ("--uavs", "257"),
+        USAGE,
+        "invalid value for '--uavs': expected less than or equal to 256, got '257'",
+    ),
     (("--uavs", "3", "--groups", "0"), USAGE, "invalid value for '--groups'"),
     (
         ("--uavs", "3", "--load", "inf"),
@@ -24,15 +32,27 @@ REFUSED = [
         f"{RESILIENT}: system.payload.mass_kg: expected a finite",
     ),
     (("--uavs", "3", "--name", "a b"), SCENARIO, f"{RESILIENT}: name: string should match pattern"),
-    (("--uavs", "3", "--out", "there.toml"), USAGE, "--out: expected a file that does not exist yet, got there.toml"),
-    (("--uavs", "3", "--out", "no/where.toml"), USAGE, "--out: cannot write no/where.toml (No such file or directory)"),
+    (
+        ("--uavs", "3", "--out", "there.toml"),
+        USAGE,
+        "--out: expected a file that does not exist yet, got there.toml",
+    ),
+    (
+        ("--uavs", "3", "--out", "no/where.toml"),
+        USAGE,
+        "--out: cannot write no/where.toml (No such file or directory)",
+    ),
     (
         ("--uavs", "3", "--from", "papr"),
         SCENARIO,
         "--from: papr: expected a scenario file or the name of a ready one; did you mean 'paper'?",
     ),
     (("--uavs", "3", "--from", "no.toml"), SCENARIO, "--from: no.toml: no such file"),
-    (("--uavs", "3", "--from", "there.toml"), SCENARIO, "--from: there.toml: name: expected a value, got nothing"),
+    (
+        ("--uavs", "3", "--from", "there.toml"),
+        SCENARIO,
+        "--from: there.toml: name: expected a value, got nothing",
+    ),
     (
         ("--uavs", "3", "--from", "wide.toml"),
         SCENARIO,
@@ -52,7 +72,9 @@ def folder_with_templates(tmp_path: Path) -> Path:
     paper = PAPER.read_text(encoding="utf-8")
     (tmp_path / "there.toml").touch()
     wide = (
-        paper.replace("minimum_m = 0.4", "minimum_m = 0.6").replace("[0.25, ", "[0.5, ").replace("[-0.25, ", "[-0.5, ")
+        paper.replace("minimum_m = 0.4", "minimum_m = 0.6")
+        .replace("[0.25, ", "[0.5, ")
+        .replace("[-0.25, ", "[-0.5, ")
     )
     (tmp_path / "wide.toml").write_text(wide, encoding="utf-8")
     (tmp_path / "fourth.toml").write_text(
@@ -61,7 +83,9 @@ def folder_with_templates(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize(("options", "code", "text"), REFUSED, ids=[" ".join(options) for options, _, _ in REFUSED])
+@pytest.mark.parametrize(
+    ("options", "code", "text"), REFUSED, ids=[" ".join(options) for options, _, _ in REFUSED]
+)
 def test_refusals(
     options: tuple[str, ...], code: int, text: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

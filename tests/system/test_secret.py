@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from protocol.network.security import SHARED, Security, SecurityError
-from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.attacker import session
 from tests.support.commands import settings, start, wait_for
 from transport.flight.run_files import RunError, own_keys
+from transport.protocol.network.security import SHARED, Security, SecurityError
+from transport.protocol.scenario.file import find_scenario, read_scenario
 
 # Slower than real time, so that there is time to connect; ended by the test.
 FLIGHT = ("clock.speed=0.1",)
@@ -22,10 +22,15 @@ REFUSED_S, PATIENCE_S = 0.7, 60.0
 
 @pytest.fixture(scope="module")
 def active(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Yield the folder of an active run with its secret; end the run, and check that the secret is gone."""
+    """Yield the folder of an active run with its secret.
+
+    End the run, and check that the secret is gone.
+    """
     parent = tmp_path_factory.mktemp("runs")
     folder = parent / "guarded"
-    process = start("run", "resilient", *settings(*FLIGHT), "--out", str(folder), "--no-figures", cwd=parent)
+    process = start(
+        "run", "resilient", *settings(*FLIGHT), "--out", str(folder), "--no-figures", cwd=parent
+    )
     try:
         assert wait_for(lambda: (folder / "live.json").exists(), PATIENCE_S)
         yield folder
@@ -55,7 +60,11 @@ def test_only_the_secret_connects(active: Path) -> None:
             with pytest.raises(zenoh.ZError), session([endpoint], given, REFUSED_S):
                 pass
     with session(list(endpoints.values()), credentials(user, password), PATIENCE_S) as opened:
-        found = [str(reply.ok.key_expr) for reply in opened.liveliness().get("transport/*/alive/**") if reply.ok]
+        found = [
+            str(reply.ok.key_expr)
+            for reply in opened.liveliness().get("transport/*/alive/**")
+            if reply.ok
+        ]
     assert {key.split("/")[3] for key in found} >= {"coordinator", "plant", "agent1", "agent4"}
 
 

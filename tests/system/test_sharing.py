@@ -1,12 +1,12 @@
-"""Runs in which agents share a plan only on a relevant change: receivers, and bitwise reproducibility."""
+"""Runs in which agents share a plan only on a relevant change.
+
+Receivers, and bitwise reproducibility.
+"""
 
 from collections.abc import Sequence
 
 import pytest
 
-from protocol.scenario.setup import Setup
-from protocol.wire.codec import encode
-from protocol.wire.messages import Message, Plan, StepReport, Tick
 from tests.support.runs import SHORT, ready, recorded, reproducible
 from tests.support.shuffled import fly_shuffled
 from transport.analysis.metrics import summarise
@@ -14,8 +14,15 @@ from transport.analysis.replay import Replay
 from transport.analysis.series import counted
 from transport.flight import memory
 from transport.log.run_log import Recorded, RunLog
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.codec import encode
+from transport.protocol.wire.messages import Message, Plan, StepReport, Tick
 
-ON_CHANGE = ("controller.share=on_change", "controller.share_threshold=0.02", "controller.share_heartbeat_s=0.4")
+ON_CHANGE = (
+    "controller.share=on_change",
+    "controller.share_threshold=0.02",
+    "controller.share_heartbeat_s=0.4",
+)
 BAD = ("links.delay_s=0.1", "links.jitter_s=0.05", "links.loss=0.3")
 RETURN = (
     "clock.on_agent_loss=continue",
@@ -30,17 +37,26 @@ def run_of(*changes: str) -> Setup:
 
 def log_of(messages: Sequence[Message]) -> RunLog:
     """Return the log that the recorder would write."""
-    return RunLog(header={}, messages=tuple(Recorded(message=m, received_ns=i) for i, m in enumerate(messages)), cut="")
+    return RunLog(
+        header={},
+        messages=tuple(Recorded(message=m, received_ns=i) for i, m in enumerate(messages)),
+        cut="",
+    )
 
 
 def of(kind: type[Message], messages: Sequence[Message]) -> list[bytes]:
     """Return the messages of a kind by sender and sequence number, without wall-clock times."""
-    found = sorted((m for m in messages if isinstance(m, kind)), key=lambda m: (m.sender, m.sequence))
+    found = sorted(
+        (m for m in messages if isinstance(m, kind)), key=lambda m: (m.sender, m.sequence)
+    )
     return [encode(reproducible(m)) for m in found]
 
 
 def test_unshared_plans_reach_no_other_agent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An agent receives only the others' shared plans, plant and coordinator all; ticks name the shared ones."""
+    """An agent receives only the others' shared plans, plant and coordinator all.
+
+    Ticks name the shared ones.
+    """
     heard: dict[str, set[tuple[int, int, bool]]] = {}
     deliver = memory.InMemoryRun._deliver
 
@@ -74,7 +90,10 @@ def test_arrival_order_makes_no_difference(changes: tuple[str, ...]) -> None:
 
 
 def test_plans_grow_old_and_say_so() -> None:
-    """Reports have the age of the newest plan received; on a perfect network the heartbeat bounds it."""
+    """Reports have the age of the newest plan received.
+
+    On a perfect network the heartbeat bounds it.
+    """
     messages = recorded(run_of("controller.share_threshold=1000.0"))
     reports = [m for m in messages if isinstance(m, StepReport)]
     assert max(age for report in reports for age in report.plan_ages) == 8
@@ -87,16 +106,23 @@ def test_plans_grow_old_and_say_so() -> None:
 
 
 def test_all_share_when_an_agent_goes_and_when_it_returns() -> None:
-    """Under a new roster every agent shares its first plan: a returning agent knows the others one tick later."""
+    """Under a new roster every agent shares its first plan.
+
+    A returning agent knows the others one tick later.
+    """
     run = run_of(*RETURN, "controller.share_threshold=1000.0", "controller.share_heartbeat_s=100.0")
     messages = recorded(run)
     shared = {(m.agent, m.tick) for m in messages if isinstance(m, Plan) and m.shared}
     assert shared == {
         *((agent, 0) for agent in (1, 2, 3, 4)),
-        *((agent, 9) for agent in (1, 2, 4)),  # killed when tick 8 was opened: tick 9 names another roster
+        *(
+            (agent, 9) for agent in (1, 2, 4)
+        ),  # killed when tick 8 was opened: tick 9 names another roster
         *((agent, 16) for agent in (1, 2, 3, 4)),
     }
-    back = [m for m in messages if isinstance(m, StepReport) and m.agent == 3 and m.incarnation == 1]
+    back = [
+        m for m in messages if isinstance(m, StepReport) and m.agent == 3 and m.incarnation == 1
+    ]
     assert [report.plan_ages for report in back[:3]] == [(-1, -1, -1), (1, 1, 1), (2, 2, 2)]
 
 

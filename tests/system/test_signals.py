@@ -30,9 +30,13 @@ def test_an_orphan_is_found_and_ended(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr("tests.campaigns.signals._ORPHANS_S", 0.5)
     (tmp_path / "run").mkdir()  # the command refuses an existing folder and starts nothing
     (tmp_path / "run" / "run.mcap").write_bytes(b"not a log")
-    (tmp_path / "run" / "agent1.log").write_text("Traceback (most recent call last):\n  ...\nValueError: no\n")
+    (tmp_path / "run" / "agent1.log").write_text(
+        "Traceback (most recent call last):\n  ...\nValueError: no\n"
+    )
     words = ["transport", "agent", "--id", "7", "--run", "run"]
-    with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)", *words], cwd=tmp_path) as left:
+    with subprocess.Popen(
+        [sys.executable, "-c", "import time; time.sleep(600)", *words], cwd=tmp_path
+    ) as left:
         code, problems = execute_run([], [], tmp_path, threading.Event())
         left.wait(10.0)
     assert code == 2

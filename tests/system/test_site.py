@@ -19,7 +19,14 @@ BUILD_LIMIT_S = 60.0  # processor time: a busy machine takes longer by the clock
 pytestmark = pytest.mark.slow
 
 # What the browser loads by itself, by tag; a link (`a`) is not loaded.
-LOADED = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href", "object": "data"}
+LOADED = {
+    "script": "src",
+    "img": "src",
+    "iframe": "src",
+    "source": "src",
+    "link": "href",
+    "object": "data",
+}
 CSS_ADDRESS = re.compile(r"(?:url\(\s*['\"]?|@import\s+['\"])([^'\")\s]+)")
 # Builds the site and prints the processor time.
 BUILD = """
@@ -53,7 +60,11 @@ class Page(HTMLParser):
         given = dict(attrs)
         if (name := given.get("id")) is not None:
             self.anchors.add(name)
-        if tag in LOADED and (address := given.get(LOADED[tag])) and given.get("rel") != "canonical":
+        if (
+            tag in LOADED
+            and (address := given.get(LOADED[tag]))
+            and given.get("rel") != "canonical"
+        ):
             self.loaded.append(address)
         if tag == "a" and (address := given.get("href")):
             self.links.append(address)
@@ -100,7 +111,9 @@ def test_nothing_is_loaded_from_the_network(site: Path, pages: dict[Path, Page])
     """Pages and style sheets load only files of the site that exist."""
     found = [(path, address) for path, page in pages.items() for address in page.loaded]
     for sheet in site.rglob("*.css"):
-        found += [(sheet, address) for address in CSS_ADDRESS.findall(sheet.read_text(encoding="utf-8"))]
+        found += [
+            (sheet, address) for address in CSS_ADDRESS.findall(sheet.read_text(encoding="utf-8"))
+        ]
     assert len(found) > 100
     for path, address in found:
         parts = urlparse(address)
@@ -125,21 +138,27 @@ def test_links_lead_somewhere(site: Path, pages: dict[Path, Page]) -> None:
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             assert target.exists(), f"{path.name} links to {address}"
             if parts.fragment and target in pages:
-                assert unquote(parts.fragment) in pages[target].anchors | {"__"}, f"{path.name} links to {address}"
+                assert unquote(parts.fragment) in pages[target].anchors | {"__"}, (
+                    f"{path.name} links to {address}"
+                )
             count += 1
     assert count > 1000
 
 
 @needs_browser
 def test_search_from_a_folder(site: Path) -> None:
-    """The search finds "relaxation" in a page opened as a file; nothing is requested, the console has no error."""
+    """The search finds "relaxation" in a page opened as a file.
+
+    Nothing is requested, the console has no error.
+    """
     with browser() as opened:
         opened.console()
         opened.driver.set_window_size(1400, 900)  # a narrow page hides the field behind a button
         opened.driver.get((site / "index.html").as_uri())
         field = opened.driver.find_element("css selector", "input[data-md-component=search-query]")
         assert wait_for(field.is_displayed)
-        # Pasted: a busy browser also searches for the first letters of what is typed, and warns that they are too few.
+        # Pasted: a busy browser also searches for the first letters of what is typed, and warns
+        # that they are too few.
         opened.driver.execute_script("arguments[0].value = 'relaxation'", field)
         field.click()
 

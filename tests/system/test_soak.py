@@ -7,10 +7,19 @@ import pytest
 
 from tests.campaigns.soak import GROWTH_BYTES, Record, judge
 
-# The clock waits for late processes: on a host busy with other tests the run would diverge. The bound is wider than for
-# thirty minutes; a leak of 6 kB a tick is still found.
+# The clock waits for late processes: on a host busy with other tests the run would diverge. The
+# bound is wider than for thirty minutes; a leak of 6 kB a tick is still found.
 MINUTES = 1
-SOAK = ("--minutes", str(MINUTES), "--growth", "4", "--set", "clock.on_overrun=hold", "--set", "clock.speed=2")
+SOAK = (
+    "--minutes",
+    str(MINUTES),
+    "--growth",
+    "4",
+    "--set",
+    "clock.on_overrun=hold",
+    "--set",
+    "clock.speed=2",
+)
 
 # Time for start and report on a slow host, s.
 PATIENCE_S = 240
@@ -34,7 +43,10 @@ def test_nothing_grows() -> None:
         finally:
             process.terminate()  # only after an interrupt; the soak test ends its run first
     assert process.returncode == 0, errors
-    assert all(f"{name}: memory" in table for name in ("recorder", "coordinator", "plant", "agent1", "agent4"))
+    assert all(
+        f"{name}: memory" in table
+        for name in ("recorder", "coordinator", "plant", "agent1", "agent4")
+    )
 
 
 @pytest.mark.parametrize(
@@ -46,7 +58,10 @@ def test_nothing_grows() -> None:
     ],
 )
 def test_growth_is_reported(resource: str, step: float, word: str) -> None:
-    """Growth is reported: memory beyond an allocator's fluctuation, threads, files; the warm-up is not growth."""
+    """Growth is reported: memory beyond an allocator's fluctuation, threads, files.
+
+    The warm-up is not growth.
+    """
     record = Record(memory=[1e8] * 30, threads=[10.0] * 30, files=[20.0] * 30)
     values = getattr(record, resource)
     values[:3] = [0.1 * values[0]] * 3

@@ -1,4 +1,7 @@
-"""Experiments from the command line: the tables depend neither on the executor nor on interruptions."""
+"""Experiments from the command line.
+
+The tables depend neither on the executor nor on interruptions.
+"""
 
 import csv
 import os
@@ -17,7 +20,18 @@ from tests.support.runs import ticks
 DONE, LOST, INTERRUPTED = 0, 4, 130
 
 # Runs long enough to be killed.
-LONG = ("experiment", "latency", "--set", ticks(200), "--delay", "0.1", "--delay", "0.2", "--delay", "0.3")
+LONG = (
+    "experiment",
+    "latency",
+    "--set",
+    ticks(200),
+    "--delay",
+    "0.1",
+    "--delay",
+    "0.2",
+    "--delay",
+    "0.3",
+)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +63,15 @@ def gone(process: subprocess.Popen[str]) -> bool:
 
 def test_the_output_is_whole(reference: Path) -> None:
     """Tables, figures and kept results; cases.csv has a row for each run, without wall-clock times."""
-    names = {"experiment.json", "results.jsonl", "points.csv", "cases.csv", "figure.png", "figure.svg", "report.md"}
+    names = {
+        "experiment.json",
+        "results.jsonl",
+        "points.csv",
+        "cases.csv",
+        "figure.png",
+        "figure.svg",
+        "report.md",
+    }
     assert {path.name for path in reference.iterdir()} == names
     with (reference / "cases.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -87,7 +109,11 @@ def test_a_killed_experiment_is_resumed(reference: Path) -> None:
 def cluster() -> Iterator[str]:
     """Return the address of a cluster of two workers on this machine."""
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0"
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
     ) as found:
         yield found.scheduler_address
 
@@ -101,9 +127,12 @@ def test_a_cluster_gives_the_same(reference: Path, cluster: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "jobs"), [pytest.param(signal.SIGINT, "2", marks=pytest.mark.slow), (signal.SIGTERM, "1")]
+    ("number", "jobs"),
+    [pytest.param(signal.SIGINT, "2", marks=pytest.mark.slow), (signal.SIGTERM, "1")],
 )
-def test_an_interrupted_experiment_leaves_nothing_running(number: signal.Signals, jobs: str, tmp_path: Path) -> None:
+def test_an_interrupted_experiment_leaves_nothing_running(
+    number: signal.Signals, jobs: str, tmp_path: Path
+) -> None:
     """Ctrl-C, sent to all processes, and SIGTERM give exit code 130, keep results and leave no process."""
     process = start(*LONG, "--jobs", jobs, "--out", "out", cwd=tmp_path)
     assert wait_for(lambda: kept(tmp_path / "out") >= 1)
@@ -133,7 +162,9 @@ def test_a_dead_worker_is_reported(tmp_path: Path) -> None:
     """A killed worker ends the experiment with a line and exit code 4; no process is left."""
     process = start(*LONG, "--jobs", "2", "--out", "out", cwd=tmp_path)
     assert wait_for(lambda: kept(tmp_path / "out") >= 1)
-    workers = [pid for pid in members(process.pid) if b"loky" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    workers = [
+        pid for pid in members(process.pid) if b"loky" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    ]
     os.kill(max(workers), signal.SIGKILL)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == LOST, errors

@@ -1,4 +1,7 @@
-"""Targets given to an active run by command, file and Python: the bits of a run in memory with a script."""
+"""Targets given to an active run by command, file and Python.
+
+The bits of a run in memory with a script.
+"""
 
 import signal
 from pathlib import Path
@@ -6,17 +9,19 @@ from pathlib import Path
 import pytest
 
 import transport
-from protocol.wire.messages import Message, PlantState, Target
 from tests.support.commands import settings, start, wait_for
 from tests.support.logs import Growing, bits, messages_until
 from tests.system.test_operate import succeed
+from transport.protocol.wire.messages import Message, PlantState, Target
 
 HOVER = "maneuver.phase=[{name='hover',duration_s=100.0,displacement_m=[0,0,0]}]"
 WAYS = "x,y,z\n0.4,0.4,-10\n0,0.4,-10.3\n0,0,-10\n"
 
 
 @pytest.mark.slow
-def test_targets_by_hand_and_by_script_are_the_same_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_targets_by_hand_and_by_script_are_the_same_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """All ways lead to the same bits as the scenario's targets at the same ticks, on a late network."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "path.csv").write_text(WAYS)
@@ -38,8 +43,12 @@ def test_targets_by_hand_and_by_script_are_the_same_run(tmp_path: Path, monkeypa
         run.communicate(timeout=60)
     script = [
         f"{{at_s={target.tick * 0.05!r},points_m={target.points.tolist()}{speed}}}"
-        for target, speed in zip(log.of(Target), ("", ",speed_mps=0.5", ",speed_mps=0.5"), strict=True)
+        for target, speed in zip(
+            log.of(Target), ("", ",speed_mps=0.5", ",speed_mps=0.5"), strict=True
+        )
     ]
     alone = messages_until(until, folder / "scenario.toml", f"maneuver.target=[{','.join(script)}]")
     assert len(list(bits(alone))) == until * 5
-    assert sorted(bits(alone)) == sorted(bits(message for message in log.of(Message) if message.tick < until))
+    assert sorted(bits(alone)) == sorted(
+        bits(message for message in log.of(Message) if message.tick < until)
+    )

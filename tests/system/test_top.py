@@ -9,13 +9,13 @@ import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
-from protocol.wire.codec import encode
-from protocol.wire.messages import Message, Rejected
 from tests.support import runs
 from tests.support.commands import PATIENCE_S, is_flying, settings, start, transport, wait_for
 from transport.cli.main import app
 from transport.cli.top import Watch
 from transport.log.run_log import read_log
+from transport.protocol.wire.codec import encode
+from transport.protocol.wire.messages import Message, Rejected
 
 # Long enough on any machine; ended by the test.
 LONG = (
@@ -31,7 +31,10 @@ def watched(*settings_: str) -> Watch:
 
 
 def test_faults_are_shown() -> None:
-    """Agents off the roster and in fail-safe mode are shown with the reason; rejections are counted by receiver."""
+    """Agents off the roster and in fail-safe mode are shown with the reason.
+
+    Rejections are counted by receiver.
+    """
     watch = watched()
     watch.take(runs.roster())
     watch.take(replace(runs.roster({1: 1, 2: 1, 4: 1}, k=5, version=2), reason="agent3 is gone"))
@@ -43,7 +46,14 @@ def test_faults_are_shown() -> None:
     for who in ("agent1", "plant"):
         watch.take(
             Rejected(
-                sender=who, incarnation=0, sequence=0, tick=9, offender="agent3", reason="past", count=3, example=""
+                sender=who,
+                incarnation=0,
+                sequence=0,
+                tick=9,
+                offender="agent3",
+                reason="past",
+                count=3,
+                example="",
             ),
         )
     assert watch.rejections == {"agent1": 3, "plant": 3}
@@ -51,7 +61,10 @@ def test_faults_are_shown() -> None:
 
 
 def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without an active run, or with conflicting options, one line says what was expected; exit code 2."""
+    """Without an active run, or with conflicting options, one line says what was expected.
+
+    Exit code 2.
+    """
     monkeypatch.chdir(tmp_path)
     for arguments, text in (
         ((), "no active run in runs/"),
@@ -65,7 +78,10 @@ def test_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_a_run_that_is_watched(tmp_path: Path) -> None:
-    """Three commands watch a paced run: once, until Ctrl-C, and to its end; the bits are those of an unwatched run."""
+    """Three commands watch a paced run.
+
+    Once, until Ctrl-C, and to its end; the bits are those of an unwatched run.
+    """
     folder = tmp_path / "runs" / "seen"
     run = start("run", "paper", *settings(*LONG), "--out", folder, "--no-figures", cwd=tmp_path)
     try:

@@ -1,4 +1,7 @@
-"""Faults across real processes: scripted faults occur at their ticks, runs survive them, and the record names them."""
+"""Faults across real processes.
+
+Scripted faults occur at their ticks, runs survive them, and the record names them.
+"""
 
 import json
 import shutil
@@ -8,14 +11,14 @@ from typing import Any
 
 import pytest
 
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control, FaultNote, Message, Plan, Roster, Tick
 from tests.support.commands import PATIENCE_S, SHORT, processes_of, settings, start, transport
 from tests.support.troubles import FAULTS, HEAVY, ITERATIONS, NEXT_TICK
 from transport.flight.memory import simulate
 from transport.log.run_log import RunLog, read_log
 from transport.log.writer import LogWriter
+from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Control, FaultNote, Message, Plan, Roster, Tick
 from transport.report.report import write_report
 
 LOST = 4
@@ -35,7 +38,10 @@ def steps(folder: Path) -> list[list[str]]:
 
 @pytest.fixture(scope="module")
 def troubled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of a run with all faults at once: impaired links, two iterations, a kill and a freeze."""
+    """Return the folder of a run with all faults at once.
+
+    Impaired links, two iterations, a kill and a freeze.
+    """
     folder = tmp_path_factory.mktemp("troubled")
     changes = settings(SHORT, HEAVY, ITERATIONS, NEXT_TICK, *FAULTS)
     result = transport("run", "resilient", *changes, "--out", "run", "--no-figures", cwd=folder)
@@ -78,26 +84,48 @@ def test_faults_are_in_the_summary(troubled: Path) -> None:
         "agent4 killed by script",
         "agent4 restarted by script",
     ]
-    assert [event["what"] for event in killed if event["kind"] == "detected"] == ["agent4 is gone at t = 0.50 s"]
-    assert [event["what"] for event in killed if event["kind"] == "rejoined"] == ["agent4 joined at t = 0.90 s"]
+    assert [event["what"] for event in killed if event["kind"] == "detected"] == [
+        "agent4 is gone at t = 0.50 s"
+    ]
+    assert [event["what"] for event in killed if event["kind"] == "rejoined"] == [
+        "agent4 joined at t = 0.90 s"
+    ]
     for found, ticks in ((frozen, (6, 14)), (killed, (10, 18))):
         assert next(event["tick"] for event in found if event["kind"] == "fault") == ticks[0]
-        assert [event["tick"] for event in found if event["kind"] in ("detected", "rejoined")] == list(ticks)
+        assert [
+            event["tick"] for event in found if event["kind"] in ("detected", "rejoined")
+        ] == list(ticks)
         times = [event["wall_s"] for event in found if event["kind"] in ("detected", "rejoined")]
         assert times == sorted(times)
 
 
 def test_a_return_is_a_new_start(troubled: Path) -> None:
-    """A restarted agent has a higher incarnation, which rosters name from then on; the old one is ignored."""
+    """A restarted agent has a higher incarnation, which rosters name from then on.
+
+    The old one is ignored.
+    """
     found = messages(read_log(troubled / "run.mcap"))
     rosters = [message for message in found if isinstance(message, Roster)]
-    assert [roster.agents for roster in rosters] == [(1, 2, 3, 4), (1, 3, 4), (1, 3), (1, 2, 3), (1, 2, 3, 4)]
+    assert [roster.agents for roster in rosters] == [
+        (1, 2, 3, 4),
+        (1, 3, 4),
+        (1, 3),
+        (1, 2, 3),
+        (1, 2, 3, 4),
+    ]
     assert rosters[-1].incarnations == (0, 1, 0, 1)
     for agent, (left, back) in {2: (6, 14), 4: (10, 18)}.items():
-        plans = {(plan.incarnation, plan.tick) for plan in found if isinstance(plan, Plan) and plan.agent == agent}
+        plans = {
+            (plan.incarnation, plan.tick)
+            for plan in found
+            if isinstance(plan, Plan) and plan.agent == agent
+        }
         assert {tick for incarnation, tick in plans if incarnation == 1} == set(range(back, 30))
-        # A continued process may still send the plan of the tick at which it was stopped; this plan is no answer.
-        assert {tick for incarnation, tick in plans if incarnation == 0} - {left} == set(range(left))
+        # A continued process may still send the plan of the tick at which it was stopped; this plan
+        # is no answer.
+        assert {tick for incarnation, tick in plans if incarnation == 0} - {left} == set(
+            range(left)
+        )
     answered = {tick.tick: tick.answered for tick in found if isinstance(tick, Tick)}
     assert [k for k in range(1, 30) if 2 not in answered[k]] == list(range(7, 15))
     assert [k for k in range(1, 30) if 4 not in answered[k]] == list(range(11, 19))
@@ -106,7 +134,10 @@ def test_a_return_is_a_new_start(troubled: Path) -> None:
 
 
 def aborted(folder: Path, victim: str, do: str, *changes: str) -> dict[str, Any]:
-    """Return the summary of a run that a fault at t = 0.5 s ends; its log is complete and no process is left."""
+    """Return the summary of a run that a fault at t = 0.5 s ends.
+
+    Its log is complete and no process is left.
+    """
     event = f"faults.event=[{{at_s=0.5,do='{do}',target='{victim}'}}]"
     options = ["--out", victim, "--no-figures", "--format", "json"]
     process = start("run", "resilient", *settings(SHORT, event, *changes), *options, cwd=folder)
@@ -137,7 +168,8 @@ def test_a_frozen_coordinator(tmp_path: Path) -> None:
     """The network gives up a coordinator that is stopped for good at the end of its lease of 10 s."""
     summary = aborted(tmp_path, "coordinator", "stop")
     assert summary["reason"] == "coordinator is gone"
-    # The last relay may still be in the stopped process; without it the plant does not integrate the period of tick 9.
+    # The last relay may still be in the stopped process; without it the plant does not integrate
+    # the period of tick 9.
     assert summary["ticks"] in (9, 10)
 
 
@@ -148,7 +180,15 @@ def test_a_coordinator_that_wakes_up(mode: str, tmp_path: Path) -> None:
     hover = "maneuver.phase=[{name='hover',duration_s=3.5,displacement_m=[0,0,0]}]"
     pace = (f"clock.mode={mode}", "clock.speed=1.0", "clock.barrier_timeout_s=2.0")
     event = "faults.event=[{at_s=0.3,do='stop',target='coordinator'},{at_s=3.0,do='continue',target='coordinator'}]"
-    result = transport("run", "resilient", *settings(hover, *pace, event), "--out", "run", "--no-figures", cwd=tmp_path)
+    result = transport(
+        "run",
+        "resilient",
+        *settings(hover, *pace, event),
+        "--out",
+        "run",
+        "--no-figures",
+        cwd=tmp_path,
+    )
     assert result.returncode == 0, result.stderr
     log = read_log(tmp_path / "run" / "run.mcap")
     assert [roster.reason for roster in log.of(Roster)] == ["all processes are ready"]

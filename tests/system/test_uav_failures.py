@@ -1,4 +1,7 @@
-"""Failure of a whole UAV in flight: cases the remaining team survives, cases it does not, and the record."""
+"""Failure of a whole UAV in flight.
+
+Cases the remaining team survives, cases it does not, and the record.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,15 +10,15 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
-from protocol.scenario.team import resized
-from protocol.wire.messages import Control, Message, Roster, StepReport
 from tests.support.logs import log_of
 from tests.support.runs import SCENARIOS
 from transport.analysis.series import Series, series_of
 from transport.flight.memory import simulate
+from transport.model.arrays import Array
+from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.team import resized
+from transport.protocol.wire.messages import Control, Message, Roster, StepReport
 
 # The paper's maneuver at its speeds, shortened: the fault is in the climb, before a corner.
 MANEUVER = (
@@ -55,7 +58,9 @@ class Flight:
 
 def failures(*events: tuple[float, str]) -> str:
     """Return the setting of the failures of UAV 3, with times after `AT_S`."""
-    listed = ",".join(f"{{at_s={AT_S + after_s},do='{do}',target='uav3'}}" for after_s, do in events)
+    listed = ",".join(
+        f"{{at_s={AT_S + after_s},do='{do}',target='uav3'}}" for after_s, do in events
+    )
     return f"faults.event=[{listed}]"
 
 
@@ -65,7 +70,8 @@ RELEASED, OFF = failures((0.0, "release")), failures((0.0, "motor_off"))
 @lru_cache
 def flown(uavs: int, template: str, *changes: str) -> Flight:
     """Simulate the short maneuver with a team of some size and the settings of a ready scenario."""
-    # Names of UAVs and agents refer to the larger team, so these settings apply after it is resized.
+    # Names of UAVs and agents refer to the larger team, so these settings apply after it is
+    # resized.
     ready = read_scenario(SCENARIOS / f"{template}.toml", [MANEUVER, *changes])
     if uavs != len(ready.system.uav):
         ready = resized(ready, uavs, group=None, name=None, source=template)
@@ -81,10 +87,14 @@ def test_four_fly_on_without_the_released_one(template: str) -> None:
     flight = flown(4, template, RELEASED)
     assert flight.control.outcome == "completed"
     assert flight.attitude_deg < 1.0  # measured: 0.3 to 0.4
-    assert {report.status for report in flight.messages if isinstance(report, StepReport)} == {"solved"}
+    assert {report.status for report in flight.messages if isinstance(report, StepReport)} == {
+        "solved"
+    }
 
 
-@pytest.mark.parametrize("changes", [LATE, ("clock.actuation=next_tick",), ("agents.owned=[[1,2],[3,4]]",)])
+@pytest.mark.parametrize(
+    "changes", [LATE, ("clock.actuation=next_tick",), ("agents.owned=[[1,2],[3,4]]",)]
+)
 def test_on_a_bad_network_too(changes: Sequence[str]) -> None:
     """Three UAVs also complete with 200 ms delay and 30 % loss, next-tick actuation, or two UAVs per agent."""
     flight = flown(4, "resilient", RELEASED, *changes)
@@ -93,7 +103,10 @@ def test_on_a_bad_network_too(changes: Sequence[str]) -> None:
 
 
 def test_its_agent_may_die_with_it() -> None:
-    """The agent of a released UAV has no influence: its death at the same tick has no further effect."""
+    """The agent of a released UAV has no influence.
+
+    Its death at the same tick has no further effect.
+    """
     both = f"{RELEASED[:-1]},{{at_s={AT_S},do='kill',target='agent3'}}]"
     flight = flown(4, "resilient", both, "clock.on_agent_loss=continue")
     assert flight.control.outcome == "completed"
@@ -101,7 +114,10 @@ def test_its_agent_may_die_with_it() -> None:
 
 
 def test_four_do_not_fly_with_the_dead_one_on_its_rod() -> None:
-    """The failed UAV falls over on its rod, and the other three cannot control it: docs/guarantees.md."""
+    """The failed UAV falls over on its rod, and the other three cannot control it.
+
+    Docs/guarantees.md.
+    """
     flight = flown(4, "resilient", OFF, LONGER)
     assert flight.control.outcome == "diverged"
     assert 1.0 < flight.series.times_s[-1] - AT_S < 5.0  # measured: 1.8
@@ -109,7 +125,10 @@ def test_four_do_not_fly_with_the_dead_one_on_its_rod() -> None:
 
 @pytest.mark.parametrize(("after_s", "limit_deg"), [(0.05, 4.0), (0.25, 12.0)])
 def test_a_late_release_of_the_dead_one(after_s: float, limit_deg: float) -> None:
-    """The team survives some periods with the failed UAV on its rod; measured tilts are 2.3 and 8.8 deg."""
+    """The team survives some periods with the failed UAV on its rod.
+
+    Measured tilts are 2.3 and 8.8 deg.
+    """
     flight = flown(4, "resilient", failures((0.0, "motor_off"), (after_s, "release")))
     assert flight.control.outcome == "completed"
     assert 1.0 < flight.attitude_deg < limit_deg
@@ -120,7 +139,9 @@ def test_five_balance_the_dead_one() -> None:
     flight = flown(5, "resilient", OFF, CLIMB)
     assert flight.control.outcome == "completed"
     assert flight.attitude_deg < 4.0  # measured: 2.5
-    assert flight.series.uavs_I[-1, 2, 2] < flight.series.x[-1, 2] - 3.0  # above the payload: z is down
+    assert (
+        flight.series.uavs_I[-1, 2, 2] < flight.series.x[-1, 2] - 3.0
+    )  # above the payload: z is down
 
 
 def test_six_balance_it_shortly_before_a_corner() -> None:

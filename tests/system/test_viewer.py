@@ -1,4 +1,7 @@
-"""The viewer in a browser: recorded, cut and live runs, whole frames, commands, and what is refused."""
+"""The viewer in a browser.
+
+Recorded, cut and live runs, whole frames, commands, and what is refused.
+"""
 
 import json
 import os
@@ -21,12 +24,16 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from typer.testing import CliRunner
 
-from model.arrays import Array
-from protocol.network.parent import PARENT_PIPE
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from protocol.wire.messages import LinkChange, PlantState, Target
 from tests.support import runs
-from tests.support.browser import END, RIGHT, Browser, Drawing, browser, connected_pages, needs_browser
+from tests.support.browser import (
+    END,
+    RIGHT,
+    Browser,
+    Drawing,
+    browser,
+    connected_pages,
+    needs_browser,
+)
 from tests.support.commands import PATIENCE_S, command, processes_of, settings, start, wait_for
 from tests.support.logs import Growing, bits, messages_until, record_run
 from transport.cli.main import app
@@ -34,6 +41,10 @@ from transport.flight import live
 from transport.flight.live import LiveRun
 from transport.flight.run import simulate as run_processes
 from transport.log.run_log import LogTail, read_log, setup_of
+from transport.model.arrays import Array
+from transport.protocol.network.parent import PARENT_PIPE
+from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.messages import LinkChange, PlantState, Target
 from transport.scene.scene import RunHistory, SceneBuilder
 from transport.viewer.panel import Playback
 from transport.viewer.viewer import Viewer, open_viewer
@@ -97,7 +108,10 @@ def window() -> Iterator[Browser]:
 @pytest.mark.slow
 @needs_browser
 def test_a_recorded_run_is_shown(recorded: Path, window: Browser) -> None:
-    """The slider moves the payload, in the scene and in pixels; no console errors, no requests to other hosts."""
+    """The slider moves the payload, in the scene and in pixels.
+
+    No console errors, no requests to other hosts.
+    """
     with shown(recorded) as viewer:
         window.open(viewer.address)
         assert wait_for(lambda: "hover" in (window.text() or ""))
@@ -111,12 +125,16 @@ def test_a_recorded_run_is_shown(recorded: Path, window: Browser) -> None:
         changed = np.abs(window.pixels() - pixels).max(axis=2) > 0.1
         assert changed.mean() > PIXELS
         assert len(plots) == 4
-        assert wait_for(lambda: all(old != new for old, new in zip(plots, window.plots(), strict=True)))
+        assert wait_for(
+            lambda: all(old != new for old, new in zip(plots, window.plots(), strict=True))
+        )
         assert window.hosts() == {"127.0.0.1"}
         assert window.console() == []
 
 
-def test_a_cut_log_is_shown(recorded: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_cut_log_is_shown(
+    recorded: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     """The viewer shows what a log cut at 60 % holds, and names the loss in the panel and in the terminal."""
     data = (recorded / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(data[: round(CUT * len(data))])
@@ -182,7 +200,9 @@ def page_of(run: subprocess.Popen[str]) -> str:
 def test_a_viewer_that_waits_ends_with_its_parent(tmp_path: Path) -> None:
     """A viewer beside a run that does not begin ends when `transport run` has ended, long before its timeout."""
     arguments = command("view", tmp_path / "none", "--port", "0", "--wait", "600")
-    with subprocess.Popen(arguments, stdin=subprocess.PIPE, env={**os.environ, PARENT_PIPE: "1"}) as viewer:
+    with subprocess.Popen(
+        arguments, stdin=subprocess.PIPE, env={**os.environ, PARENT_PIPE: "1"}
+    ) as viewer:
         assert viewer.stdin is not None
         viewer.stdin.close()
         assert viewer.wait(PATIENCE_S) == EXIT_UNREACHABLE
@@ -248,19 +268,25 @@ def rod_error_m(drawing: Drawing, attachments: Array) -> float:
 def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> None:
     """A slider and a button delay all links, buttons kill and restart an agent, and the log holds all.
 
-    The viewer does not change the run: in one process, with the changes in its scenario, the same run has bitwise the
-    same plant states and plans, however many browsers were connected.
+    The viewer does not change the run: in one process, with the changes in its scenario, the same
+    run has bitwise the same plant states and plans, however many browsers were connected.
     """
     folder = tmp_path / "seen"
-    with live_run(folder, "clock.speed=1.0", "clock.on_agent_loss=continue", LONG, *LATE) as address:
+    with live_run(
+        folder, "clock.speed=1.0", "clock.on_agent_loss=continue", LONG, *LATE
+    ) as address:
         window.open(address)
-        assert wait_for(lambda: window.values() >= {(1.0, 0.2), (100.0, 30.0)}, BROWSER_S), window.values()
+        assert wait_for(lambda: window.values() >= {(1.0, 0.2), (100.0, 30.0)}, BROWSER_S), (
+            window.values()
+        )
         with connected_pages(address, 2):
             window.press(1.0, *[RIGHT] * DELAY_STEPS)
             window.click("Set")
             assert wait_for(lambda: "links change: at tick" in (window.text() or ""), BROWSER_S)
         log = Growing(folder / "run.mcap")
-        assert wait_for(lambda: any(json.loads(change.settings) == WANTED for change in log.of(LinkChange)))
+        assert wait_for(
+            lambda: any(json.loads(change.settings) == WANTED for change in log.of(LinkChange))
+        )
         assert window.console() == []
         window.leave()
         until = log.of(PlantState)[-1].tick + 10
@@ -269,7 +295,9 @@ def test_a_live_run_is_shown_and_changed(tmp_path: Path, window: Browser) -> Non
         for action, noted in (("kill", "killed"), ("restart", "restarted")):
 
             def is_done(action: str = action, noted: str = noted) -> bool:
-                window.click(action, VICTIM - 1)  # a slow browser may not react to the first click on a new page
+                window.click(
+                    action, VICTIM - 1
+                )  # a slow browser may not react to the first click on a new page
                 return wait_for(partial(log.notes, f"agent{VICTIM}", noted), timeout_s=10.0)
 
             assert wait_for(is_done)
@@ -300,8 +328,12 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
         view = window.driver.find_element("css selector", "canvas")
 
         def is_dragged() -> bool:
-            pull: Any = ActionChains(window.driver, duration=400).move_to_element_with_offset(view, *ARROW)
-            pull.click_and_hold().move_by_offset(25, 0).move_by_offset(25, 10).pause(1.0).release().perform()
+            pull: Any = ActionChains(window.driver, duration=400).move_to_element_with_offset(
+                view, *ARROW
+            )
+            pull.click_and_hold().move_by_offset(25, 0).move_by_offset(25, 10).pause(
+                1.0
+            ).release().perform()
             return wait_for(lambda: len(log.of(Target)) > 0, 15.0)
 
         assert wait_for(is_dragged)
@@ -322,15 +354,20 @@ def test_a_live_run_is_sent_to_targets(tmp_path: Path, window: Browser) -> None:
         window.click("Go there")  # at once: what is typed may come later than the click
         assert wait_for(lambda: len(log.of(Target)) > known, BROWSER_S)
         expected = np.array([1.25, -0.75, -10.0])
-        assert [np.round(target.points[0], 6).tolist() for target in log.of(Target)[known:]] == [expected.tolist()]
+        assert [np.round(target.points[0], 6).tolist() for target in log.of(Target)[known:]] == [
+            expected.tolist()
+        ]
         place = "target (1.25, -0.75, -10) m"
         for said in (f"{place}: arrives at t = ", f"{place}: since t = "):
-            assert wait_for(lambda said=said: said in (window.text() or ""), BROWSER_S), window.text()  # type: ignore[misc]
+            assert wait_for(partial(window.shows, said), BROWSER_S), window.text()
         assert window.console() == []
 
 
 def test_the_command_listens_here_alone_until_ctrl_c(recorded: Path) -> None:
-    """The command prints a loopback address; the next viewer takes the next port; Ctrl-C ends it without an error."""
+    """The command prints a loopback address.
+
+    The next viewer takes the next port; Ctrl-C ends it without an error.
+    """
     process = start("view", recorded, "--port", "0", cwd=recorded)
     try:
         assert process.stdout is not None
@@ -368,12 +405,18 @@ def test_playback_pauses_plays_and_follows() -> None:
 
 
 def test_what_cannot_be_shown_is_refused(tmp_path: Path, recorded: Path) -> None:
-    """No run, no log, an empty log, an unusable address: exit code 2 and one line with what was expected."""
+    """No run, no log, an empty log, an unusable address.
+
+    Exit code 2 and one line with what was expected.
+    """
     empty = tmp_path / "empty"
     empty.mkdir()
     (empty / "scenario.toml").write_bytes((recorded / "scenario.toml").read_bytes())
     refusals = {
-        f"{tmp_path / 'nowhere' / 'run.mcap'}: cannot read the log": ["view", str(tmp_path / "nowhere")],
+        f"{tmp_path / 'nowhere' / 'run.mcap'}: cannot read the log": [
+            "view",
+            str(tmp_path / "nowhere"),
+        ],
         f"{empty / 'run.mcap'}: cannot read the log": ["view", str(empty)],
         "cannot listen on 203.0.113.1": ["view", str(recorded), "--host", "203.0.113.1"],
     }
@@ -396,5 +439,8 @@ def test_what_is_missing_is_named(
     folder = recorded if arguments == ["view"] else tmp_path / "out"
     result = CliRunner().invoke(app, [*arguments, str(folder)])
     assert result.exit_code == 2
-    assert result.stderr == "transport: viser is not installed: pip install 'payload-transport[view]'\n"
+    assert (
+        result.stderr
+        == "transport: viser is not installed: pip install 'payload-transport[view]'\n"
+    )
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,7 @@
-"""Access to the viewer: only its own page can change a live run; connections of other sites are refused."""
+"""Access to the viewer.
+
+Only its own page can change a live run; connections of other sites are refused.
+"""
 
 import http.client
 import os
@@ -28,7 +31,9 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> Sent:
     """Return the requests to the run, which are not sent."""
     requests: Sent = []
 
-    def request(_run: str, _to: list[str], _name: str, kind: str, content: dict[str, Any], _keys: object) -> Any:
+    def request(
+        _run: str, _to: list[str], _name: str, kind: str, content: dict[str, Any], _keys: object
+    ) -> Any:
         requests.append((kind, content))
         return {"tick": 0}
 
@@ -43,7 +48,9 @@ def live(request: pytest.FixtureRequest, tmp_path: Path, sent: Sent) -> Iterator
     record_run(setup, tmp_path)
     running = LiveRun(run="nowhere", endpoints={"recorder": "", "coordinator": ""}, pid=os.getpid())
     builder = SceneBuilder(setup, RunHistory(setup))
-    with Viewer(builder, host=request.param, port=0, tail=LogTail(tmp_path / "run.mcap"), live=running) as viewer:
+    with Viewer(
+        builder, host=request.param, port=0, tail=LogTail(tmp_path / "run.mcap"), live=running
+    ) as viewer:
         yield viewer
     del sent
 
@@ -56,9 +63,15 @@ def kill_agent_2(page: Page) -> None:
 def update(page: Page, kind: str, label: str, updates: Any) -> bytes:
     """Return the message of a page that changes properties of a widget."""
     data = unpacked(page.first)
-    while not (found := [m["uuid"] for m in messages(data) if m["type"] == kind and m["props"]["label"] == label]):
+    while not (
+        found := [
+            m["uuid"] for m in messages(data) if m["type"] == kind and m["props"]["label"] == label
+        ]
+    ):
         data = page.messages()
-    message: bytes = msgpack.packb({"type": "GuiUpdateMessage", "uuid": found[0], "updates": updates})
+    message: bytes = msgpack.packb(
+        {"type": "GuiUpdateMessage", "uuid": found[0], "updates": updates}
+    )
     return message
 
 
@@ -90,7 +103,13 @@ def test_others_cannot_change_the_run(live: Viewer, sent: Sent, way: str) -> Non
 
 def test_a_malformed_message_ends_its_page_alone(live: Viewer, sent: Sent) -> None:
     """After messages that no page sends the viewer goes on for the others."""
-    bad: list[Any] = ["text", b"\xc1", b"", msgpack.packb({"type": "NoMessage"}), msgpack.packb([1])]
+    bad: list[Any] = [
+        "text",
+        b"\xc1",
+        b"",
+        msgpack.packb({"type": "NoMessage"}),
+        msgpack.packb([1]),
+    ]
     for message in bad:
         with connected_pages(live.address, 1) as (page,):
             page.send(message)

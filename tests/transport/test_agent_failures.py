@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from model.state import StateView
-from protocol.wire.messages import Control, Message, PlantState
 from tests.support.runs import ready
 from transport.flight.memory import simulate
+from transport.model.state import StateView
+from transport.protocol.wire.messages import Control, Message, PlantState
 
 # Payload attitude in a run with a death, deg.
 LARGEST_DEG = 10.0
@@ -22,7 +22,10 @@ QUIET = (
 
 
 def flown(*settings: str) -> tuple[Control, np.ndarray]:
-    """Simulate `resilient`; return the end, and the largest roll or pitch of the payload at each tick, deg."""
+    """Simulate `resilient`.
+
+    Return the end, and the largest roll or pitch of the payload at each tick, deg.
+    """
     run = ready("resilient", CONTINUE, *settings)
     messages: list[Message] = []
     end = simulate(run, messages.append)
@@ -44,16 +47,24 @@ def test_three_bring_the_load_home() -> None:
 
 
 def test_an_agent_dies_after_a_release() -> None:
-    """The fail-safe has the thrust of the UAVs left: the hover of the whole team would turn the payload over."""
-    end, attitude_deg = flown(QUIET, killed(2, 2.0, before="{at_s=0.5,do='release',target='uav3'},"))
+    """The fail-safe has the thrust of the UAVs left.
+
+    The hover of the whole team would turn the payload over.
+    """
+    end, attitude_deg = flown(
+        QUIET, killed(2, 2.0, before="{at_s=0.5,do='release',target='uav3'},")
+    )
     assert (end.outcome, attitude_deg.max() < LARGEST_DEG) == ("completed", True)
 
 
 @pytest.mark.parametrize("network", [(), POOR], ids=["perfect", "poor"])
 def test_an_agent_whose_last_plan_was_not_shared(network: tuple[str, ...]) -> None:
-    """With plans sent on change the last plan of a failed agent is not shared; the others predict its inputs by (32b).
+    """With plans sent on change the last plan of a failed agent is not shared.
 
-    In the first hover it sends no plans, and is killed after it; the payload comes to rest as with all plans sent.
+    The others predict its inputs by (32b).
+
+    In the first hover it sends no plans, and is killed after it; the payload comes to rest as with
+    all plans sent.
     """
     for share in ("controller.share=always", ON_CHANGE):
         end, attitude_deg = flown(QUIET, killed(2, 1.0), share, *network)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import transport
-from protocol.scenario.errors import ScenarioError
 from transport.analysis.series import series_of
+from transport.protocol.scenario.errors import ScenarioError
 
 QUICK = [
     {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
@@ -27,7 +27,13 @@ QUICK = [
 PLACES = [(0.4, 0.0), (-0.2, 0.35), (-0.2, -0.35), (0.0, 0.0)]
 FOUR: dict[str, Any] = {
     "system.uav": [
-        {"id": i, "mass_kg": 0.6, "inertia_kgm2": [3e-3, 3e-3, 5e-3], "rho_m": [*place, -0.05], "rod_length_m": 1.0}
+        {
+            "id": i,
+            "mass_kg": 0.6,
+            "inertia_kgm2": [3e-3, 3e-3, 5e-3],
+            "rho_m": [*place, -0.05],
+            "rod_length_m": 1.0,
+        }
         for i, place in enumerate(PLACES, start=1)
     ],
     "agents.owned": [[1], [2], [3], [4]],
@@ -50,12 +56,17 @@ def error_m(settings: dict[str, Any] | None = None, **changed: Any) -> float:
     assert run.completed
     series = series_of(run.scenario.setup, run.log)
     assert np.linalg.norm(series.payload_velocity_I, axis=1).max() > 2.0, "fast enough to be judged"
-    return float(np.sqrt(np.mean(np.sum((series.x[:, :3] - series.payload_reference_I) ** 2, axis=1))))
+    return float(
+        np.sqrt(np.mean(np.sum((series.x[:, :3] - series.payload_reference_I) ** 2, axis=1)))
+    )
 
 
 @pytest.mark.slow
 def test_sensors_of_the_vehicles_suffice_on_a_late_network() -> None:
-    """The scenario as it is, with noise and unknown lag: within the 4 cm that the long flight keeps with every seed."""
+    """The scenario as it is, with noise and unknown lag.
+
+    Within the 4 cm that the long flight keeps with every seed.
+    """
     assert error_m(delay_s=0.4, loss=0.6) < 0.04
 
 
@@ -63,7 +74,8 @@ def test_sensors_of_the_vehicles_suffice_on_a_late_network() -> None:
 def test_delay_and_loss_cost_little() -> None:
     """All plans are the shared law, so of 30 ms of lag that no agent knows a late network makes hardly more."""
     late, perfect, central = (
-        error_m({**IDEAL, "plant.motors.lag_s": 0.03}, **changed) for changed in (LATE, {}, {"owned": [[1, 2, 3]]})
+        error_m({**IDEAL, "plant.motors.lag_s": 0.03}, **changed)
+        for changed in (LATE, {}, {"owned": [[1, 2, 3]]})
     )
     assert max(late, perfect, central) < 0.01
     assert late < 1.3 * perfect
@@ -72,8 +84,15 @@ def test_delay_and_loss_cost_little() -> None:
 
 @pytest.mark.slow
 def test_team_without_an_agent_flies_on() -> None:
-    """An agent dies for good at full speed; its UAV keeps to its part of the reference, the others take that in."""
-    died = {**IDEAL, "faults.event": [{"at_s": 4.0, "do": "kill", "target": "agent3"}], "plant.motors.lag_s": 0.03}
+    """An agent dies for good at full speed.
+
+    Its UAV keeps to its part of the reference, the others take that in.
+    """
+    died = {
+        **IDEAL,
+        "faults.event": [{"at_s": 4.0, "do": "kill", "target": "agent3"}],
+        "plant.motors.lag_s": 0.03,
+    }
     assert error_m(died, on_agent_loss="continue", **LATE) < 0.05
 
 
@@ -90,7 +109,9 @@ def test_release_changes_the_reference() -> None:
 
 def test_release_that_the_rest_cannot_fly_is_refused() -> None:
     """Without an outer UAV the payload hangs beside the rods."""
-    with pytest.raises(ScenarioError, match="expected all rods of the UAVs left to carry the payload"):
+    with pytest.raises(
+        ScenarioError, match="expected all rods of the UAVs left to carry the payload"
+    ):
         transport.Scenario("eight", released(1)).setup  # noqa: B018
 
 
@@ -103,7 +124,9 @@ def test_gap_is_passed_with_the_margins_kept() -> None:
     least_m = run.series["clearance_m"].min(axis=0)
     assert run.completed
     assert (least_m >= [0.2, 0.05, 0.05]).all()
-    assert run.summary["clearance_min_m"] == dict(zip(("uav", "rod", "payload"), least_m, strict=True))
+    assert run.summary["clearance_min_m"] == dict(
+        zip(("uav", "rod", "payload"), least_m, strict=True)
+    )
     series = series_of(run.scenario.setup, run.log)
     inside = np.abs(series.x[:, 0] - 3.0) < 0.2
     assert series.payload_velocity_I[inside, 0].min() > 1.45
@@ -116,8 +139,14 @@ def test_gap_is_passed_with_the_margins_kept() -> None:
             {"obstacle.1.width_m": 0.89},
             r"expected 0.05 m between (payload|rod \d) and the gap along the reference, got 0.045 m at",
         ),
-        ({"obstacle.1.margin_m": 0.27}, r"expected 0.27 m between UAV\d and the gap .*; slowing does not help"),
-        ({"obstacle.1.kind": "sphere"}, "obstacle.1.radius_m: expected a size with kind 'sphere', got nothing"),
+        (
+            {"obstacle.1.margin_m": 0.27},
+            r"expected 0.27 m between UAV\d and the gap .*; slowing does not help",
+        ),
+        (
+            {"obstacle.1.kind": "sphere"},
+            "obstacle.1.radius_m: expected a size with kind 'sphere', got nothing",
+        ),
         ({"obstacle.1.size_m": [1.0, 1.0, 1.0]}, "expected no such size with kind 'gap', got"),
     ],
 )
@@ -128,8 +157,14 @@ def test_reference_keeps_clear_of_obstacles(settings: dict[str, Any], reason: st
 
 
 def test_infeasible_reference_is_refused_with_the_least_slowing() -> None:
-    """Twice the speed takes more than the UAVs have; the factor in the text makes the reference feasible."""
-    with pytest.raises(ScenarioError, match=r"expected a .* along the reference, got .* feasible if all phases take"):
+    """Twice the speed takes more than the UAVs have.
+
+    The factor in the text makes the reference feasible.
+    """
+    with pytest.raises(
+        ScenarioError,
+        match=r"expected a .* along the reference, got .* feasible if all phases take",
+    ):
         transport.Scenario("eight", {"maneuver.phase.2.speed_mps": 9.0}).setup  # noqa: B018
 
 
@@ -139,9 +174,21 @@ def test_infeasible_reference_is_refused_with_the_least_slowing() -> None:
         ("controller.preview", False, "expected True with maneuver.reference = 'flat'"),
         ("maneuver.profile", "ramp", "expected a smooth path"),
         ("maneuver.phase.2.ramp_s", 50.0, "at most half the duration"),
-        ("maneuver.phase.2.formation", [[0.5, 1.0, 0.6]], "expected 1, 1 at the end of the maneuver, got"),
-        ("maneuver.phase.2.formation", [[0.5, 9.0, 1.0], [0.9, 1.0, 1.0]], "less than a rod's length off their"),
-        ("maneuver.phase.2.formation", [[0.5, 1.0, 0.1], [0.9, 1.0, 1.0]], "expected a distance of UAVs of at least"),
+        (
+            "maneuver.phase.2.formation",
+            [[0.5, 1.0, 0.6]],
+            "expected 1, 1 at the end of the maneuver, got",
+        ),
+        (
+            "maneuver.phase.2.formation",
+            [[0.5, 9.0, 1.0], [0.9, 1.0, 1.0]],
+            "less than a rod's length off their",
+        ),
+        (
+            "maneuver.phase.2.formation",
+            [[0.5, 1.0, 0.1], [0.9, 1.0, 1.0]],
+            "expected a distance of UAVs of at least",
+        ),
     ],
 )
 def test_flat_reference_needs_its_settings(key: str, value: object, reason: str) -> None:

@@ -48,13 +48,17 @@ def test_a_gif_moves(recorded: Path) -> None:
 def test_an_mp4_is_written(recorded: Path) -> None:
     """The file begins with the header of an MP4, and no setting of matplotlib is left changed."""
     before = dict(mpl.rcParams)
-    size, kind = struct.unpack(">I4s", animate_run(recorded, recorded / "a.mp4", speed=SPEED).read_bytes()[:8])
+    size, kind = struct.unpack(
+        ">I4s", animate_run(recorded, recorded / "a.mp4", speed=SPEED).read_bytes()[:8]
+    )
     assert kind == b"ftyp"
     assert size < 100
     assert dict(mpl.rcParams) == before
 
 
-def test_unsupported_files_are_refused(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unsupported_files_are_refused(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Other kinds of files, and MP4 without ffmpeg, are refused in one line before anything is written."""
     monkeypatch.setenv("PATH", str(tmp_path))
     for name, why in (("a.avi", "ends in .gif or .mp4"), ("a.mp4", "needs ffmpeg")):

@@ -13,7 +13,10 @@ LEG = [
     {"name": "leg", "duration_s": 3.0, "displacement_m": [0.75, 0.6, -0.75]},
     {"name": "hover", "duration_s": 2.0, "displacement_m": [0.0, 0.0, 0.0]},
 ]
-DEATH = {"faults.event": [{"at_s": 1.5, "do": "kill", "target": "agent3"}], "clock.on_agent_loss": "continue"}
+DEATH = {
+    "faults.event": [{"at_s": 1.5, "do": "kill", "target": "agent3"}],
+    "clock.on_agent_loss": "continue",
+}
 RETURN = {
     "faults.event": [*DEATH["faults.event"], {"at_s": 2.5, "do": "restart", "target": "agent3"}],
     "clock.on_agent_loss": "continue",
@@ -51,4 +54,9 @@ def test_commands_and_moments_are_named() -> None:
 )
 def test_runs_complete(scenario: str, settings: dict[str, object]) -> None:
     """Whatever completes with moments completes with body rates."""
-    assert transport.fly(scenario, {**RATES, "maneuver.phase": LEG, **settings}, progress=False).outcome == "completed"
+    assert (
+        transport.fly(
+            scenario, {**RATES, "maneuver.phase": LEG, **settings}, progress=False
+        ).outcome
+        == "completed"
+    )

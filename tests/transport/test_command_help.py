@@ -39,7 +39,9 @@ def test_sections_hold_every_command_once() -> None:
     """The help has each command and group under exactly one heading."""
     group = root()
     assert isinstance(group, LazyGroup)
-    assert sorted(name for names in group.sections.values() for name in names) == sorted(group.commands)
+    assert sorted(name for names in group.sections.values() for name in names) == sorted(
+        group.commands
+    )
     shown = CliRunner().invoke(app, ["-h"]).stdout
     assert CliRunner().invoke(app, ["--help"]).stdout == shown
     for heading, names in group.sections.items():
@@ -52,7 +54,8 @@ def test_commands_that_print_have_json() -> None:
     without = {
         str(command.name)
         for command in every_command(root())
-        if not isinstance(command, TyperGroup) and not any("--format" in option.opts for option in command.params)
+        if not isinstance(command, TyperGroup)
+        and not any("--format" in option.opts for option in command.params)
     }
     assert without == NO_JSON
 
@@ -78,7 +81,9 @@ def test_errors_are_one_line(words: str, tmp_path: Path, monkeypatch: pytest.Mon
         ("transport plot ru", "runs/b"),
     ],
 )
-def test_the_shell_completes(line: str, expected: str, recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_shell_completes(
+    line: str, expected: str, recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Commands, options, ready-made scenarios, faults and run folders are completed."""
     monkeypatch.chdir(recorded)
     asked = {
@@ -102,7 +107,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_newest_run_is_the_default(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a run folder a command takes the most recent one and says so; a name in runs/ does as well."""
+    """Without a run folder a command takes the most recent one and says so.
+
+    A name in runs/ does as well.
+    """
     monkeypatch.chdir(recorded)
     assert [folder.name for folder in newest_runs()] == ["b", "a"]
     result = CliRunner().invoke(app, ["log", "info", "--format", "json"])

@@ -27,7 +27,17 @@ with contextlib.suppress(SystemExit):
 """
 BASE = {"transport.cli.lazy", "transport.cli.main"}
 # Packages and modules that no process of a run needs.
-FOREIGN = {"matplotlib", "pandas", "viser", "joblib", "distributed", "pyarrow", "mcap", "selenium", "prometheus_client"}
+FOREIGN = {
+    "matplotlib",
+    "pandas",
+    "viser",
+    "joblib",
+    "distributed",
+    "pyarrow",
+    "mcap",
+    "selenium",
+    "prometheus_client",
+}
 
 
 def group_of(names: tuple[str, ...]) -> LazyGroup:
@@ -52,7 +62,17 @@ def test_help_imports_no_command() -> None:
     """`transport --help` imports the table of commands and nothing of the project below the command line."""
     names = imported(HELP)
     assert {name for name in names if name.startswith("transport.cli.")} == BASE
-    assert not names & {"numpy", "casadi", "pydantic", "zenoh", "rich", "model", "protocol", "agent", *FOREIGN}
+    assert not names & {
+        "numpy",
+        "casadi",
+        "pydantic",
+        "zenoh",
+        "rich",
+        "model",
+        "protocol",
+        "agent",
+        *FOREIGN,
+    }
 
 
 @pytest.mark.parametrize("role", ["agent", "plant", "coordinator"])
@@ -65,14 +85,19 @@ def test_processes_of_a_run_import_only_what_they_need(role: str) -> None:
 
 
 def test_a_run_imports_viewer_and_report_when_needed() -> None:
-    """The start of `transport run` imports neither the viewer nor figures: the processes of the run wait for it."""
+    """The start of `transport run` imports neither the viewer nor figures.
+
+    The processes of the run wait for it.
+    """
     names = imported('import_module("transport.cli.run")')
     assert not names & {"transport.cli.view", "transport.cli.plot", *FOREIGN - {"mcap"}}
 
 
 def test_docs_list_every_command() -> None:
     """The table in docs/command-line.md has a row with name and line of each command, and no other."""
-    document = (Path(__file__).resolve().parents[2] / "docs" / "command-line.md").read_text(encoding="utf-8")
+    document = (Path(__file__).resolve().parents[2] / "docs" / "command-line.md").read_text(
+        encoding="utf-8"
+    )
     rows = re.findall(r"^\| `transport ([a-z0-9 ]+)` \| (.+?) \|", document, re.MULTILINE)
     expected = [(" ".join(names), group_of(names[:-1]).table[names[-1]][1]) for names in COMMANDS]
     assert sorted(rows) == sorted(expected)

@@ -58,7 +58,11 @@ def test_unequal_runs_are_noted(folders: dict[str, Path], tmp_path: Path) -> Non
     assert result.exit_code == 0, result.output
     assert "other has another maneuver than first" in result.stderr
     assert "other has another set of weights than first" in result.stderr
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"compare.csv", "compare.png", "compare.svg"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "compare.csv",
+        "compare.png",
+        "compare.svg",
+    }
     assert (tmp_path / "out" / "compare.png").read_bytes().startswith(b"\x89PNG")
     with (tmp_path / "out" / "compare.csv").open(newline="") as file:
         header, *lines = csv.reader(file)
@@ -69,7 +73,15 @@ def test_unequal_runs_are_noted(folders: dict[str, Path], tmp_path: Path) -> Non
 
 def test_json(folders: dict[str, Path], tmp_path: Path) -> None:
     """The same as one JSON object on standard output, and nothing else there."""
-    result = ask(folders["usual"], f"again={folders['usual']}", "--no-figures", "--format", "json", "--out", tmp_path)
+    result = ask(
+        folders["usual"],
+        f"again={folders['usual']}",
+        "--no-figures",
+        "--format",
+        "json",
+        "--out",
+        tmp_path,
+    )
     content = json.loads(result.stdout)
     assert [run["label"] for run in content["runs"]] == ["usual", "again"]
     equal = [q["percent"] for q in content["quantities"]]

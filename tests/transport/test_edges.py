@@ -2,13 +2,13 @@
 
 import pytest
 
-from protocol.scenario.file import ScenarioError, read_scenario
-from protocol.scenario.setup import Setup
-from protocol.scenario.team import resized
-from protocol.wire.messages import Control
 from tests.support.logs import SINGLE_UAV
 from tests.support.runs import SCENARIOS, SHORT, ready, ticks
 from transport.flight.memory import simulate
+from transport.protocol.scenario.file import ScenarioError, read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.team import resized
+from transport.protocol.wire.messages import Control
 
 LIGHT = "system.payload={{mass_kg={0},inertia_kgm2=[{1},{1},{1}]}}"
 
@@ -28,15 +28,21 @@ def refusal(name: str, *given: str) -> str:
 
 def phase(duration_s: float, x: float, z: float = 0.0) -> str:
     """Setting: one straight way."""
-    return f"maneuver.phase=[{{name='dash',duration_s={duration_s},displacement_m=[{x!r},0.0,{z!r}]}}]"
+    return (
+        f"maneuver.phase=[{{name='dash',duration_s={duration_s},displacement_m=[{x!r},0.0,{z!r}]}}]"
+    )
 
 
 def test_one_uav() -> None:
-    """N = 1 runs with open-loop prediction only: no control law can turn a payload about its single rod."""
+    """N = 1 runs with open-loop prediction only.
+
+    No control law can turn a payload about its single rod.
+    """
     assert flown("paper", SHORT, *SINGLE_UAV).outcome == "completed"
     text = refusal("resilient", SHORT, *SINGLE_UAV)
     assert (
-        "controller.prediction: expected a team that linear feedback can stabilise about hover, got a Riccati" in text
+        "controller.prediction: expected a team that linear feedback can stabilise about hover, got a Riccati"
+        in text
     )
 
 
@@ -44,7 +50,9 @@ def test_one_uav() -> None:
 def test_sixteen_uavs() -> None:
     """N = 16, each its own agent, made as `transport scenario new` makes it."""
     path = SCENARIOS / "resilient.toml"
-    scenario = resized(read_scenario(path, [ticks(10)]), 16, group=None, name=None, source=path.name)
+    scenario = resized(
+        read_scenario(path, [ticks(10)]), 16, group=None, name=None, source=path.name
+    )
     run = Setup.of(scenario, path.name)
     assert (run.system.N, len(run.agents)) == (16, 16)
     assert simulate(run).outcome == "completed"
@@ -56,9 +64,14 @@ def test_a_payload_far_lighter_than_the_uavs(name: str) -> None:
     assert flown(name, SHORT, LIGHT.format(0.1, 0.02)).outcome == "completed"
 
 
-@pytest.mark.parametrize("given", [("controller.horizon=60",), ("maneuver.phase.1.duration_s=0.05",)])
+@pytest.mark.parametrize(
+    "given", [("controller.horizon=60",), ("maneuver.phase.1.duration_s=0.05",)]
+)
 def test_horizon_longer_than_the_maneuver(given: tuple[str, ...]) -> None:
-    """Horizons two and forty times longer than the maneuver complete: the reference holds the end of the path."""
+    """Horizons two and forty times longer than the maneuver complete.
+
+    The reference holds the end of the path.
+    """
     assert flown("resilient", SHORT, *given).outcome == "completed"
 
 
@@ -77,9 +90,18 @@ def test_way_points_no_vehicle_reaches(x: float, z: float) -> None:
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        (phase(1.0, 9e5), "phase.1.displacement_m.1: expected a magnitude of at most 100000, got 900000"),
-        (phase(1.0, 1e300), "phase.1.displacement_m.1: expected a magnitude of at most 100000, got 1e+300"),
-        ("maneuver.start_m=[0,2e6,0]", "maneuver.start_m.2: expected a magnitude of at most 1e+06, got 2e+06"),
+        (
+            phase(1.0, 9e5),
+            "phase.1.displacement_m.1: expected a magnitude of at most 100000, got 900000",
+        ),
+        (
+            phase(1.0, 1e300),
+            "phase.1.displacement_m.1: expected a magnitude of at most 100000, got 1e+300",
+        ),
+        (
+            "maneuver.start_m=[0,2e6,0]",
+            "maneuver.start_m.2: expected a magnitude of at most 1e+06, got 2e+06",
+        ),
     ],
 )
 def test_paths_out_of_this_world(given: str, text: str) -> None:
@@ -89,5 +111,7 @@ def test_paths_out_of_this_world(given: str, text: str) -> None:
 
 def test_uavs_too_close_at_the_start() -> None:
     """A start that violates the smallest distance is refused with both distances and the pair."""
-    text = refusal("paper", "system.uav.2.rho_m=[0.25,-0.1,-0.125]", "system.uav.1.rho_m=[0.25,0.1,-0.125]")
+    text = refusal(
+        "paper", "system.uav.2.rho_m=[0.25,-0.1,-0.125]", "system.uav.1.rho_m=[0.25,0.1,-0.125]"
+    )
     assert "separation.minimum_m: expected at most 0.200 m (hover), got 0.4" in text

@@ -10,12 +10,12 @@ import matplotlib as mpl
 import pytest
 from matplotlib.figure import Figure
 
-from protocol.wire.messages import FaultNote, LinkChange
 from tests.support import runs
 from tests.support.figure_texts import problems
 from tests.support.logs import SINGLE_UAV, log_of, noted, plant_state, record_run, report
 from transport.analysis.series import series_of
 from transport.log.run_log import read_log
+from transport.protocol.wire.messages import FaultNote, LinkChange
 from transport.report.column import caption_of, marks_of
 from transport.report.figures import FIGURES, draw, fill
 from transport.report.report import write_report
@@ -49,7 +49,10 @@ def assert_drawn(paths: Sequence[Path], names: Sequence[str] = NAMES) -> None:
     ids=["one-uav", "diverged", "cut"],
 )
 def test_runs_are_drawn(tmp_path: Path, settings: Sequence[str], share: float) -> None:
-    """A single UAV, a run that diverged, and a cut log are drawn as far as the log goes; drawing again replaces."""
+    """A single UAV, a run that diverged, and a cut log are drawn as far as the log goes.
+
+    Drawing again replaces.
+    """
     record_run(runs.setup(runs.SHORT, *settings), tmp_path)
     log = tmp_path / "run.mcap"
     data = log.read_bytes()
@@ -78,7 +81,9 @@ def test_pdf_is_written_on_request(tmp_path: Path) -> None:
 def test_texts_are_large_and_apart(name: str) -> None:
     """No text collides with another, leaves the figure or is too small, with marks near each other and short phases."""
     changes = "links.change=[{at_s=0.5,delay_s=0.2,loss=0.3},{at_s=0.52,loss=0.1}]"
-    run = runs.setup(runs.SHORT, changes, "links.partition=[{between=['agent2'],start_s=0.2,end_s=0.9}]")
+    run = runs.setup(
+        runs.SHORT, changes, "links.partition=[{between=['agent2'],start_s=0.2,end_s=0.9}]"
+    )
     log = log_of(
         [
             *(plant_state(run, k) for k in range(20)),
@@ -100,16 +105,36 @@ def test_events_are_marked() -> None:
     run = runs.setup(runs.SHORT, changes, partition)
     given = '{"loss": 1.0}'
     by_hand = LinkChange(
-        sender="coordinator", incarnation=0, sequence=0, tick=8, number=1, source="agent1", target="", settings=given
+        sender="coordinator",
+        incarnation=0,
+        sequence=0,
+        tick=8,
+        number=1,
+        source="agent1",
+        target="",
+        settings=given,
     )
     note = FaultNote(
-        sender="recorder", incarnation=0, sequence=0, tick=20, target="agent3", what="killed", origin="person"
+        sender="recorder",
+        incarnation=0,
+        sequence=0,
+        tick=20,
+        target="agent3",
+        what="killed",
+        origin="person",
     )
     marks = marks_of(run, log_of([by_hand, by_hand, note]))
-    assert [(mark.time_s, mark.of_links) for mark in marks] == [(0.2, True), (0.4, True), (0.5, True), (1.0, False)]
+    assert [(mark.time_s, mark.of_links) for mark in marks] == [
+        (0.2, True),
+        (0.4, True),
+        (0.5, True),
+        (1.0, False),
+    ]
     caption = " ".join(caption_of(marks))
     assert "1: agent2 cut off (0.2 s); 2: links from agent1: loss 1.0 (0.4 s)" in caption
-    assert "3: links between agents: delay_s 0.2, loss 0.3 (0.5 s); 4: agent3 killed (1 s)" in caption
+    assert (
+        "3: links between agents: delay_s 0.2, loss 0.3 (0.5 s); 4: agent3 killed (1 s)" in caption
+    )
 
 
 def test_drawing_has_no_side_effects(tmp_path: Path) -> None:

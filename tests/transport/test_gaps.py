@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from protocol.wire.messages import FaultNote, Message, PlantState, Rejected
 from tests.support import runs
 from tests.support.logs import log_of
 from tests.support.troubles import FAULTS, RESILIENT
 from transport.log.run_log import missing, read_log
 from transport.log.writer import LogWriter
+from transport.protocol.wire.messages import FaultNote, Message, PlantState, Rejected
 from transport.report.report import write_report
 
 TICKS = 30
@@ -35,7 +35,9 @@ def test_a_whole_log(flight: list[Message]) -> None:
     assert missing(log_of([])) == ""
     head = {"incarnation": 0, "sequence": 7, "tick": 3}
     note = FaultNote(sender="recorder", target="agent1", what="killed", origin="person", **head)
-    refusal = Rejected(sender="agent1", offender="agent2", reason="past", count=1, example="", **head)
+    refusal = Rejected(
+        sender="agent1", offender="agent2", reason="past", count=1, example="", **head
+    )
     assert missing(log_of([note, *flight, refusal])) == ""
 
 
@@ -46,7 +48,10 @@ def test_a_restarted_agent_leaves_no_gap() -> None:
 
 def test_a_standstill_of_the_recorder(flight: list[Message]) -> None:
     """Messages sent while the recorder was stopped are reported by tick, two stops by first and last."""
-    assert without(flight, lambda m: 10 < m.tick < 20) == "some messages of ticks 10 to 20 did not reach the recorder"
+    assert (
+        without(flight, lambda m: 10 < m.tick < 20)
+        == "some messages of ticks 10 to 20 did not reach the recorder"
+    )
     twice = without(flight, lambda m: m.tick in (5, 6, 12))
     assert twice == "some messages of ticks 4 to 13 did not reach the recorder"
 
@@ -59,7 +64,10 @@ def test_a_plant_whose_messages_stop(flight: list[Message]) -> None:
     unended = without(flight, lambda m: (m.kind in plants and m.tick >= 12) or m.kind == "control")
     assert unended == "some messages of ticks 12 to 28 did not reach the recorder"
     # Ticks that a killed plant did not simulate are not missing.
-    assert without(flight, lambda m: m.tick >= 12 or (isinstance(m, PlantState) and m.tick == 11)) == ""
+    assert (
+        without(flight, lambda m: m.tick >= 12 or (isinstance(m, PlantState) and m.tick == 11))
+        == ""
+    )
 
 
 def test_the_summary_says_so(flight: list[Message], tmp_path: Path) -> None:

@@ -1,4 +1,7 @@
-"""Flights over bad links: what every node works with is what the links let through, in any order of delivery."""
+"""Flights over bad links.
+
+What every node works with is what the links let through, in any order of delivery.
+"""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -6,18 +9,19 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from model import state
-from protocol.scenario.setup import Setup
-from protocol.wire.codec import encode
-from protocol.wire.messages import Measurement, Message, Plan, StepReport, agent_name
 from tests.support.runs import SHORT, plant_states, recorded, reproducible, setup
 from tests.support.shuffled import fly_shuffled
 from tests.support.troubles import FAULTS, HEAVY, ITERATIONS, NEXT_TICK, RESILIENT
+from transport.model import state
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.codec import encode
+from transport.protocol.wire.messages import Measurement, Message, Plan, StepReport, agent_name
 
 PERIOD_S, TICKS = 0.05, 30
 FAIL_SAFE = -2
 
-# The model alone predicts over a delay: agents and plant integrate with steps of their own, 1e-11 apart per period.
+# The model alone predicts over a delay: agents and plant integrate with steps of their own, 1e-11
+# apart per period.
 PREDICTION_TOLERANCE = 1e-8
 
 
@@ -29,7 +33,11 @@ def flight(*settings: str) -> tuple[Message, ...]:
 
 def reports(messages: Sequence[Message], agent: int) -> list[StepReport]:
     """An agent's reports, in order of their ticks."""
-    found = [message for message in messages if isinstance(message, StepReport) and message.agent == agent]
+    found = [
+        message
+        for message in messages
+        if isinstance(message, StepReport) and message.agent == agent
+    ]
     assert [report.tick for report in found] == list(range(len(found)))
     return found
 
@@ -51,7 +59,10 @@ def test_agents_use_exactly_the_messages_that_links_deliver(settings: tuple[str,
         assert len(found) == TICKS  # no lost or delayed message stops the clock
         for report in found:
             k = report.tick
-            sent = {name: newest(run, (name, agent_name(agent)), k, 1) for name in map(agent_name, report.peers)}
+            sent = {
+                name: newest(run, (name, agent_name(agent)), k, 1)
+                for name in map(agent_name, report.peers)
+            }
             assert report.plan_ages == tuple(-1 if at < 0 else k - at for at in sent.values())
             assert report.state_ages == report.plan_ages
             seen = newest(run, ("plant", agent_name(agent)), k, 0)
@@ -61,17 +72,25 @@ def test_agents_use_exactly_the_messages_that_links_deliver(settings: tuple[str,
 
 
 @pytest.mark.parametrize(("settings", "after"), [((HEAVY,), 0), ((HEAVY, NEXT_TICK), 1)])
-def test_the_plant_uses_exactly_the_plans_that_links_deliver(settings: tuple[str, ...], after: int) -> None:
+def test_the_plant_uses_exactly_the_plans_that_links_deliver(
+    settings: tuple[str, ...], after: int
+) -> None:
     """`PlantState.plan_ticks` names the newest plan that reached the plant for each UAV, -1 before the first."""
     run, messages = setup(SHORT, *RESILIENT, *settings), flight(*settings)
     for plant_state in plant_states(messages):
-        expected = tuple(newest(run, (agent_name(agent), "plant"), plant_state.tick, after) for agent in run.agents)
+        expected = tuple(
+            newest(run, (agent_name(agent), "plant"), plant_state.tick, after)
+            for agent in run.agents
+        )
         assert plant_state.plan_ticks == expected
 
 
 @pytest.mark.parametrize(("delay_s", "age"), [(0.01, 1), (0.05, 1), (0.06, 2), (0.15, 3)])
 def test_a_delayed_measurement_is_predicted_over(delay_s: float, age: int) -> None:
-    """A measurement delayed by d is used from d later on; what happened since is known from the plans, exactly."""
+    """A measurement delayed by d is used from d later on.
+
+    What happened since is known from the plans, exactly.
+    """
     messages = flight(f"links.measurement.delay_s={delay_s}")
     for report in reports(messages, 1):
         assert report.measurement_age == (age if report.tick >= age else -1)
@@ -88,7 +107,9 @@ def test_lost_measurements_leave_the_clock_ticking() -> None:
     assert [plant_state.tick for plant_state in plant_states(messages)] == list(range(TICKS))
     for agent in (1, 2, 3, 4):
         assert [report.measurement_age for report in reports(messages, agent)] == list(range(TICKS))
-    assert sum(isinstance(message, Measurement) for message in messages) == 4 * TICKS  # physically all are sent
+    assert (
+        sum(isinstance(message, Measurement) for message in messages) == 4 * TICKS
+    )  # physically all are sent
 
 
 @pytest.mark.parametrize(
@@ -105,7 +126,10 @@ def test_lost_measurements_leave_the_clock_ticking() -> None:
     ],
 )
 def test_actuation_delay(delay_s: float, settings: tuple[str, ...], age: int) -> None:
-    """A plan acts from the first tick at or after its arrival at the plant; till then an older one does."""
+    """A plan acts from the first tick at or after its arrival at the plant.
+
+    Till then an older one does.
+    """
     messages = flight(f"links.actuation.delay_s={delay_s}", *settings)
     followed = [plant_state.plan_ticks for plant_state in plant_states(messages)]
     assert followed == [(max(k - age, -1),) * 4 for k in range(TICKS)]
@@ -137,7 +161,10 @@ def test_one_uav_cut_off_from_its_controller() -> None:
         *[FAIL_SAFE] * 6,
         *range(20, 30),
     ]
-    assert all(plant_state.plan_ticks[::2] == (plant_state.tick,) * 2 for plant_state in plant_states(messages))
+    assert all(
+        plant_state.plan_ticks[::2] == (plant_state.tick,) * 2
+        for plant_state in plant_states(messages)
+    )
     assert all(report.plan_ages == (1, 1, 1) for report in reports(messages, 1)[1:])
 
 

@@ -10,16 +10,17 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from protocol.network.parent import ending_signals, python
-from protocol.wire.exit_codes import EXIT_INTERRUPTED
-from protocol.wire.messages import Message
 from tests.support import runs
 from transport.cli.main import app
 from transport.flight import memory, signals
 from transport.flight.run import Finished
 from transport.flight.signals import raise_interrupts
+from transport.protocol.network.parent import ending_signals, python
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.messages import Message
 
-# Stands in for the module with the commands; ends as if the interrupt came while it is imported or while it works.
+# Stands in for the module with the commands; ends as if the interrupt came while it is imported or
+# while it works.
 _PROGRAM = """
 import sys, types
 class Commands(types.ModuleType):
@@ -40,17 +41,27 @@ main()
     ],
 )
 def test_the_exit_code_is_that_of_the_table(code: str, tmp_path: Path) -> None:
-    """Started like the command, as a module: only then CPython would end by the interrupt it remembers."""
+    """Started like the command, as a module.
+
+    Only then CPython would end by the interrupt it remembers.
+    """
     (tmp_path / "program.py").write_text(_PROGRAM.format(code=code))
     path = {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path.cwd())])}
     result = subprocess.run(
-        python("program"), env={**os.environ, **path}, capture_output=True, text=True, timeout=60.0, check=False
+        python("program"),
+        env={**os.environ, **path},
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        check=False,
     )
     assert (result.returncode, result.stdout, result.stderr) == (EXIT_INTERRUPTED, "", "")
 
 
 @pytest.mark.parametrize("moment", ["while the run ends", "while the report is made"])
-def test_the_command_tells_what_is_kept(moment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_tells_what_is_kept(
+    moment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """An interrupted run names its log and the command that reports it, in one line."""
     folder = tmp_path / "run"
 
@@ -73,19 +84,29 @@ def test_the_command_tells_what_is_kept(moment: str, tmp_path: Path, monkeypatch
     assert line.endswith(f"; kept {folder}/run.mcap, report it with: transport plot {folder}")
 
 
-def test_a_run_interrupted_before_its_log_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_interrupted_before_its_log_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Without a log the command says that nothing is recorded."""
 
     def simulate(*_: Any) -> Finished:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("transport.cli.run.simulate", simulate)
-    result = CliRunner().invoke(app, ["run", "paper", "--no-figures", "--out", str(tmp_path / "run")])
-    assert (result.exit_code, result.stderr) == (EXIT_INTERRUPTED, "transport: interrupted; nothing is recorded\n")
+    result = CliRunner().invoke(
+        app, ["run", "paper", "--no-figures", "--out", str(tmp_path / "run")]
+    )
+    assert (result.exit_code, result.stderr) == (
+        EXIT_INTERRUPTED,
+        "transport: interrupted; nothing is recorded\n",
+    )
 
 
 def test_a_suppressed_interrupt_ends_a_run_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compiled code that calls Python may suppress the exception of a signal; the run ends all the same."""
+    """Compiled code that calls Python may suppress the exception of a signal.
+
+    The run ends all the same.
+    """
     monkeypatch.setattr(signals, "_raised", [])
     before = {number: signal.getsignal(number) for number in ending_signals()}
     recorded = 0
@@ -110,12 +131,17 @@ def test_a_suppressed_interrupt_ends_a_run_in_memory(monkeypatch: pytest.MonkeyP
 def test_signals_the_user_ignores_stay_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     """A command in the background of a shell without job control, or started with nohup, ends by SIGTERM only."""
     monkeypatch.setattr(signals, "_raised", [])
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)}
+    before = {
+        number: signal.getsignal(number)
+        for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
+    }
     try:
         for number in (signal.SIGINT, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
         raise_interrupts()
-        assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGHUP)] == [signal.SIG_IGN] * 2
+        assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGHUP)] == [
+            signal.SIG_IGN
+        ] * 2
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGTERM)
     finally:

@@ -9,7 +9,9 @@ import pytest
 from transport.flight import live
 from transport.flight.live import LiveRun
 
-HERE = LiveRun("hover", {"coordinator": "tcp/127.0.0.1:7447", "agent1": "tcp/127.0.0.1:7448"}, os.getpid())
+HERE = LiveRun(
+    "hover", {"coordinator": "tcp/127.0.0.1:7447", "agent1": "tcp/127.0.0.1:7448"}, os.getpid()
+)
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -34,7 +36,19 @@ def test_the_file_of_a_killed_run_is_ignored(tmp_path: Path) -> None:
     assert live.read(tmp_path) is None
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"run": 5}', b'{"run": "hover", "endpoints": {}, "pid": "x"}'])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b'{"run": 5}',
+        *(
+            b'{"run": "hover", "endpoints": {}, "pid": %s}' % pid
+            for pid in (b'"x"', b"2147483648", b"1e30", b"0", b"-1", b"99999999999999999999999")
+        ),
+    ],
+)
 def test_other_content_is_ignored(content: bytes, tmp_path: Path) -> None:
     """A file that does not describe a run is none of an active run."""
     (tmp_path / "live.json").write_bytes(content)

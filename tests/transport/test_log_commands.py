@@ -9,13 +9,17 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner, Result
 
-from model import state
-from protocol.wire.messages import KINDS, Message, Plan, PlantState, StepReport
 from tests.support import logs, runs
 from transport.cli.main import app
+from transport.model import state
+from transport.protocol.wire.messages import KINDS, Message, Plan, PlantState, StepReport
 
 KILL = (
-    *("clock.on_agent_loss='continue'", "controller.prediction='closed_loop'", "controller.relaxation='auto'"),
+    *(
+        "clock.on_agent_loss='continue'",
+        "controller.prediction='closed_loop'",
+        "controller.relaxation='auto'",
+    ),
     "faults.event=[{at_s=0.5,do='kill',target='agent3'},{at_s=0.2,do='degrade',target='uav4',efficiency=0.9}]",
 )
 
@@ -73,7 +77,10 @@ def test_log_cut_at_sixty_percent(flight: tuple[Path, list[Message]], tmp_path: 
     assert content["complete"] is False
     assert content["outcome"] == "unknown"
     text = " ".join(ask("info", cut).output.split())
-    assert f"the log is incomplete (it stops before its end): {content['messages']} messages are readable" in text
+    assert (
+        f"the log is incomplete (it stops before its end): {content['messages']} messages are readable"
+        in text
+    )
     exported = ask("export", cut, "--out", tmp_path / "tables")
     assert exported.exit_code == 0
     assert "the log is incomplete" in exported.stderr
@@ -91,8 +98,14 @@ def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path
         result = ask("export", folder, form, "--out", tmp_path)
         assert result.exit_code == 0, result.output
     kinds = {message.kind for message in messages}
-    assert {path.stem for path in tmp_path.glob("*.csv")} == kinds == {path.stem for path in tmp_path.glob("*.parquet")}
-    plant_state = next(message for message in messages if isinstance(message, PlantState) and message.tick == 20)
+    assert (
+        {path.stem for path in tmp_path.glob("*.csv")}
+        == kinds
+        == {path.stem for path in tmp_path.glob("*.parquet")}
+    )
+    plant_state = next(
+        message for message in messages if isinstance(message, PlantState) and message.tick == 20
+    )
     from_csv = rows(tmp_path / "plant_state.csv")[20]
     from_parquet = pq.read_table(tmp_path / "plant_state.parquet").to_pylist()[20]
     names = [name for name in from_csv if name.startswith("uav4_")]
@@ -102,15 +115,21 @@ def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path
         float(plant_state.plan_ticks[3]),
     ]
     for row in (from_csv, from_parquet):
-        assert np.array([float(row[name]) for name in names]).tobytes() == np.array(expected).tobytes()
+        assert (
+            np.array([float(row[name]) for name in names]).tobytes() == np.array(expected).tobytes()
+        )
     assert names[-5:-3] == ["uav4_thrust_N", "uav4_moment_x_Nm"]
     actual = rows(tmp_path / "actual_inputs.csv")[4 * 20 + 3]
     assert (actual["tick"], actual["uav"]) == ("20", "4")
     assert float(actual["thrust_N"]) == pytest.approx(0.9 * plant_state.u[12], rel=1e-12)
     plan = next(
-        message for message in messages if isinstance(message, Plan) and (message.agent, message.tick) == (2, 15)
+        message
+        for message in messages
+        if isinstance(message, Plan) and (message.agent, message.tick) == (2, 15)
     )
-    planned = next(row for row in rows(tmp_path / "plan.csv") if (row["agent"], row["tick"]) == ("2", "15"))
+    planned = next(
+        row for row in rows(tmp_path / "plan.csv") if (row["agent"], row["tick"]) == ("2", "15")
+    )
     assert planned["uav"] == "2"
     steps = [float(planned[f"moment_y_Nm[{step}]"]) for step in range(len(plan.inputs))]
     assert np.array(steps).tobytes() == plan.inputs[:, 2].tobytes()
@@ -124,7 +143,10 @@ def test_tables_hold_the_bits(flight: tuple[Path, list[Message]], tmp_path: Path
     [
         (("info", "nowhere"), "cannot read the log"),
         (("export", "nowhere", "--out", "tables"), "cannot read the log"),
-        (("export", "nowhere", "--out", "tables", "--kind", "poem"), f"expected one of {', '.join(KINDS)}, got 'poem'"),
+        (
+            ("export", "nowhere", "--out", "tables", "--kind", "poem"),
+            f"expected one of {', '.join(KINDS)}, got 'poem'",
+        ),
     ],
 )
 def test_refusals(arguments: tuple[str, ...], text: str) -> None:
@@ -132,3 +154,16 @@ def test_refusals(arguments: tuple[str, ...], text: str) -> None:
     result = ask(*arguments)
     assert result.exit_code == 2
     assert text in result.output
+
+
+@pytest.mark.parametrize("option", ["--ros2", "--foxglove"])
+def test_copies_are_mcap_files_by_name(
+    flight: tuple[Path, list[Message]], tmp_path: Path, option: str
+) -> None:
+    """Players tell the format by the name: another ending is refused before the log is read."""
+    result = ask("export", flight[0], option, tmp_path / "bag")
+    assert result.exit_code == 2
+    assert result.stderr == (
+        f"transport: {option}: expected a file name that ends in .mcap, got {tmp_path / 'bag'}\n"
+    )
+    assert list(tmp_path.iterdir()) == []

@@ -1,16 +1,21 @@
 """The parser of MCAP files finds what other readers read."""
 
-from collections.abc import Iterator
+import struct
+import tracemalloc
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from transport.log.parser import Parser
+from transport.log.parser import MOST_BYTES, Parser
 
 CHUNK_BYTES = 2000
 CHANNELS = 7
@@ -36,11 +41,15 @@ def entries() -> Iterator[Entry]:
 def written(path: Path, count: int, compression: CompressionType, *, finished: bool = True) -> Path:
     """Return a file of `entries`."""
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=compression, enable_data_crcs=True)
+        writer = Writer(
+            file, chunk_size=CHUNK_BYTES, compression=compression, enable_data_crcs=True
+        )
         writer.start(library="tests")
         writer.add_metadata("run", {"run_id": "r1", "note": "Ω0"})
         for number in range(CHANNELS):
-            writer.register_channel(f"/topic/{number}", "json", writer.register_schema(f"schema {number}", "", b""))
+            writer.register_channel(
+                f"/topic/{number}", "json", writer.register_schema(f"schema {number}", "", b"")
+            )
         for entry in islice(entries(), count):
             writer.add_message(**entry)
         (writer.finish if finished else writer.flush)()  # type: ignore[no-untyped-call]
@@ -62,3 +71,72 @@ def test_it_reads_what_the_library_reads(tmp_path: Path, compression: Compressio
     assert len(found) == 400
     assert (parser.damaged, parser.is_whole()) == (0, True)
     assert parser.metadata == {"run": {"run_id": "r1", "note": "Ω0"}}
+
+
+# Content of a chunk that unpacks to far more than any chunk of a run.
+BOMB_BYTES = 8 * MOST_BYTES
+# Memory of a reader: bytes and records of the largest chunk, each some times.
+READER_BYTES = 4 * MOST_BYTES
+
+
+def chunk(content: bytes, compression: str, claimed_bytes: int) -> bytes:
+    """Return a chunk record that claims a size of its content before compression."""
+    name = compression.encode()
+    body = struct.pack("<QQQII", 0, 0, claimed_bytes, 0, len(name)) + name
+    body += struct.pack("<Q", len(content)) + content
+    return struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
+
+
+@pytest.mark.parametrize("claimed_bytes", [BOMB_BYTES, 100])
+@pytest.mark.parametrize(
+    ("compression", "compress"),
+    [("lz4", lz4.frame.compress), ("zstd", zstandard.compress)],
+)
+def test_a_chunk_that_unpacks_to_a_bomb_is_damage(
+    tmp_path: Path, compression: str, compress: Callable[[bytes], bytes], claimed_bytes: int
+) -> None:
+    """Its size is bounded before it is unpacked, also if it claims less; the chunks behind it are read."""
+    path = written(tmp_path / "run.mcap", 100, CompressionType.LZ4)
+    bomb = chunk(compress(bytes(BOMB_BYTES)), compression, claimed_bytes)
+    whole = path.read_bytes()
+    begin = len(MCAP0_MAGIC)
+    path.write_bytes(whole[:begin] + bomb + whole[begin:])
+
+    parser = Parser(path)
+    tracemalloc.start()
+    count = sum(1 for _ in parser.entries())
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert (count, parser.damaged) == (100, 1)
+    assert peak_bytes < READER_BYTES
+
+
+def test_a_record_of_any_length_is_not_read_whole(tmp_path: Path) -> None:
+    """A sparse file with one record of terabytes is passed over: its length is checked before."""
+    path = written(tmp_path / "run.mcap", 100, CompressionType.LZ4)
+    whole = path.read_bytes()
+    length = 2**42
+    with path.open("wb") as file:
+        file.write(MCAP0_MAGIC + struct.pack("<BQ", Opcode.CHUNK, length))
+        file.seek(length, 1)
+        file.write(whole[len(MCAP0_MAGIC) :])
+
+    parser = Parser(path)
+    count = sum(1 for _ in parser.entries())
+    assert (count, parser.damaged, parser.ended) == (100, 1, True)
+
+
+def test_a_summary_of_any_length_is_not_read(tmp_path: Path) -> None:
+    """A footer that points to a summary of terabytes makes the file one without its proper end."""
+    path = written(tmp_path / "run.mcap", 100, CompressionType.LZ4)
+    whole = path.read_bytes()
+    footer = struct.calcsize("<BQQQI8s")
+    with path.open("wb") as file:
+        file.write(whole[:-footer])
+        file.seek(2**42, 1)
+        file.write(whole[-footer:])
+
+    parser = Parser(path)
+    assert sum(1 for _ in parser.entries()) == 100
+    assert not parser.is_whole()

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from protocol.wire.codec import encode, header_of
-from protocol.wire.errors import MessageError
-from protocol.wire.keys import Keys
-from protocol.wire.messages import Message, Plan, Rejected
 from tests.support import runs
 from tests.support.logs import HEADER, with_scenario
 from transport.log.run_log import LogTail, RunLog, read_log
 from transport.log.writer import LogWriter
+from transport.protocol.wire.codec import encode, header_of
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.messages import Message, Plan, Rejected
 
 TICKS = 30
 RUN = runs.setup("controller.horizon=5", runs.ticks(TICKS))
@@ -48,7 +48,9 @@ def write(path: Path, entries: Sequence[Entry]) -> Path:
 
 def accepted(log: RunLog) -> set[bytes]:
     """Return the messages of a log but notices of refusals, as bytes."""
-    return {encode(entry.message) for entry in log.messages if not isinstance(entry.message, Rejected)}
+    return {
+        encode(entry.message) for entry in log.messages if not isinstance(entry.message, Rejected)
+    }
 
 
 def refused(log: RunLog) -> dict[tuple[str, str], int]:
@@ -66,10 +68,18 @@ def test_bad_messages_change_nothing(tmp_path: Path, flight: list[Message]) -> N
     said = [entry(message) for message in flight]
     at = len(said) // 2
     key, data = said[at]
-    plan = next(message for message in flight if isinstance(message, Plan) and message.tick == TICKS - 1)
+    plan = next(
+        message for message in flight if isinstance(message, Plan) and message.tick == TICKS - 1
+    )
     absurd = replace(plan, inputs=plan.inputs * 0.0 + 1e5)
     garbled = data[:-20] + bytes(np.random.default_rng(3).integers(0, 256, 20, dtype=np.uint8))
-    bad = [(key, data[: len(data) // 2]), said[at - 1], said[3], entry(replace(plan, sender="agent3")), entry(absurd)]
+    bad = [
+        (key, data[: len(data) // 2]),
+        said[at - 1],
+        said[3],
+        entry(replace(plan, sender="agent3")),
+        entry(absurd),
+    ]
     disturbed = [*said[:at], (key, garbled), said[at], *bad, *said[at + 1 :]]
     log = read_log(write(tmp_path / "run.mcap", disturbed))
     assert accepted(log) == {encode(message) for message in flight}
@@ -78,5 +88,9 @@ def test_bad_messages_change_nothing(tmp_path: Path, flight: list[Message]) -> N
     assert counts.pop(("agent3", "wrong_sender")) == 1
     assert {reason for _, reason in counts} >= {"replayed"}
     assert sum(counts.values()) >= 3
-    tail = [message for message in LogTail(tmp_path / "run.mcap").read() if not isinstance(message, Rejected)]
+    tail = [
+        message
+        for message in LogTail(tmp_path / "run.mcap").read()
+        if not isinstance(message, Rejected)
+    ]
     assert {encode(message) for message in tail if isinstance(message, Message)} == accepted(log)

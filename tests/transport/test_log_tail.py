@@ -8,11 +8,11 @@ import pytest
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from protocol.wire import messages as protocol
 from tests.support import runs
 from tests.support.logs import record_run
 from transport.log.parser import records
 from transport.log.run_log import LogTail, read_log
+from transport.protocol.wire import messages as protocol
 
 TICKS = 40
 RUN = runs.setup(runs.ticks(TICKS))
@@ -51,11 +51,18 @@ def test_it_reads_what_is_whole(log: Path, tmp_path: Path, piece: int) -> None:
 def test_damage_costs_what_is_damaged(log: Path, tmp_path: Path) -> None:
     """A damaged chunk is skipped, and the messages behind it are read."""
     data = bytearray(log.read_bytes())
-    _, chunk, *_ = (body for opcode, _, body in records(BytesIO(data), len(MCAP0_MAGIC)) if opcode == Opcode.CHUNK)
+    _, chunk, *_ = (
+        record.body
+        for record in records(BytesIO(data), len(MCAP0_MAGIC))
+        if record.opcode == Opcode.CHUNK and record.body is not None
+    )
     data[data.index(chunk) + len(chunk) // 2] ^= 0xFF
     (tmp_path / "run.mcap").write_bytes(data)
     messages, whole = LogTail(tmp_path / "run.mcap").read(), read_log(log).messages
-    found, expected = ([repr(message) for message in many] for many in (messages, [entry.message for entry in whole]))
+    found, expected = (
+        [repr(message) for message in many]
+        for many in (messages, [entry.message for entry in whole])
+    )
     at = next(i for i, pair in enumerate(zip(found, expected, strict=False)) if pair[0] != pair[1])
     assert found == expected[:at] + expected[at - len(found) :]
     assert 0 < at < len(found) < len(expected)

@@ -8,10 +8,11 @@ import pytest
 from typer.testing import CliRunner
 
 import transport
-from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 from transport.cli.main import app
+from transport.protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
 
-# Gusts and a diagonal leg: the symmetric maneuver of the paper hardly excites the modes that diverge first.
+# Gusts and a diagonal leg: the symmetric maneuver of the paper hardly excites the modes that
+# diverge first.
 BEGIN = (
     {"name": "hover", "duration_s": 2.0, "displacement_m": [0.0, 0.0, 0.0]},
     {"name": "diagonal", "duration_s": 5.0, "displacement_m": [2.0, 1.5, -1.5]},
@@ -26,8 +27,12 @@ LAG_WITH_RATES_S = 0.08
     ("actuation", "inputs", "beyond", "hover_s"),
     [("immediate", "moments", 1.1, 29.0), ("next_tick", "rates", 1.2, 15.0)],
 )
-def test_runs_diverge_where_the_analysis_says(actuation: str, inputs: str, beyond: float, hover_s: float) -> None:
-    """An unknown lag of 0.9 times the margin completes, one of 1.1 times diverges; with body rates it is 80 ms.
+def test_runs_diverge_where_the_analysis_says(
+    actuation: str, inputs: str, beyond: float, hover_s: float
+) -> None:
+    """An unknown lag of 0.9 times the margin completes, one of 1.1 times diverges.
+
+    With body rates it is 80 ms.
 
     Further beyond the margin a run diverges sooner.
     """
@@ -40,13 +45,17 @@ def test_runs_diverge_where_the_analysis_says(actuation: str, inputs: str, beyon
             "controller.inputs": inputs, "clock.actuation": actuation, "plant.motors.lag_s": factor * margin_s,
             "plant.wind.gust_mps": [0.2] * 3,
         }  # fmt: skip
-        assert transport.fly("resilient", settings, phases=phases, progress=False).outcome == outcome
+        assert (
+            transport.fly("resilient", settings, phases=phases, progress=False).outcome == outcome
+        )
 
 
 def test_the_command_prints_ranges_and_draws_them(tmp_path: Path) -> None:
     """A row for each property, and a figure."""
     figure = tmp_path / "margins.png"
-    printed = CliRunner().invoke(app, ["margins", "centralized_lq", "--format", "json", "--figure", str(figure)])
+    printed = CliRunner().invoke(
+        app, ["margins", "centralized_lq", "--format", "json", "--figure", str(figure)]
+    )
     assert printed.exit_code == 0
     found = json.loads(printed.stdout)["margins"]
     assert found["next_tick"]["lag_s"]["upper"] < found["immediate"]["lag_s"]["upper"]
@@ -55,7 +64,10 @@ def test_the_command_prints_ranges_and_draws_them(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_team_without_two_agents() -> None:
-    """It holds the payload if the fail-safe follows; UAVs that keep level swing undamped, and the command says so."""
+    """It holds the payload if the fail-safe follows.
+
+    UAVs that keep level swing undamped, and the command says so.
+    """
     assert transport.margins("resilient", without=[1, 2]).data["settling_s"]["next_tick"] < 10.0
     level = ["margins", "resilient", "--without", "1,2", "--set", "controller.fail_safe=level"]
     assert re.search(r"deviations decay in +never", CliRunner().invoke(app, level).output)

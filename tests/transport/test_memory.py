@@ -8,20 +8,32 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from model.arrays import Array
-from mpc.controller import Controller
-from plant.node import PlantNode
-from protocol.scenario.setup import Setup
-from protocol.wire.codec import decode, encode
-from protocol.wire.keys import Keys
-from protocol.wire.messages import KINDS, STAGES, Control, Message, Plan, Presence, StepReport
 from tests.support.runs import SHORT, integrated, plant_states, recorded, reproducible, setup
 from tests.support.shuffled import fly_shuffled
 from transport.flight import memory
+from transport.model.arrays import Array
+from transport.mpc.controller import Controller
+from transport.plant.node import PlantNode
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.codec import decode, encode
+from transport.protocol.wire.keys import Keys
+from transport.protocol.wire.messages import (
+    KINDS,
+    STAGES,
+    Control,
+    Message,
+    Plan,
+    Presence,
+    StepReport,
+)
 
 PERIOD_S = 0.05
 TICKS = 30
-FOUR, PAIRS, ALL = "agents.owned=[[1],[2],[3],[4]]", "agents.owned=[[1,2],[3,4]]", "agents.owned=[[1,2,3,4]]"
+FOUR, PAIRS, ALL = (
+    "agents.owned=[[1],[2],[3],[4]]",
+    "agents.owned=[[1,2],[3,4]]",
+    "agents.owned=[[1,2,3,4]]",
+)
 NEXT_TICK, CLOSED_LOOP = "clock.actuation=next_tick", "controller.prediction=closed_loop"
 
 # A network with every impairment; only the shared control law tolerates it.
@@ -31,8 +43,9 @@ BAD_NETWORK = (
     "controller.relaxation=0.5",
 )
 
-# The agents' estimates take fewer integration steps per period than the plant: 1e-11 m and rad apart on
-# this gentle flight, and what the controllers make of that, 1e-10 N and N m at most, stays of that size.
+# The agents' estimates take fewer integration steps per period than the plant: 1e-11 m and rad
+# apart on this gentle flight, and what the controllers make of that, 1e-10 N and N m at most, stays
+# of that size.
 DISTRIBUTED_TOLERANCE = 1e-8
 
 # DAQP and Clarabel meet the optimality conditions to 1e-6, in units of half an actuator's range.
@@ -47,7 +60,9 @@ def run_messages(*settings: str) -> tuple[Message, ...]:
 
 def contents(messages: Sequence[Message]) -> dict[tuple[str, int], bytes]:
     """Return all messages by sender and number, without wall-clock times."""
-    return {(message.sender, message.sequence): encode(reproducible(message)) for message in messages}
+    return {
+        (message.sender, message.sequence): encode(reproducible(message)) for message in messages
+    }
 
 
 def states(messages: Sequence[Message]) -> Array:
@@ -56,10 +71,22 @@ def states(messages: Sequence[Message]) -> Array:
 
 
 @pytest.mark.parametrize(
-    "settings", [(FOUR,), (PAIRS,), (ALL,), (NEXT_TICK,), (CLOSED_LOOP,), (CLOSED_LOOP, NEXT_TICK), BAD_NETWORK]
+    "settings",
+    [
+        (FOUR,),
+        (PAIRS,),
+        (ALL,),
+        (NEXT_TICK,),
+        (CLOSED_LOOP,),
+        (CLOSED_LOOP, NEXT_TICK),
+        BAD_NETWORK,
+    ],
 )
 def test_a_run_completes(settings: tuple[str, ...]) -> None:
-    """A short maneuver is completed: one plant state, one plan and one report per agent and tick, all solved."""
+    """A short maneuver is completed.
+
+    One plant state, one plan and one report per agent and tick, all solved.
+    """
     messages = run_messages(*settings)
     agents = setup(SHORT, *settings).agents
     assert [plant_state.tick for plant_state in plant_states(messages)] == list(range(TICKS))
@@ -85,7 +112,9 @@ def test_the_other_solver_finds_the_same_flight() -> None:
 def test_two_runs_are_equal(settings: tuple[str, ...]) -> None:
     """Two runs of one scenario send the same bytes in the same order, but for the wall-clock times in reports."""
     again = recorded(setup(SHORT, *settings))
-    assert [encode(reproducible(m)) for m in again] == [encode(reproducible(m)) for m in run_messages(*settings)]
+    assert [encode(reproducible(m)) for m in again] == [
+        encode(reproducible(m)) for m in run_messages(*settings)
+    ]
 
 
 def test_every_message_could_travel() -> None:
@@ -106,16 +135,24 @@ def test_every_message_could_travel() -> None:
 
 @pytest.mark.parametrize("settings", [(FOUR,), (NEXT_TICK,), BAD_NETWORK])
 def test_order_of_delivery_does_not_matter(settings: tuple[str, ...]) -> None:
-    """All messages are equal bit for bit in any order of delivery: lockstep does not depend on the network."""
+    """All messages are equal bit for bit in any order of delivery.
+
+    Lockstep does not depend on the network.
+    """
     in_order = run_messages(*settings)
     shuffled = recorded(setup(SHORT, *settings), lambda run, record: fly_shuffled(run, record, 1))
-    assert [encode(m) for m in shuffled if m.kind != "tick"] != [encode(m) for m in in_order if m.kind != "tick"]
+    assert [encode(m) for m in shuffled if m.kind != "tick"] != [
+        encode(m) for m in in_order if m.kind != "tick"
+    ]
     np.testing.assert_array_equal(states(shuffled), states(in_order))
     assert contents(shuffled) == contents(in_order)
 
 
 def plain_loop(run: Setup) -> Iterator[tuple[Array, Array]]:
-    """Yield states and inputs of the plain loop: all agents plan at once from the plans of the last tick."""
+    """Yield states and inputs of the plain loop.
+
+    All agents plan at once from the plans of the last tick.
+    """
     team = [Controller(run.model, run.hover, run.settings, owned) for owned in run.owned]
     x, u = run.initial_state(), run.hover.u
     U = np.tile(u, (run.settings.horizon, 1))
@@ -125,7 +162,9 @@ def plain_loop(run: Setup) -> Iterator[tuple[Array, Array]]:
         y_ref, x_ref = run.reference.outputs(times), run.reference.states(times[:-1])
         plans, corrections = np.empty_like(U), np.zeros_like(U)
         for controller in team:
-            optimum = controller.step(x, u, U, y_ref, controller.law(x, x_ref, c), ticks_since_start=k)
+            optimum = controller.step(
+                x, u, U, y_ref, controller.law(x, x_ref, c), ticks_since_start=k
+            )
             plans[:, controller.own] = optimum.U
             corrections[: len(optimum.c), controller.own] = optimum.c
         u = plans[0]
@@ -145,9 +184,14 @@ def test_one_agent_is_the_plain_controller(settings: tuple[str, ...]) -> None:
         np.testing.assert_array_equal(plant_state.u, u)
 
 
-@pytest.mark.parametrize("settings", [(FOUR,), (PAIRS,), (FOUR, CLOSED_LOOP, "controller.relaxation=0.5")])
+@pytest.mark.parametrize(
+    "settings", [(FOUR,), (PAIRS,), (FOUR, CLOSED_LOOP, "controller.relaxation=0.5")]
+)
 def test_a_team_is_the_papers_iteration(settings: tuple[str, ...]) -> None:
-    """On a perfect network several agents are the paper's update: all plan at once, from the plans of the last tick."""
+    """On a perfect network several agents are the paper's update.
+
+    All plan at once, from the plans of the last tick.
+    """
     for plant_state, (x, u) in zip(
         plant_states(run_messages(*settings)), plain_loop(setup(SHORT, *settings)), strict=True
     ):
@@ -158,13 +202,18 @@ def test_a_team_is_the_papers_iteration(settings: tuple[str, ...]) -> None:
 def test_inputs_keep_the_rate_limits() -> None:
     """Applied inputs change from tick to tick within the rate limits."""
     run = setup(SHORT)
-    U = np.array([run.hover.u, *[plant_state.u for plant_state in plant_states(run_messages(FOUR))]])
+    U = np.array(
+        [run.hover.u, *[plant_state.u for plant_state in plant_states(run_messages(FOUR))]]
+    )
     slack = 1e-6  # N and N m: the solver's tolerance on its rows
     assert (np.abs(np.diff(U, axis=0)) <= run.settings.step(4) + slack).all()
 
 
 def test_truth_is_a_trajectory_of_the_model() -> None:
-    """Each true state is the one before, integrated under the recorded inputs: the record explains itself."""
+    """Each true state is the one before, integrated under the recorded inputs.
+
+    The record explains itself.
+    """
     run = setup(SHORT)
     for before, after in pairwise(plant_states(run_messages(FOUR))):
         np.testing.assert_array_equal(integrated(run, before.x, before.u), after.x)
@@ -184,7 +233,11 @@ def test_divergence_ends_a_run() -> None:
         shuffled: list[Message] = []
         end = fly_shuffled(run, shuffled.append, seed)
         np.testing.assert_array_equal(states(shuffled), states(messages))
-        assert (end.outcome, end.reason, end.exit_code) == (control.outcome, control.reason, control.exit_code)
+        assert (end.outcome, end.reason, end.exit_code) == (
+            control.outcome,
+            control.reason,
+            control.exit_code,
+        )
 
 
 @pytest.fixture
@@ -200,7 +253,10 @@ def deaf_plant(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("deaf_plant")
 def test_timeouts_cost_nothing() -> None:
-    """A run that a timeout ends, here of 1000 hours, is over at once: virtual time jumps to the next wake-up."""
+    """A run that a timeout ends, here of 1000 hours, is over at once.
+
+    Virtual time jumps to the next wake-up.
+    """
     began_s = time.monotonic()
     end = memory.simulate(setup(SHORT, "clock.barrier_timeout_s=1e6"))
     assert (end.outcome, end.exit_code, end.tick) == ("aborted", 4, 1)
@@ -211,7 +267,9 @@ def test_timeouts_cost_nothing() -> None:
 def test_stopwatch_is_only_for_reports() -> None:
     """A stopwatch that runs fast changes the times in the reports and nothing else."""
     now = iter(range(0, 10**15, 10**9))
-    messages = recorded(setup(SHORT), lambda run, record: memory.simulate(run, record, stopwatch=lambda: next(now)))
+    messages = recorded(
+        setup(SHORT), lambda run, record: memory.simulate(run, record, stopwatch=lambda: next(now))
+    )
     assert contents(messages) == contents(run_messages(FOUR))
     reports = [message for message in messages if isinstance(message, StepReport)]
     times_ms = dict(zip(STAGES, reports[0].times_ms, strict=True))

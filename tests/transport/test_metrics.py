@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from model import state
-from model.arrays import Array
-from model.hover import released_state
-from protocol.wire.messages import ActualInputs, Control, Message, Outcome
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, log_of, noted, plan, plant_state, report
 from transport.analysis.metrics import rest_of_tick_ms, summarise
 from transport.analysis.series import series_of, steps_columns, steps_rows
 from transport.cli.top import Watch
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.hover import released_state
+from transport.protocol.wire.messages import ActualInputs, Control, Message, Outcome
 from transport.report.report import summary_table
 
 # A few roundings of numbers of order one to a hundred.
@@ -39,9 +39,17 @@ def perfect(ticks: int) -> list[Message]:
 
 
 def test_estimates_against_their_covariance() -> None:
-    """Errors of one standard deviation in six entries have a NEES of 6; without notes there is no estimate."""
+    """Errors of one standard deviation in six entries have a NEES of 6.
+
+    Without notes there is no estimate.
+    """
     run = runs.setup(runs.SHORT)
-    flown = [*perfect(10), noted(run, 1, 4), noted(run, 2, 8), noted(run, 2, 400)]  # of the last no state is known
+    flown = [
+        *perfect(10),
+        noted(run, 1, 4),
+        noted(run, 2, 8),
+        noted(run, 2, 400),
+    ]  # of the last no state is known
     found = summarise(run, log_of(flown))["estimate"]
     assert found["nees"] == pytest.approx(6.0)
     assert found["nis"] == pytest.approx(2.0)
@@ -51,7 +59,10 @@ def test_estimates_against_their_covariance() -> None:
 
 
 def test_cost_of_a_displaced_team() -> None:
-    """The whole team 0.2 m off costs 4 x 0.2^2 x 1, and a newton more of thrust 1e-3: docs/equations.md (21)."""
+    """The whole team 0.2 m off costs 4 x 0.2^2 x 1, and a newton more of thrust 1e-3.
+
+    Docs/equations.md (21).
+    """
     run = runs.setup(HOVER)
 
     def change(x: Array, u: Array) -> None:
@@ -69,7 +80,10 @@ def test_cost_of_a_displaced_team() -> None:
 
 
 def test_a_released_uav_does_not_count() -> None:
-    """From its release on a UAV changes no cost and no UAV error, wherever it is; before, it does; its curve ends."""
+    """From its release on a UAV changes no cost and no UAV error, wherever it is.
+
+    Before, it does; its curve ends.
+    """
     run = runs.setup(HOVER, "faults.event=[{at_s=0.25,do='release',target='uav3'}]")
 
     def away(x: Array, u: Array) -> None:
@@ -81,7 +95,10 @@ def test_a_released_uav_does_not_count() -> None:
     off = series_of(run, log_of([plant_state(run, 4, away), plant_state(run, 5, away)]))
     assert off.cost[0] > there.cost[0] + 0.1
     assert off.cost[1] == there.cost[1]
-    assert np.isnan(off.uav_errors_I).all(axis=2).tolist() == [[False] * 4, [False, False, True, False]]
+    assert np.isnan(off.uav_errors_I).all(axis=2).tolist() == [
+        [False] * 4,
+        [False, False, True, False],
+    ]
     summary = summarise(run, log_of([plant_state(run, 4), plant_state(run, 5, away)]))
     assert summary["uav_tracking"] == pytest.approx({"rms_m": 0.0, "max_m": 0.0}, abs=ROUNDING)
     (_, row) = [r for r in steps_rows(run, log_of(perfect(6))) if r["agent"] == 3 and r["tick"] > 3]
@@ -114,14 +131,18 @@ def test_attitude_is_the_largest_angle() -> None:
     def tilt(x: Array, u: Array) -> None:
         x[state.THETA0] = np.radians([1.0, -3.0, 2.0])
 
-    summary = summarise(run, log_of([plant_state(run, 0), plant_state(run, 1, tilt), plant_state(run, 2)]))
+    summary = summarise(
+        run, log_of([plant_state(run, 0), plant_state(run, 1, tilt), plant_state(run, 2)])
+    )
     assert summary["attitude_max_deg"] == pytest.approx(3.0, rel=ROUNDING)
 
 
 def test_separation_is_the_closest_pair() -> None:
     """The UAVs of Table I hover 0.5 m apart; a single UAV has no separation."""
     run = runs.setup(HOVER)
-    assert summarise(run, log_of([plant_state(run, 0)]))["separation_min_m"] == pytest.approx(0.5, rel=ROUNDING)
+    assert summarise(run, log_of([plant_state(run, 0)]))["separation_min_m"] == pytest.approx(
+        0.5, rel=ROUNDING
+    )
     single = runs.setup(HOVER, *SINGLE_UAV)
     assert summarise(single, log_of([plant_state(single, 0)]))["separation_min_m"] is None
 
@@ -146,22 +167,36 @@ def test_violations_are_shares_of_the_range() -> None:
         return value
 
     # After a gap in the record only the bound is judged.
-    assert worst(plant_state(run, 0), plant_state(run, 2, above)) == pytest.approx(4.5 / 45.0, rel=ROUNDING)
-    assert worst(plant_state(run, 0), plant_state(run, 1, jump)) == pytest.approx(2.0 / 10.0, rel=1e-9)
+    assert worst(plant_state(run, 0), plant_state(run, 2, above)) == pytest.approx(
+        4.5 / 45.0, rel=ROUNDING
+    )
+    assert worst(plant_state(run, 0), plant_state(run, 1, jump)) == pytest.approx(
+        2.0 / 10.0, rel=1e-9
+    )
     assert worst(plant_state(run, 0, jump)) == pytest.approx(2.0 / 10.0, rel=1e-9)
     assert worst(plant_state(run, 2, jump)) == 0.0
     distance_m = series_of(run, log_of([plant_state(run, 0, close)])).separation_m[0]
     assert distance_m < 0.4
-    assert worst(plant_state(run, 0, close)) == pytest.approx((0.4 - distance_m) / 0.4, rel=ROUNDING)
+    assert worst(plant_state(run, 0, close)) == pytest.approx(
+        (0.4 - distance_m) / 0.4, rel=ROUNDING
+    )
 
 
 REALTIME = ("clock.mode=realtime", "clock.speed=1", "clock.actuation=next_tick")
 
 
 def test_slack_cables_are_counted() -> None:
-    """A cable slack for two periods, one slack at the end; nothing without cables. The report says so."""
+    """A cable slack for two periods, one slack at the end.
+
+    Nothing without cables. The report says so.
+    """
     run = runs.setup(HOVER)
-    tensions = [[5.0, 4.0, 7.0, 7.0], [5.0, 0.0, 7.0, 7.0], [3.0, 0.0, 7.0, 7.0], [3.0, 2.0, 7.0, 0.0]]
+    tensions = [
+        [5.0, 4.0, 7.0, 7.0],
+        [5.0, 0.0, 7.0, 7.0],
+        [3.0, 0.0, 7.0, 7.0],
+        [3.0, 2.0, 7.0, 0.0],
+    ]
     messages: list[Message] = [plant_state(run, k) for k in range(4)]
     messages += [
         ActualInputs(
@@ -186,21 +221,39 @@ def test_slack_cables_are_counted() -> None:
 
 
 def test_held_ticks_are_missed_deadlines() -> None:
-    """With `hold` every plan has arrived when a tick opens: the ticks that waited for one are counted."""
+    """With `hold` every plan has arrived when a tick opens.
+
+    The ticks that waited for one are counted.
+    """
     run = runs.setup(HOVER, *REALTIME, "clock.on_overrun=hold")
     late_ns = (0, 0, 2_900_000_000, 0)
-    messages = [replace(runs.tick(k), overrun_ns=overrun_ns) for k, overrun_ns in enumerate(late_ns)]
+    messages = [
+        replace(runs.tick(k), overrun_ns=overrun_ns) for k, overrun_ns in enumerate(late_ns)
+    ]
     deadline = summarise(run, log_of(messages))["deadline"]
     assert [deadline[name] for name in ("plans", "missed", "worst_ms")] == [3, 1, 2900.0]
     assert deadline["share"] == pytest.approx(1 / 3)
 
 
 def test_times_by_hand() -> None:
-    """Wall time is from first tick to control; the rest of a tick is its length minus its slowest step, at least 0."""
+    """Wall time is from first tick to control.
+
+    The rest of a tick is its length minus its slowest step, at least 0.
+    """
     run = runs.setup(HOVER)
     slow = report(run, 2, 1, times_ms=np.array([2.0, 1.0, 1.0, 1.0, 1.0, 4.0, 0.5, 8.0]))
-    messages = [runs.tick(0), report(run, 1, 0), runs.tick(1), report(run, 1, 1), slow, runs.tick(2), control(2)]
-    log = log_of([*messages, plant_state(run, 0), plant_state(run, 1)], [10, 11, 14, 15, 16, 18, 60, 61, 62])
+    messages = [
+        runs.tick(0),
+        report(run, 1, 0),
+        runs.tick(1),
+        report(run, 1, 1),
+        slow,
+        runs.tick(2),
+        control(2),
+    ]
+    log = log_of(
+        [*messages, plant_state(run, 0), plant_state(run, 1)], [10, 11, 14, 15, 16, 18, 60, 61, 62]
+    )
     assert rest_of_tick_ms(run, log) == pytest.approx({0: 4.0 - 1.5, 1: 0.0})
     summary = summarise(run, log)
     assert summary["rest_of_tick_ms"] == pytest.approx({"p50": 1.25, "p99": 2.475, "max": 2.5})
@@ -227,7 +280,10 @@ def test_an_empty_log_has_no_numbers() -> None:
 
 
 def test_one_row_for_each_agent_and_tick() -> None:
-    """Rows are sorted by tick and agent; inputs appear in the columns of the UAVs the agent owns, else nothing."""
+    """Rows are sorted by tick and agent.
+
+    Inputs appear in the columns of the UAVs the agent owns, else nothing.
+    """
     run = runs.setup(HOVER, "agents.owned=[[1,3],[2,4]]")
 
     def change(x: Array, u: Array) -> None:

@@ -1,14 +1,17 @@
-"""Several negotiation iterations within a tick approach the centralized optimum; the plant uses only the last plan."""
+"""Several negotiation iterations within a tick approach the centralized optimum.
+
+The plant uses only the last plan.
+"""
 
 from functools import lru_cache
 
 import numpy as np
 
-from model import state
-from protocol.wire.messages import Message, Plan
 from tests.support.logs import log_of
 from tests.support.runs import plant_states, recorded, setup
 from transport.analysis.metrics import summarise
+from transport.model import state
+from transport.protocol.wire.messages import Message, Plan
 
 # Sideways and up along a smooth path: the UAVs' objectives differ, no limit is reached.
 MOVE = (
@@ -48,7 +51,8 @@ def test_iterations_approach_the_centralized_optimum() -> None:
     """
     centralized = cost(ALL)
     excess = {
-        negotiation_iterations: cost(f"controller.negotiation_iterations={negotiation_iterations}") - centralized
+        negotiation_iterations: cost(f"controller.negotiation_iterations={negotiation_iterations}")
+        - centralized
         for negotiation_iterations in (1, 2, 5)
     }
     assert excess[1] > 0.2 * centralized
@@ -57,7 +61,10 @@ def test_iterations_approach_the_centralized_optimum() -> None:
 
 
 def test_the_plant_uses_only_the_last_plan() -> None:
-    """The plant applies the last plan of a tick; earlier plans, which differ, are only for the other agents."""
+    """The plant applies the last plan of a tick.
+
+    Earlier plans, which differ, are only for the other agents.
+    """
     found = plans("controller.negotiation_iterations=2")
     differ = 0
     for plant_state in plant_states(flight("controller.negotiation_iterations=2")):
@@ -70,10 +77,15 @@ def test_the_plant_uses_only_the_last_plan() -> None:
 
 
 def test_lost_proposals() -> None:
-    """Plans within a tick are lost separately; an agent without one keeps the older one and does not wait."""
+    """Plans within a tick are lost separately.
+
+    An agent without one keeps the older one and does not wait.
+    """
     lossy = ("controller.negotiation_iterations=2", "links.override=[{to='agent1',loss=1.0}]")
     found, perfect = plans(*lossy), plans("controller.negotiation_iterations=2")
-    np.testing.assert_allclose(found[0, 1, 0].inputs, found[0, 1, 1].inputs, rtol=0.0, atol=SAME_OPTIMUM)
+    np.testing.assert_allclose(
+        found[0, 1, 0].inputs, found[0, 1, 1].inputs, rtol=0.0, atol=SAME_OPTIMUM
+    )
     for agent in (2, 3, 4):
         np.testing.assert_array_equal(found[0, agent, 0].inputs, perfect[0, agent, 0].inputs)
     assert len(found) == len(perfect)

@@ -1,18 +1,22 @@
-"""Runs with a plant that differs from the controller's model: steady offsets without the estimate, none with it."""
+"""Runs with a plant that differs from the controller's model.
+
+Steady offsets without the estimate, none with it.
+"""
 
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
-from model import state
-from model.arrays import Array
-from mpc.cost import Cost
-from protocol.wire.messages import Message, PlantState, StepReport
 from tests.support.runs import ready, reproducible
 from transport.flight.memory import simulate
+from transport.model import state
+from transport.model.arrays import Array
+from transport.mpc.cost import Cost
+from transport.protocol.wire.messages import Message, PlantState, StepReport
 
-# A climb, and a hover long enough to settle. Nothing moves sideways: swinging, the payload is higher than at rest.
+# A climb, and a hover long enough to settle. Nothing moves sideways: swinging, the payload is
+# higher than at rest.
 CLIMB = (
     "maneuver.phase=[{name='climb',duration_s=2.0,displacement_m=[0,0,-1.0]},"
     "{name='hover',duration_s=9.0,displacement_m=[0,0,0]}]"
@@ -40,12 +44,17 @@ class Flown:
         self.messages: list[Message] = []
         self.outcome = simulate(self.run, self.messages.append).outcome
         plant_states = [message for message in self.messages if isinstance(message, PlantState)]
-        times_s = self.run.settings.sampling_period_s * np.arange(len(plant_states), dtype=np.float64)
+        times_s = self.run.settings.sampling_period_s * np.arange(
+            len(plant_states), dtype=np.float64
+        )
         x, u = (
             np.array([plant_state.x for plant_state in plant_states]),
             np.array([plant_state.u for plant_state in plant_states]),
         )
-        y, y_ref = np.array([self.run.model.outputs(row) for row in x]), self.run.reference.outputs(times_s)
+        y, y_ref = (
+            np.array([self.run.model.outputs(row) for row in x]),
+            self.run.reference.outputs(times_s),
+        )
         cost = Cost(self.run.settings.weights, self.run.system, self.run.hover)
         self.cost = float(np.mean([cost.stage(*at) for at in zip(y, y_ref, u, strict=True)]))
         self.payload_error_I = x[:, state.R0] - self.run.maneuver.path(times_s)[0]
@@ -55,7 +64,9 @@ class Flown:
     @property
     def force_I(self) -> Array:
         """The agents' last estimates of the force on the payload, (4, 3), N."""
-        return np.array([message.force for message in self.messages if isinstance(message, StepReport)][-4:])
+        return np.array(
+            [message.force for message in self.messages if isinstance(message, StepReport)][-4:]
+        )
 
 
 @lru_cache
@@ -90,7 +101,10 @@ def test_a_heavier_payload_is_held(links: tuple[str, ...]) -> None:
 
 @pytest.mark.slow
 def test_wind_is_held_against() -> None:
-    """With it the UAVs are where they should be and the payload is level; it hangs downwind by the lean of its rods."""
+    """With it the UAVs are where they should be and the payload is level.
+
+    It hangs downwind by the lean of its rods.
+    """
     calm, windy = flown(CLIMB, WIND), flown(CLIMB, WIND, ESTIMATE)
     assert windy.outcome == "completed"
     assert np.abs(mean(windy.uav_errors_I).mean(axis=0)).max() < 0.005
@@ -98,7 +112,9 @@ def test_wind_is_held_against() -> None:
     assert np.abs(windy.force_I - [*DRAG_N, 0.0]).max() < 0.1
     lean_m = 3.2 * DRAG_N / np.hypot(3.0 * 9.81, np.linalg.norm(DRAG_N))
     assert np.abs(mean(windy.payload_error_I)[:2] - lean_m).max() < 0.02
-    without, with_it = (np.linalg.norm(mean(flight.payload_error_I)[:2]) for flight in (calm, windy))
+    without, with_it = (
+        np.linalg.norm(mean(flight.payload_error_I)[:2]) for flight in (calm, windy)
+    )
     assert with_it < without - 0.02
 
 
@@ -111,18 +127,26 @@ def test_perfect_knowledge_costs_nothing() -> None:
 
 @pytest.mark.slow
 def test_noise_of_late_plans_costs_little() -> None:
-    """With delay and packet loss the estimate errs by the error of the others' predictions; it costs a few per cent."""
+    """With delay and packet loss the estimate errs by the error of the others' predictions.
+
+    It costs a few per cent.
+    """
     assert flown(WAY, ESTIMATE, *LATE).cost == pytest.approx(flown(WAY, *LATE).cost, rel=0.05)
 
 
 def test_equal_flights_have_equal_bits() -> None:
-    """Gusts, noise, losses and estimates: two flights of one scenario send the same messages, bit for bit."""
+    """Gusts, noise, losses and estimates.
+
+    Two flights of one scenario send the same messages, bit for bit.
+    """
     settings = (
         "maneuver.phase=[{name='climb',duration_s=1.0,displacement_m=[0,0,-0.5]}]",
         *(HEAVY, ESTIMATE, WIND, *LATE),
         "plant.wind.gust_mps=[1.0,1.0,0.5]",
         *("plant.noise.velocity_mps=0.01", "plant.noise.rod_direction_rad=0.001"),
     )
-    first, second = ([repr(reproducible(message)) for message in Flown(*settings).messages] for _ in range(2))
+    first, second = (
+        [repr(reproducible(message)) for message in Flown(*settings).messages] for _ in range(2)
+    )
     assert first == second
     assert len(first) > 200

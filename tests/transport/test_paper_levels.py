@@ -19,10 +19,12 @@ SCALED = {  # all weights and penalties of the scenario
         "controller.separation.penalty=12800.0",
     ),
 }
-# Solvers stop at absolute tolerances, so the same program in other units has another last digit; measured 2e-12.
+# Solvers stop at absolute tolerances, so the same program in other units has another last digit;
+# measured 2e-12.
 SAME_STATE = 1e-8
 
-# Section V-B: "within amplitudes of 2.5 degrees", "never exceeds a maximum of 3 after the formation stabilizes".
+# Section V-B: "within amplitudes of 2.5 degrees", "never exceeds a maximum of 3 after the formation
+# stabilizes".
 ATTITUDE_DEG, COST = 2.5, 3.0
 
 
@@ -43,8 +45,13 @@ def test_the_scale_of_the_cost_is_free(name: str) -> None:
 
 @pytest.mark.slow
 def test_the_papers_levels() -> None:
-    """Attitude within 2.5 deg, cost at most 3 after the first hover; the distributed controller does worse in both."""
-    centralized, distributed = (flown(name, *SCALED["centralized"]) for name in ("centralized", "paper"))
+    """Attitude within 2.5 deg, cost at most 3 after the first hover.
+
+    The distributed controller does worse in both.
+    """
+    centralized, distributed = (
+        flown(name, *SCALED["centralized"]) for name in ("centralized", "paper")
+    )
     for series in (centralized, distributed):
         assert series.attitude_max_deg.max() <= ATTITUDE_DEG
     settled = centralized.times_s >= 5.0

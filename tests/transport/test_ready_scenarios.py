@@ -1,15 +1,19 @@
-"""The ready scenarios do what their first lines say: the wind is flown through, the collision avoided."""
+"""The ready scenarios do what their first lines say.
+
+The wind is flown through, the collision avoided.
+"""
 
 import numpy as np
 import pytest
 
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import StepReport
 from tests.support.logs import log_of
 from tests.support.runs import completed, ready
 from transport.analysis.series import Series, series_of
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import StepReport
 
-# What separation may fall short of its limit: the constraint is linearised, softened, and kept at sampling instants.
+# What separation may fall short of its limit: the constraint is linearised, softened, and kept at
+# sampling instants.
 SHORTFALL_M = 0.01
 # How far the wall may be overrun, for the same reasons.
 OVERRUN_M = 0.01
@@ -57,7 +61,10 @@ def test_collision_is_avoided() -> None:
 
 @pytest.mark.slow
 def test_wind_is_flown_through() -> None:
-    """The paper's 25 s with a payload 15 % too heavy, gusts of 3 m/s and noise: level within 10 deg, and apart."""
+    """The paper's 25 s with a payload 15 % too heavy, gusts of 3 m/s and noise.
+
+    Level within 10 deg, and apart.
+    """
     run, series, reports = flown("windy")
     plant = run.scenario.plant
     assert (plant.payload_mass_factor, plant.wind.gust_mps) == (1.15, (3.0, 3.0, 3.0))
@@ -67,21 +74,27 @@ def test_wind_is_flown_through() -> None:
     assert series.attitude_max_deg.max() < 10.0
     assert series.separation_m.min() > APART_M
     assert {report.status for report in reports} == {"solved"}
-    # Gusts shake the formation and leave it where it should be; the payload hangs under it, swinging.
+    # Gusts shake the formation and leave it where it should be; the payload hangs under it,
+    # swinging.
     assert np.abs(series.uav_errors_I.mean(axis=(0, 1))).max() < 0.05
     assert np.linalg.norm(series.payload_error_I, axis=1).max() < 1.5
 
 
 @pytest.mark.slow
 def test_the_delivery_arrives() -> None:
-    """From the ground around the corner to the ground: the payload rests within 5 cm of its place, level, and alone."""
+    """From the ground around the corner to the ground.
+
+    The payload rests within 5 cm of its place, level, and alone.
+    """
     run, series, _ = flown("delivery")
     assert run.scenario.plant.noise.position_m > 0.0
     errors_m = np.linalg.norm(series.payload_error_I, axis=1)
     last = series.times_s >= 21.0  # released
     assert errors_m[last].max() < PLACE_M
     assert np.abs(series.payload_velocity_I[-1]).max() < 1e-3
-    assert np.abs(series.attitude_deg[last, :2]).max() < 0.1  # level; its heading is that of the flight
+    assert (
+        np.abs(series.attitude_deg[last, :2]).max() < 0.1
+    )  # level; its heading is that of the flight
     assert not series.u[last].any()
     assert -series.x[:, 2].min() > LIFT_M
     # It went around the corner, not across.

@@ -10,14 +10,20 @@ import pytest
 from msgspec.structs import replace as edited
 from typer.testing import CliRunner, Result
 
-from protocol.wire.messages import Plan
 from tests.support import logs, runs
 from transport.analysis.replay import Comparison, Replay
 from transport.cli.main import app
 from transport.log.run_log import RunLog
+from transport.protocol.wire.messages import Plan
 
 CLOSED_LOOP = ("controller.prediction='closed_loop'", "controller.relaxation='auto'")
-POOR_LINKS = ("links.delay_s=0.06", "links.jitter_s=0.1", "links.loss=0.2", "links.duplicate=0.1", "links.reorder=0.1")
+POOR_LINKS = (
+    "links.delay_s=0.06",
+    "links.jitter_s=0.1",
+    "links.loss=0.2",
+    "links.duplicate=0.1",
+    "links.reorder=0.1",
+)
 TROUBLE = (
     *("clock.on_agent_loss='continue'", "links.measurement.delay_s=0.1"),
     "faults.event=[{at_s=0.2,do='kill',target='agent3'},{at_s=0.5,do='restart',target='agent3'},"
@@ -33,7 +39,9 @@ def flight(*settings: str) -> RunLog:
     return logs.log_of(runs.recorded(runs.setup(runs.SHORT, *settings)))
 
 
-def compared(log: RunLog, agent: int, *settings: str, ignored: Sequence[str] = ()) -> tuple[Replay, Comparison]:
+def compared(
+    log: RunLog, agent: int, *settings: str, ignored: Sequence[str] = ()
+) -> tuple[Replay, Comparison]:
     """Return a complete replay and its comparison, with the settings of the run or others."""
     again, comparison = Replay(runs.setup(runs.SHORT, *settings), log, agent), Comparison()
     for step in again.steps():
@@ -67,10 +75,17 @@ def test_a_lockstep_run_is_reproduced(settings: tuple[str, ...]) -> None:
 
 def test_a_real_time_run_is_reproduced() -> None:
     """In real time the reports tell which plans an agent had, in whatever order they reached the recorder."""
-    settings = ("clock.mode='realtime'", "clock.speed=1.0", "clock.actuation='next_tick'", "links.loss=0.2")
+    settings = (
+        "clock.mode='realtime'",
+        "clock.speed=1.0",
+        "clock.actuation='next_tick'",
+        "links.loss=0.2",
+    )
     log = flight(*settings)
     # The recorder receives all plans of a tick before the other messages of the tick.
-    ordered = sorted(log.messages, key=lambda entry: (entry.message.tick, not isinstance(entry.message, Plan)))
+    ordered = sorted(
+        log.messages, key=lambda entry: (entry.message.tick, not isinstance(entry.message, Plan))
+    )
     for agent in (1, 3):
         log = replace(log, messages=tuple(ordered))
         _, comparison = compared(log, agent, *settings, ignored=UNKNOWN_IN_REAL_TIME)
@@ -85,7 +100,9 @@ def test_one_bit_is_found() -> None:
     inputs = victim.inputs.copy()
     inputs[3, 0] = np.nextafter(inputs[3, 0], np.inf)
     changed = edited(victim, inputs=inputs)
-    log = logs.log_of([changed if entry.message is victim else entry.message for entry in log.messages])
+    log = logs.log_of(
+        [changed if entry.message is victim else entry.message for entry in log.messages]
+    )
     _, comparison = compared(log, 2)
     first = comparison.first
     assert first is not None
@@ -97,7 +114,10 @@ def test_one_bit_is_found() -> None:
 
 
 def test_a_missing_plan_ends_the_replay() -> None:
-    """A missing plan that the agent waited for ends the replay with a note; earlier ticks are compared."""
+    """A missing plan that the agent waited for ends the replay with a note.
+
+    Earlier ticks are compared.
+    """
     log = flight()
     messages = [entry.message for entry in log.messages]
     lost = next(plan for plan in plans(log, 3) if plan.tick == 9)
@@ -153,8 +173,16 @@ def test_command_takes_another_controller(folder: Path) -> None:
     ("arguments", "code", "text"),
     [
         (("--agent", "5"), 2, "expected an agent from 1 to 4"),
-        (("--agent", "1", "--set", "controller.negotiation_iterations=2"), 3, "expected 1 as in the run, got 2"),
-        (("--agent", "1", "--against", "resilient", "--set", "links.loss=0.1"), 2, "a value of the controller"),
+        (
+            ("--agent", "1", "--set", "controller.negotiation_iterations=2"),
+            3,
+            "expected 1 as in the run, got 2",
+        ),
+        (
+            ("--agent", "1", "--against", "resilient", "--set", "links.loss=0.1"),
+            2,
+            "a value of the controller",
+        ),
         (("--agent", "1", "--from", "9", "--to", "3"), 2, "nothing to compare"),
         (("--agent", "1", "--from", "900"), 2, "nothing to compare"),
     ],
@@ -164,3 +192,27 @@ def test_command_refuses(folder: Path, arguments: tuple[str, ...], code: int, te
     result = ask(folder, *arguments)
     assert result.exit_code == code
     assert text in result.output
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.1, 0.2, 0.5, 0.9])
+def test_a_log_cut_anywhere_is_replayed_or_refused(tmp_path: Path, share: float) -> None:
+    """The part that is left is compared; before the first roster nothing is, in one line with exit code 2."""
+    logs.record_run(runs.setup(runs.SHORT), tmp_path)
+    log = tmp_path / "run.mcap"
+    whole = log.read_bytes()
+    log.write_bytes(whole[: int(share * len(whole))])
+    result = CliRunner().invoke(app, ["replay", str(tmp_path), "--agent", "1"])
+    if result.exit_code == 0:
+        return
+    assert result.exit_code == 2
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"transport: {tmp_path}")
+
+
+def test_a_log_without_a_roster_has_nothing_to_compare(tmp_path: Path) -> None:
+    """An agent that no roster admits has no process: one line, exit code 2."""
+    run = runs.setup(runs.SHORT)
+    tick = logs.log_of([runs.tick(0), runs.measurement(run, 1, 0)])
+    again = Replay(run, tick, 1)
+    assert list(again.steps()) == []
+    assert again.notes == ["agent1 is on no roster in the log"]

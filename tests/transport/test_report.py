@@ -9,13 +9,15 @@ import pytest
 from jsonschema import Draft202012Validator
 from rich.console import Console
 
-from protocol.wire.errors import Reason
-from protocol.wire.messages import Message
 from tests.support import runs
 from tests.support.logs import SINGLE_UAV, record_run
+from transport.protocol.wire.errors import Reason
+from transport.protocol.wire.messages import Message
 from transport.report.report import summary_table, write_report
 
-SCHEMA = json.loads(files("transport.analysis").joinpath("summary.schema.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads(
+    files("transport.analysis").joinpath("summary.schema.json").read_text(encoding="utf-8")
+)
 
 # Largest table that fits a terminal.
 MOST_LINES = 18
@@ -50,7 +52,9 @@ def test_the_schema_is_complete() -> None:
 
     def closed(schema: dict[str, Any]) -> bool:
         parts = schema.get("properties", {}).values()
-        return "properties" not in schema or (schema["additionalProperties"] is False and all(map(closed, parts)))
+        return "properties" not in schema or (
+            schema["additionalProperties"] is False and all(map(closed, parts))
+        )
 
     assert closed(SCHEMA)
     assert set(SCHEMA["required"]) == set(SCHEMA["properties"])
@@ -86,7 +90,9 @@ def test_a_run_is_summarised(flight: tuple[Path, list[Message]]) -> None:
     ],
     ids=["one-uav", "centralized", "diverged"],
 )
-def test_other_runs_keep_the_schema(tmp_path: Path, settings: tuple[str, ...], outcome: str) -> None:
+def test_other_runs_keep_the_schema(
+    tmp_path: Path, settings: tuple[str, ...], outcome: str
+) -> None:
     """One UAV, one agent for all, and a run that ends early have summaries of the same schema."""
     run = runs.setup(*settings)
     record_run(run, tmp_path)
@@ -98,7 +104,9 @@ def test_other_runs_keep_the_schema(tmp_path: Path, settings: tuple[str, ...], o
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.999])
-def test_a_cut_log_is_reported(tmp_path: Path, flight: tuple[Path, list[Message]], share: float) -> None:
+def test_a_cut_log_is_reported(
+    tmp_path: Path, flight: tuple[Path, list[Message]], share: float
+) -> None:
     """A log cut anywhere, even at its begin, gives a valid summary that names the cut, and a table."""
     whole = (flight[0] / "run.mcap").read_bytes()
     (tmp_path / "run.mcap").write_bytes(whole[: int(share * len(whole))])
@@ -122,12 +130,20 @@ REJECTIONS = [
     [
         ({"payload_tracking": {"swing_m": 0.5538}}, "max 0.554 m in the last 4 s"),
         ({"messages": {"shared": 9}}, "9 of 120 sent to the other agents (7.5%)"),
-        ({"messages": {"rejected": 9}, "rejections": REJECTIONS}, "9 messages, 4 from agent3 to plant (outside"),
-        ({"outcome": "aborted", "reason": "agent2 [/bold] is gone"}, "agent2 [/bold] is gone"),  # no markup
+        (
+            {"messages": {"rejected": 9}, "rejections": REJECTIONS},
+            "9 messages, 4 from agent3 to plant (outside",
+        ),
+        (
+            {"outcome": "aborted", "reason": "agent2 [/bold] is gone"},
+            "agent2 [/bold] is gone",
+        ),  # no markup
     ],
     ids=["swing", "unshared", "rejected", "markup"],
 )
-def test_the_table_names_what_is_unusual(flight: tuple[Path, list[Message]], change: dict[str, Any], text: str) -> None:
+def test_the_table_names_what_is_unusual(
+    flight: tuple[Path, list[Message]], change: dict[str, Any], text: str
+) -> None:
     """The swing at the end, plans that were not sent, and the most rejected messages are in the table."""
     summary = write_report(flight[0], figures=False)
     assert text not in printed(summary)

@@ -1,10 +1,13 @@
-"""A UAV that has been without its agent for a while is far off its place: its agent's return must not lose the load."""
+"""A UAV that has been without its agent for a while is far off its place.
+
+Its agent's return must not lose the load.
+"""
 
 import numpy as np
 import pytest
 
-from model.state import StateView
 from tests.support.runs import completed, plant_states, ready, ticks
+from transport.model.state import StateView
 
 CONTINUE = "clock.on_agent_loss=continue"
 MANEUVER = (
@@ -16,9 +19,12 @@ MANEUVER = (
 
 @pytest.mark.parametrize("back_s", [3.2, 3.5, 4.0])
 def test_a_late_return_brings_the_team_together(back_s: float) -> None:
-    """Killed in the climb, back in the translation, decimetres off: level again, and no UAV far beyond its limit.
+    """Killed in the climb, back in the translation, decimetres off.
 
-    While its UAV holds itself up the others fly on with a tilted payload; the return itself does not add to that.
+    Level again, and no UAV far beyond its limit.
+
+    While its UAV holds itself up the others fly on with a tilted payload; the return itself does
+    not add to that.
     """
     faults = f"faults.event=[{{at_s=1.0,target='agent2',do='kill'}},{{at_s={back_s},target='agent2',do='restart'}}]"
     run = ready("resilient", MANEUVER, CONTINUE, faults)
@@ -34,6 +40,8 @@ def test_a_late_return_brings_the_team_together(back_s: float) -> None:
 
 def test_a_return_at_the_end_holds_nothing() -> None:
     """A return scripted for the instant at which the run ends neither delays nor breaks that end."""
-    run = ready("resilient", ticks(6), CONTINUE, "faults.event=[{at_s=0.25,do='restart',target='agent2'}]")
+    run = ready(
+        "resilient", ticks(6), CONTINUE, "faults.event=[{at_s=0.25,do='restart',target='agent2'}]"
+    )
     assert max(fault.tick for fault in run.faults) == run.ticks
     completed(run)

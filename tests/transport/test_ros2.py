@@ -8,11 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import transport
-from model.rotations import rotation
-from model.state import StateView
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import PlantState
 from tests.support.commands import transport as command
+from transport.model.rotations import rotation
+from transport.model.state import StateView
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import PlantState
 from transport.scene.scene import SceneBuilder
 
 pytest.importorskip("rosbags", reason="needs the extra ros2")
@@ -31,7 +31,10 @@ HASHES = {
 
 
 def test_the_bag_holds_the_run(tmp_path: Path) -> None:
-    """Every tick has poses, twists, plans, transforms and markers; poses and twists are those of the plant."""
+    """Every tick has poses, twists, plans, transforms and markers.
+
+    Poses and twists are those of the plant.
+    """
     run = transport.fly("resilient", phases=PHASES, progress=False)
     setup = Setup.of(run.scenario.validated, "test")
     bag = tmp_path / "bag.mcap"
@@ -41,20 +44,35 @@ def test_the_bag_holds_the_run(tmp_path: Path) -> None:
     found: dict[str, list[Any]] = {}
     with Reader(bag) as reader:
         for connection, at_ns, raw in reader.messages():
-            found.setdefault(connection.topic, []).append(store.deserialize_cdr(raw, connection.msgtype))
+            found.setdefault(connection.topic, []).append(
+                store.deserialize_cdr(raw, connection.msgtype)
+            )
             assert at_ns % setup.period_ns == 0
     bodies = ["payload", "uav1", "uav2", "uav3", "uav4"]
-    expected = {"/tf", "/markers", "/reference/pose", *(f"/{b}/{what}" for b in bodies for what in ("pose", "twist"))}
-    expected |= {f"/uav{i}/plan" for i in range(1, 5)} | {f"/agent{i}/payload/plan" for i in range(1, 5)}
-    assert {topic: len(messages) for topic, messages in found.items()} == dict.fromkeys(expected, 10)
+    expected = {
+        "/tf",
+        "/markers",
+        "/reference/pose",
+        *(f"/{b}/{what}" for b in bodies for what in ("pose", "twist")),
+    }
+    expected |= {f"/uav{i}/plan" for i in range(1, 5)} | {
+        f"/agent{i}/payload/plan" for i in range(1, 5)
+    }
+    assert {topic: len(messages) for topic, messages in found.items()} == dict.fromkeys(
+        expected, 10
+    )
     for k, pose in enumerate(found["/payload/pose"]):
         at, turn = pose.pose.position, pose.pose.orientation
         assert [at.x, at.y, at.z] == x[k, :3].tolist()
         R = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
         np.testing.assert_allclose(R, rotation(view.Theta0[k]), atol=1e-12)
     # The velocity of a UAV is the slope of its position, to the second order of the period.
-    places = np.array([[getattr(p.pose.position, axis) for axis in "xyz"] for p in found["/uav2/pose"]])
-    speeds = np.array([[getattr(t.twist.linear, axis) for axis in "xyz"] for t in found["/uav2/twist"]])
+    places = np.array(
+        [[getattr(p.pose.position, axis) for axis in "xyz"] for p in found["/uav2/pose"]]
+    )
+    speeds = np.array(
+        [[getattr(t.twist.linear, axis) for axis in "xyz"] for t in found["/uav2/twist"]]
+    )
     np.testing.assert_allclose((places[2:] - places[:-2]) / 0.1, speeds[1:-1], atol=SLOPE_MPS)
     tree = {t.child_frame_id: t.header.frame_id for t in found["/tf"][-1].transforms}
     assert tree["inertial"] == "map"
@@ -81,12 +99,17 @@ def test_what_cannot_be_published_is_refused(tmp_path: Path) -> None:
 def stamped(frame: str, place: tuple[float, float, float]) -> bytes:
     """Return a pose at a place as bytes."""
     header = {"stamp": {"sec": 7, "nanosec": 5}, "frame_id": frame}
-    return cdr(TARGET[1], {"header": header, "pose": {"position": dict(zip("xyz", place, strict=True))}})
+    return cdr(
+        TARGET[1], {"header": header, "pose": {"position": dict(zip("xyz", place, strict=True))}}
+    )
 
 
 @pytest.mark.parametrize("frame", ["", "inertial", "map"])
 def test_a_target_is_read(frame: str) -> None:
-    """A pose of any length of its frame's name is read as rosbags writes it; in map, z points up and y to the left."""
+    """A pose of any length of its frame's name is read as rosbags writes it.
+
+    In map, z points up and y to the left.
+    """
     expected = [1.0, -2.0, 11.0] if frame == "map" else [1.0, 2.0, -11.0]
     assert goal_in(stamped(frame, (1.0, 2.0, -11.0))).tolist() == expected
 

@@ -13,11 +13,11 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from protocol.wire.codec import encode
-from protocol.wire.messages import Message, Tick
 from tests.support import runs
 from transport.log.run_log import LogError, RunLog, read_log
 from transport.log.writer import CHUNK_BYTES, LogWriter
+from transport.protocol.wire.codec import encode
+from transport.protocol.wire.messages import Message, Tick
 
 HEADER = {"run_id": "r1", "scenario": "name = 'x'\n", "versions": "python 3.12", "note": "Ω0"}
 RECEIVED_NS = 1_700_000_000_000_000_000
@@ -58,7 +58,9 @@ def test_a_flight_comes_back_bit_for_bit(tmp_path: Path, flight: list[Message]) 
     """A written run reads back in order, bit for bit, with header and arrival times, and as whole."""
     log = read_log(write(tmp_path / "run.mcap", flight))
     assert read_bits(log) == bits(flight)
-    assert [entry.received_ns for entry in log.messages] == [RECEIVED_NS + 1000 * n for n in range(len(flight))]
+    assert [entry.received_ns for entry in log.messages] == [
+        RECEIVED_NS + 1000 * n for n in range(len(flight))
+    ]
     assert log.header == HEADER
     assert log.cut == ""
 
@@ -71,13 +73,19 @@ def test_other_programs_read_it(tmp_path: Path, flight: list[Message]) -> None:
         summary = reader.get_summary()
         assert summary is not None
         assert summary.statistics is not None
-        per_agent = {f"/{kind}/{agent}" for kind in ("measurement", "plan", "report") for agent in runs.setup().agents}
+        per_agent = {
+            f"/{kind}/{agent}"
+            for kind in ("measurement", "plan", "report")
+            for agent in runs.setup().agents
+        }
         topics = {channel.topic for channel in summary.channels.values()}
         assert topics == {"/tick", "/roster", "/control", "/plant_state"} | per_agent
         in_file = [entry for _, channel, entry in reader.iter_messages(log_time_order=False)]
         assert [entry.data for entry in in_file] == bits(flight)
         assert [entry.sequence for entry in in_file] == [message.sequence for message in flight]
-        assert [entry.log_time for entry in in_file] == [message.tick * 50_000_000 for message in flight]
+        assert [entry.log_time for entry in in_file] == [
+            message.tick * 50_000_000 for message in flight
+        ]
         assert [metadata.name for metadata in reader.iter_metadata()] == ["run"]
 
 
@@ -100,7 +108,9 @@ def test_a_cut_log_gives_what_is_whole(tmp_path: Path, whole: bytes, flight: lis
     assert counts[-1] == len(flight)
 
 
-def test_damage_never_invents_a_message(tmp_path: Path, whole: bytes, flight: list[Message]) -> None:
+def test_damage_never_invents_a_message(
+    tmp_path: Path, whole: bytes, flight: list[Message]
+) -> None:
     """With any byte changed, every message read was written, in order, and missing ones are reported."""
     rng, path, expected = np.random.default_rng(2), tmp_path / "damaged.mcap", bits(flight)
     for offset in rng.integers(8, len(whole), 120).tolist():
@@ -120,7 +130,7 @@ def test_a_killed_recorder_loses_a_chunk_at_most(tmp_path: Path, flight: list[Me
     program = """
 import os, signal, sys
 from pathlib import Path
-from protocol.wire.codec import decode
+from transport.protocol.wire.codec import decode
 from transport.log.writer import LogWriter
 data, at = Path(sys.argv[2]).read_bytes(), 0
 writer = LogWriter(Path(sys.argv[1]), {}, period_ns=50_000_000)

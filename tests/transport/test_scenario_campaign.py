@@ -12,7 +12,9 @@ RUNS = 20
 
 def test_mutated_scenarios_have_no_problem(tmp_path: Path) -> None:
     """Each is refused with a clear line, or simulated."""
-    results = list(execute_all(partial(scenarios.execute, ticks=2), 7, range(RUNS), tmp_path / "campaign"))
+    results = list(
+        execute_all(partial(scenarios.execute, ticks=2), 7, range(RUNS), tmp_path / "campaign")
+    )
     assert [result for result in results if result.problems] == []
     assert {result.outcome for result in results} <= {REFUSED, FLOWN, ENDED}
     assert {result.number for result in results} == set(range(RUNS))

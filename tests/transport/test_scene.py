@@ -1,4 +1,7 @@
-"""The scene of a run: positions, predicted paths, links; and the shapes and colours it is drawn with."""
+"""The scene of a run: positions, predicted paths, links.
+
+And the shapes and colours it is drawn with.
+"""
 
 from pathlib import Path
 
@@ -6,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from model.arrays import Array
 from tests.support import runs
 from tests.support.logs import record_run
+from transport.model.arrays import Array
 from transport.scene.drawing import (
     Drawing,
     Lines,
@@ -17,7 +20,8 @@ from transport.scene.drawing import (
 )
 from transport.scene.scene import RunHistory, SceneBuilder
 
-# One step of order 5 over a sampling period against the plant's five, and rounding of the announced inputs.
+# One step of order 5 over a sampling period against the plant's five, and rounding of the announced
+# inputs.
 STEP_M = 1e-7
 # Largest error of an agent's prediction over half a second, with small changes of the other plans.
 NEAR_M = 1e-2
@@ -26,7 +30,11 @@ DARK = "links.override=[{from='agent2',to='agent1',loss=1.0}]"
 LATE = "links.delay_s=0.2"
 
 
-LAW = ("controller.prediction=closed_loop", "controller.received_plans=by_age", "controller.relaxation=auto")
+LAW = (
+    "controller.prediction=closed_loop",
+    "controller.received_plans=by_age",
+    "controller.relaxation=auto",
+)
 MOTORS = ("plant.motors.lag_s=0.05", "controller.motor_lag_s=0.05")
 
 
@@ -60,7 +68,9 @@ def test_positions_at_hover(distributed: SceneBuilder) -> None:
     """Rods have their lengths, thrust balances the weight, UAVs and payload are at their references."""
     setup, scene = distributed.setup, distributed.at(0)
     lengths = np.linalg.norm(scene.uavs_I - scene.attachments_I, axis=1)
-    np.testing.assert_allclose(lengths, [uav.rod_length for uav in setup.system.uavs], atol=ROUNDING)
+    np.testing.assert_allclose(
+        lengths, [uav.rod_length for uav in setup.system.uavs], atol=ROUNDING
+    )
     weight = setup.system.total_mass * setup.system.gravity
     np.testing.assert_allclose(scene.thrusts_I.sum(axis=0), [0.0, 0.0, -weight], atol=1e-2 * weight)
     reference = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N]
@@ -88,14 +98,18 @@ def test_agents_predict_half_a_second(motors: str, request: pytest.FixtureReques
     assert [prediction.agent for prediction in before.predictions] == [1, 2, 3, 4]
     assert np.linalg.norm(after.uavs_I - before.uavs_I, axis=1).min() > 10.0 * NEAR_M
     for prediction in before.predictions:
-        np.testing.assert_allclose(prediction.uavs_I[10, 0], after.uavs_I[prediction.agent - 1], atol=NEAR_M)
+        np.testing.assert_allclose(
+            prediction.uavs_I[10, 0], after.uavs_I[prediction.agent - 1], atol=NEAR_M
+        )
 
 
 def test_links_show_the_age(distributed: SceneBuilder) -> None:
     """The link with 100 % loss never delivered a plan; plans of the others are as old as the delay."""
     period_s = distributed.setup.settings.sampling_period_s
     for sender, receiver, age_s in distributed.at(25).links:
-        assert age_s is None if (sender, receiver) == (2, 1) else age_s == pytest.approx(4 * period_s)
+        assert (
+            age_s is None if (sender, receiver) == (2, 1) else age_s == pytest.approx(4 * period_s)
+        )
 
 
 def test_bodies_are_solid(distributed: SceneBuilder) -> None:
@@ -105,10 +119,15 @@ def test_bodies_are_solid(distributed: SceneBuilder) -> None:
     assert len(meshes) == 2 + 7 * system.N
     for mesh in meshes:
         a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-        volume = float(np.einsum("ij,ij->", a - mesh.vertices.mean(axis=0), np.cross(b - a, c - a))) / 6.0
+        volume = (
+            float(np.einsum("ij,ij->", a - mesh.vertices.mean(axis=0), np.cross(b - a, c - a)))
+            / 6.0
+        )
         assert volume == pytest.approx(ConvexHull(mesh.vertices).volume)
     equations = ConvexHull(payload_points(system)).equations
-    assert all((equations[:, :3] @ uav.rho + equations[:, 3] < ROUNDING).all() for uav in system.uavs)
+    assert all(
+        (equations[:, :3] @ uav.rho + equations[:, 3] < ROUNDING).all() for uav in system.uavs
+    )
 
 
 @pytest.mark.parametrize("tick", [0, 20])
@@ -121,14 +140,20 @@ def test_parts_are_where_the_scene_is(distributed: SceneBuilder, tick: int) -> N
         position, R = poses[lines.frame]
         return np.asarray(lines.segments @ R.T + position)
 
-    rods = [placed(part)[0] for part in drawing.fixed if isinstance(part, Lines) and part.name == "rod"]
+    rods = [
+        placed(part)[0] for part in drawing.fixed if isinstance(part, Lines) and part.name == "rod"
+    ]
     ends = np.stack([scene.attachments_I, scene.uavs_I], axis=1)
     np.testing.assert_allclose(np.array(rods), ends, atol=ROUNDING)
     moving = {lines.name: placed(lines) for lines in (*drawing.moving(scene), drawing.flown(scene))}
     horizon = distributed.setup.settings.horizon
     np.testing.assert_allclose(moving["predicted UAVs"][::horizon, 0], scene.uavs_I, atol=ROUNDING)
-    np.testing.assert_allclose(moving["predicted payload"][::horizon, 0], [scene.payload_I] * 4, atol=ROUNDING)
+    np.testing.assert_allclose(
+        moving["predicted payload"][::horizon, 0], [scene.payload_I] * 4, atol=ROUNDING
+    )
     np.testing.assert_allclose(moving["thrust"][::5, 0], scene.uavs_I, atol=ROUNDING)
     if tick:
         flown_I = moving["actual paths"].reshape(-1, 3)
-        assert all(np.linalg.norm(flown_I - place_I, axis=1).min() < ROUNDING for place_I in scene.uavs_I)
+        assert all(
+            np.linalg.norm(flown_I - place_I, axis=1).min() < ROUNDING for place_I in scene.uavs_I
+        )

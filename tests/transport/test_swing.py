@@ -4,13 +4,13 @@ import math
 
 import pytest
 
-from model import state
-from model.arrays import Array
-from protocol.wire.messages import PlantState
 from tests.support import runs
 from tests.support.logs import log_of, plant_state
 from transport.analysis.metrics import summarise
 from transport.analysis.series import series_of, swing_of
+from transport.model import state
+from transport.model.arrays import Array
+from transport.protocol.wire.messages import PlantState
 
 HOLD = "maneuver.phase=[{name='hover',duration_s=6.0,displacement_m=[0,0,0]}]"
 TICKS = 120
@@ -18,7 +18,10 @@ OMEGA = math.sqrt(9.81 / 3.2)  # pendulum of the paper's rods, rad/s
 
 
 def test_the_swing_is_that_of_the_end() -> None:
-    """A swing of 0.3 m about an offset is measured in the last 4 s only; without a tick there is none."""
+    """A swing of 0.3 m about an offset is measured in the last 4 s only.
+
+    Without a tick there is none.
+    """
     run = runs.setup(HOLD)
 
     def at(k: int) -> PlantState:

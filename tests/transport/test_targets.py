@@ -6,14 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model.state import R0
-from mpc.controller import Controller
-from protocol.scenario.errors import RequestError, ScenarioError, requested
-from protocol.scenario.schema import TargetSection
-from protocol.scenario.setup import Setup
-from protocol.scenario.targets import headed, planned, with_targets
-from protocol.wire.messages import Measurement, Message, Request, Roster, Target
-from protocol.wire.node import Outbox
 from tests.coordinator.test_requests import answer_to
 from tests.support import logs, runs
 from tests.support.coordinator_clock import CONTINUE, answers, gone, ready, started, tell
@@ -21,12 +13,22 @@ from tests.support.nodes import CoordinatorNode
 from transport.analysis.metrics import SETTLED_S, summarise
 from transport.analysis.replay import Comparison, Replay
 from transport.log.run_log import RunLog
+from transport.model.state import R0
+from transport.mpc.controller import Controller
+from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
+from transport.protocol.scenario.schema import TargetSection
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.targets import planned
+from transport.protocol.wire.messages import Measurement, Message, Request, Roster, Target
+from transport.protocol.wire.node import Outbox
 
 REACHED_M = 0.05
 HOVER = "maneuver.phase=[{name='hover',duration_s=%g,displacement_m=[0,0,0]}]"
 FLAT = ("maneuver.reference=flat", "controller.limits.moments_Nm=[1.0,1.0,0.5]")
 PLACES = ((0.5, "0.4,0,-10"), (2.0, "0,0.4,-10.2"), (7.1, "0,0,-10"))
-THREE = f"maneuver.target=[{','.join(f'{{at_s={at},points_m=[[{place}]]}}' for at, place in PLACES)}]"
+THREE = (
+    f"maneuver.target=[{','.join(f'{{at_s={at},points_m=[[{place}]]}}' for at, place in PLACES)}]"
+)
 POOR = (
     *("links.delay_s=0.2", "links.loss=0.3", "clock.on_agent_loss='continue'"),
     "faults.event=[{at_s=1.0,do='kill',target='agent3'},{at_s=3.0,do='restart',target='agent3'}]",
@@ -41,18 +43,25 @@ def flown(name: str, *settings: str) -> RunLog:
 
 def message(run: Any, tick: int, number: int = 1, **given: Any) -> Target:
     """Return the coordinator's message for a target."""
-    return Outbox("coordinator", 0).stamp(Target, number=number, **planned(run, requested(TargetSection, given), tick))
+    return Outbox("coordinator", 0).stamp(
+        Target, number=number, **planned(run, requested(TargetSection, given), tick)
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("extra", [(), POOR])
 def test_the_payload_arrives_and_the_run_replays(extra: tuple[str, ...]) -> None:
-    """The second target replaces the first on its way; the payload is at it and the third; replays have equal bits."""
+    """The second target replaces the first on its way.
+
+    The payload is at it and the third; replays have equal bits.
+    """
     settings = (HOVER % 12.5, THREE, *extra)
     run, log = runs.ready("precise", *settings), flown("precise", *settings)
     first, second, third = summarise(run, log)["targets"]
     assert first["error_m"] is None
-    assert second["arrives_s"] < third["t_s"] == 7.1 < second["arrives_s"] + SETTLED_S  # and counts at that moment
+    assert (
+        second["arrives_s"] < third["t_s"] == 7.1 < second["arrives_s"] + SETTLED_S
+    )  # and counts at that moment
     assert third["arrives_s"] < 12.4 < third["arrives_s"] + SETTLED_S  # as this at the end
     assert max(second["error_m"], third["error_m"]) < REACHED_M
     for agent in (1, 3):
@@ -83,22 +92,24 @@ def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
     """Control law and reference are bit for bit the old ones before a target, those of the whole path after it."""
     run = runs.ready(name, HOVER % 9.0, "maneuver.profile=smooth")
     owned = list(range(run.system.N))
-    controller = Controller(run.model, run.hover, run.settings, owned, run.X_ref, run.track)
+    controller = Controller(run.model, run.hover, run.settings, owned, run.reference.sampled)
     x, c = run.X_ref[40] + 1e-3, np.zeros((10, run.system.m))
     law = controller.law(x, run.X_ref[30:40], c, None, 30)
-    led = headed(run, message(run, 40, points_m=[[0.5, 0.0, -10.0]]))
-    assert led.ahead is not None
-    controller.regulation.head(led.X_ref, led.ahead)
+    led = run.after([message(run, 40, points_m=[[0.5, 0.0, -10.0]])])
+    controller.regulation.follow(led.reference.sampled)
     again = controller.law(x, led.X_ref[30:40], c, None, 30)
     assert (led.X_ref[:40] == run.X_ref[:40]).all()
     assert law is not None
     assert again is not None
     assert (again.uncorrected == law.uncorrected).all()
     # A controller that knows the path from its start has the same law after the target.
-    whole = with_targets(Setup.of(run.scenario, name), [message(run, 40, points_m=[[0.5, 0.0, -10.0]])])
-    other = Controller(whole.model, whole.hover, whole.settings, owned, whole.X_ref, whole.track)
+    target = message(run, 40, points_m=[[0.5, 0.0, -10.0]])
+    whole = Setup.of(run.scenario, name).after([target])
+    other = Controller(whole.model, whole.hover, whole.settings, owned, whole.reference.sampled)
     for start in (40, 60, 100, 150):
-        laws = [of.law(x, led.X_ref[start : start + 10], c, None, start) for of in (controller, other)]
+        laws = [
+            of.law(x, led.X_ref[start : start + 10], c, None, start) for of in (controller, other)
+        ]
         assert all(law is not None for law in laws)
         assert np.allclose(laws[0].uncorrected, laws[1].uncorrected, rtol=0.0, atol=1e-9)  # type: ignore[union-attr]
 
@@ -113,9 +124,15 @@ def test_the_law_before_a_target_stays_and_is_new_after_it(name: str) -> None:
         ({"points_m": [[0.0, 0.0, -9.0]], "speed_mps": -1.0}, "speed_mps"),
         ({"points_m": [[3.0, 0.0, 2.0]]}, "expected z (down) of at most 0 m, got 2"),
         ({"points_m": [[200.0, 0.0, -9.0]]}, "expected a target before the end of the run"),
-        ({"points_m": [[0, 0, -9.0], [0, 0, -9.0]]}, "expected each way point away from the one before"),
+        (
+            {"points_m": [[0, 0, -9.0], [0, 0, -9.0]]},
+            "expected each way point away from the one before",
+        ),
         ({"points_m": [[0, 0, -9.0], [1, 0, -9.0]], "times_s": [0.0, 0.5]}, "feasible in"),
-        ({"points_m": [[0, 0, -9.0], [1, 0, -9.0], [1, 1, -9]], "speed_mps": 20.0}, "times the time"),
+        (
+            {"points_m": [[0, 0, -9.0], [1, 0, -9.0], [1, 1, -9]], "speed_mps": 20.0},
+            "times the time",
+        ),
         ({"points_m": [[0, 0, -9.0]], "times_s": [0.0, 0.5]}, "times_s: expected 1 rising times"),
     ],
 )
@@ -130,9 +147,15 @@ def test_what_cannot_be_flown_is_refused(given: dict[str, Any], problem: str) ->
 
 
 def test_a_target_on_the_ground_or_below_it_is_refused() -> None:
-    """No target while the payload takes off, and none below the ground; a scenario with one is refused as a whole."""
+    """No target while the payload takes off, and none below the ground.
+
+    A scenario with one is refused as a whole.
+    """
     run = runs.ready("delivery")
-    for tick, point, problem in ((2, [0.0, 0.0, -3.0], "in flight"), (160, [0.0, 0.0, 5.0], r"z \(down\) of at most")):
+    for tick, point, problem in (
+        (2, [0.0, 0.0, -3.0], "in flight"),
+        (160, [0.0, 0.0, 5.0], r"z \(down\) of at most"),
+    ):
         with pytest.raises(RequestError, match=problem):
             planned(run, requested(TargetSection, {"points_m": [point]}), tick)
     with pytest.raises(ScenarioError, match=r"maneuver\.target.*before the end of the run"):

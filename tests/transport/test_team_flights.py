@@ -3,17 +3,22 @@
 import numpy as np
 import pytest
 
-from protocol.scenario.file import read_scenario
-from protocol.scenario.setup import Setup
-from protocol.scenario.team import resized
-from protocol.wire.messages import StepReport
 from tests.support.logs import log_of
 from tests.support.runs import SCENARIOS, completed
 from transport.analysis.series import series_of
 from transport.flight.memory import simulate
+from transport.protocol.scenario.file import read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.team import resized
+from transport.protocol.wire.messages import StepReport
 
 # Half the ways of the paper's maneuver, at its speeds.
-WAYS = (("hover", 1.0, 0, 0), ("climb", 2.5, 0, -1.25), ("translate", 2.5, 1.25, 0), ("descend", 2.5, 0, 1.25))
+WAYS = (
+    ("hover", 1.0, 0, 0),
+    ("climb", 2.5, 0, -1.25),
+    ("translate", 2.5, 1.25, 0),
+    ("descend", 2.5, 0, 1.25),
+)
 HALF = "maneuver.phase=[{}]".format(
     ",".join(
         f"{{name='{name}',duration_s={duration_s},displacement_m=[{x},0,{z}]}}"
@@ -38,16 +43,21 @@ def test_eight_complete_the_maneuver() -> None:
     reports = [message for message in messages if isinstance(message, StepReport)]
     assert {report.status for report in reports} == {"solved"}
     assert max(report.plan_ages[0] for report in reports) == 2
-    # The four are held to 2.5 deg and 0.4 m (test_processes.py); measured here: at most 0.4 deg, and 0.499 m.
+    # The four are held to 2.5 deg and 0.4 m (test_processes.py); measured here: at most 0.4 deg,
+    # and 0.499 m.
     assert series.attitude_max_deg.max() < 1.0
     assert series.separation_m.min() > 0.45
-    # The cost is a sum over the UAVs: for each it stays that of one of the four of `resilient` on this path, 0.00148.
+    # The cost is a sum over the UAVs: for each it stays that of one of the four of `resilient` on
+    # this path, 0.00148.
     assert series.cost.mean() / 8 < 1.6e-3
     assert np.linalg.norm(series.payload_error_I, axis=1).max() < 0.7
 
 
 @pytest.mark.slow
 def test_the_papers_settings_do_not_carry_over() -> None:
-    """Why teams are made from `resilient`: eight agents that each correct the whole error lose the load."""
+    """Why teams are made from `resilient`.
+
+    Eight agents that each correct the whole error lose the load.
+    """
     control = simulate(team(8, "paper"))
     assert control.outcome == "diverged"

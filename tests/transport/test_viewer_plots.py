@@ -1,4 +1,7 @@
-"""Plots, camera and pace of the viewer, without a browser: a live page is neither behind nor without axes."""
+"""Plots, camera and pace of the viewer, without a browser.
+
+A live page is neither behind nor without axes.
+"""
 
 import os
 import time
@@ -80,7 +83,10 @@ def shown(viewer: Viewer) -> int:
 
 
 def test_a_slow_page_skips_frames(live: Viewer) -> None:
-    """No frame is sent until the page has told that it shows the last one; then comes the newest, not the next."""
+    """No frame is sent until the page has told that it shows the last one.
+
+    Then comes the newest, not the next.
+    """
     with connected_pages(live.address, 1) as (page,):
         assert wait_for(lambda: shown(live) == LAST)
         live.playback.seek(3)
@@ -89,7 +95,9 @@ def test_a_slow_page_skips_frames(live: Viewer) -> None:
         receipt = b""
         while not receipt:
             data = page.messages()
-            receipt = data[data.find(b"/shown/") :].partition(b'"')[0] if b"/shown/" in data else b""
+            receipt = (
+                data[data.find(b"/shown/") :].partition(b'"')[0] if b"/shown/" in data else b""
+            )
         path = f"{live.address}{receipt.decode()}"
         with urllib.request.urlopen(path, timeout=PATIENCE_S) as answer:  # noqa: S310  # loopback
             assert answer.status == 204
@@ -116,11 +124,19 @@ def test_the_camera_follows_the_team(live: Viewer, builder: SceneBuilder) -> Non
             live.view3d.show(builder.at(tick))
             if tick == 0:
                 live.view3d.look_at(team=True)
-            places.append((client.camera.position - builder.at(tick).uavs_I.mean(axis=0), client.camera.look_at))
+            places.append(
+                (
+                    client.camera.position - builder.at(tick).uavs_I.mean(axis=0),
+                    client.camera.look_at,
+                )
+            )
         np.testing.assert_allclose(places[0][0], places[1][0], atol=NEAR_M)
         assert np.linalg.norm(places[1][1] - places[0][1]) > 0.1
         with client.atomic():  # as a page that is turned
-            client.camera.position, client.camera.look_at = client.camera.position + 1.0, client.camera.look_at
+            client.camera.position, client.camera.look_at = (
+                client.camera.position + 1.0,
+                client.camera.look_at,
+            )
         for tick, stays in ((0, True), (LAST, False)):
             before = client.camera.position.copy()
             live.view3d.show(builder.at(tick))

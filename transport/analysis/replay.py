@@ -1,7 +1,10 @@
-"""Replay of one agent: a node like the recorded one gets the recorded messages; its answers are compared with theirs.
+"""Replay of one agent: a node like the recorded one gets the recorded messages.
 
-A log has the order of the recorder, which in lockstep does not matter: each message is delivered when a measurement
-needs it. In real time each report states the age of the newest state of every other agent, and plans of one sender keep
+Its answers are compared with theirs.
+
+A log has the order of the recorder, which in lockstep does not matter: each message is delivered
+when a measurement needs it. In real time each report states the age of the newest state of every
+other agent, and plans of one sender keep
 their order: together they tell which plans the agent had.
 """
 
@@ -13,12 +16,14 @@ from typing import NamedTuple
 import numpy as np
 import threadpoolctl
 
-from agent.node import AgentNode
-from agent.own import checked_controller
-from model.state import INPUTS
-from protocol.scenario.setup import Setup
-from protocol.wire.errors import MessageError
-from protocol.wire.messages import (
+from transport.agent.node import AgentNode
+from transport.agent.own import checked_controller
+from transport.log.run_log import RunLog
+from transport.log.tables import INPUT_NAMES
+from transport.model.state import INPUTS
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.messages import (
     FaultNote,
     LinkChange,
     Measurement,
@@ -29,10 +34,9 @@ from protocol.wire.messages import (
     Target,
     agent_name,
 )
-from transport.log.run_log import RunLog
-from transport.log.tables import INPUT_NAMES
 
-# Arrival time of plans in real time, ns: so early that no delay applies to a plan that is known to have been there.
+# Arrival time of plans in real time, ns: so early that no delay applies to a plan that is known to
+# have been there.
 _LONG_AGO_NS = -(2**80)
 
 # Fields that identify a message or depend on the wall clock.
@@ -45,8 +49,12 @@ class Step(NamedTuple):
     """One tick of the agent."""
 
     tick: int
-    answers: tuple[Answer, ...]  # plans of the replayed node, the last one with negotiation 0, then its report
-    recorded: tuple[Answer | None, ...]  # the recorded message for each of them; None if the log has none
+    answers: tuple[
+        Answer, ...
+    ]  # plans of the replayed node, the last one with negotiation 0, then its report
+    recorded: tuple[
+        Answer | None, ...
+    ]  # the recorded message for each of them; None if the log has none
 
 
 class _Process(NamedTuple):
@@ -61,8 +69,8 @@ class _Process(NamedTuple):
 class Replay:
     """Replay of one agent, 1-based, of a run, or of the same run with another controller.
 
-    `before_measurement` is called with the node and each measurement before the node receives it. `notes` has sentences
-    about what could not be replayed.
+    `before_measurement` is called with the node and each measurement before the node receives it.
+    `notes` has sentences about what could not be replayed.
     """
 
     def __init__(
@@ -70,9 +78,16 @@ class Replay:
         setup: Setup,
         log: RunLog,
         agent: int,
-        before_measurement: Callable[[AgentNode, Measurement], None] = lambda _node, _measurement: None,
+        before_measurement: Callable[[AgentNode, Measurement], None] = lambda _node, _measurement: (
+            None
+        ),
     ) -> None:
-        self.setup, self.log, self.agent, self.before_measurement = setup, log, agent, before_measurement
+        self.setup, self.log, self.agent, self.before_measurement = (
+            setup,
+            log,
+            agent,
+            before_measurement,
+        )
         self.notes: list[str] = []
 
     def steps(self) -> Iterator[Step]:
@@ -89,7 +104,9 @@ class Replay:
         with threadpoolctl.threadpool_limits(1):  # as in every process of a run, for the same bits
             for process in processes:
                 answers: list[Answer] = []
-                for message in feed(AgentNode(self.setup, self.agent, process.incarnation), process):
+                for message in feed(
+                    AgentNode(self.setup, self.agent, process.incarnation), process
+                ):
                     if isinstance(message, Plan | StepReport):
                         answers.append(message)
                     if isinstance(message, StepReport):  # ends a tick
@@ -111,8 +128,13 @@ class Replay:
         answered = True
         for message in _in_order_of_need(self._received(process), measurements):
             if isinstance(message, Measurement):
-                # An agent off the roster gets no measurements; the first one after that names another roster.
-                follows = before is None or message.roster != before.roster or message.tick == before.tick + 1
+                # An agent off the roster gets no measurements; the first one after that names
+                # another roster.
+                follows = (
+                    before is None
+                    or message.roster != before.roster
+                    or message.tick == before.tick + 1
+                )
                 if not (answered and follows):
                     tick = message.tick if answered or before is None else before.tick
                     why = f"the log lacks a measurement of agent{self.agent}, or plans of the previous tick"
@@ -126,11 +148,15 @@ class Replay:
 
     def _realtime(self, node: AgentNode, process: _Process) -> Iterator[Message]:
         """Feed one process the messages that its reports say it had, and yield its messages."""
-        reports = {report.tick: report for report in self.log.of(StepReport) if report.agent == self.agent}
+        reports = {
+            report.tick: report for report in self.log.of(StepReport) if report.agent == self.agent
+        }
         arrived_ns = {id(entry.message): entry.received_ns for entry in self.log.messages}
         received = self._received(process)
         plans = [message for message in received if isinstance(message, Plan)]
-        changes = [message for message in received if not isinstance(message, Plan)]  # of roster, links and target
+        changes = [
+            message for message in received if not isinstance(message, Plan)
+        ]  # of roster, links and target
         for measurement in self._measurements(process):
             # Changes up to the next roster count together with it.
             while (roster := next((c for c in changes if isinstance(c, Roster)), None)) is not None:
@@ -154,7 +180,9 @@ class Replay:
                 yield from node.poll(now_ns)
 
     def _measurements(self, process: _Process) -> list[Measurement]:
-        found = (m for m in self.log.of(Measurement) if m.agent == self.agent and m.tick in process.ticks)
+        found = (
+            m for m in self.log.of(Measurement) if m.agent == self.agent and m.tick in process.ticks
+        )
         return sorted(found, key=lambda m: m.tick)
 
     def _received(self, process: _Process) -> list[Message]:
@@ -164,10 +192,16 @@ class Replay:
         def concerns(message: Message) -> bool:
             match message:
                 case Roster(version=version):
-                    return admitted.version <= version and (replaced is None or version < replaced.version)
-                case LinkChange(sequence=sequence, tick=tick) | Target(sequence=sequence, tick=tick):
+                    return admitted.version <= version and (
+                        replaced is None or version < replaced.version
+                    )
+                case (
+                    LinkChange(sequence=sequence, tick=tick) | Target(sequence=sequence, tick=tick)
+                ):
                     # Earlier changes are sent again ahead of the roster that admits the process.
-                    return replaced is None or sequence <= admitted.sequence or tick <= replaced.tick
+                    return (
+                        replaced is None or sequence <= admitted.sequence or tick <= replaced.tick
+                    )
                 case Plan(agent=agent, tick=tick, shared=shared):
                     return agent != self.agent and shared and tick in process.ticks
             return False
@@ -186,11 +220,17 @@ def _processes(setup: Setup, log: RunLog, agent: int) -> list[_Process]:
             last, since = starts[-1]
             if incarnation == last:
                 continue
-            if incarnation == last + 1 and _continued(setup, log, agent_name(agent), since.tick, roster.tick):
+            if incarnation == last + 1 and _continued(
+                setup, log, agent_name(agent), since.tick, roster.tick
+            ):
                 continue
         starts.append((incarnation, roster))
+    if not starts:
+        return []
     found = []
-    for (incarnation, roster), replaced in zip(starts, [*(roster for _, roster in starts[1:]), None], strict=True):
+    for (incarnation, roster), replaced in zip(
+        starts, [*(roster for _, roster in starts[1:]), None], strict=True
+    ):
         ticks = range(roster.tick, setup.ticks if replaced is None else replaced.tick)
         found.append(_Process(incarnation, roster, replaced, ticks))
     return found
@@ -198,15 +238,25 @@ def _processes(setup: Setup, log: RunLog, agent: int) -> list[_Process]:
 
 def _continued(setup: Setup, log: RunLog, name: str, since: int, until: int) -> bool:
     """Return whether an agent that rejoined is the same process, which noticed that it was off the roster."""
-    notes = [note.what for note in log.of(FaultNote) if note.target == name and since <= note.tick <= until]
+    notes = [
+        note.what
+        for note in log.of(FaultNote)
+        if note.target == name and since <= note.tick <= until
+    ]
     if notes:
         return notes[-1] == "continued"
-    # An in-memory run records no notes, and has a new node for every agent that rejoins after a fault.
+    # An in-memory run records no notes, and has a new node for every agent that rejoins after a
+    # fault.
     return not any(fault.target == name and since < fault.tick <= until for fault in setup.faults)
 
 
-def _in_order_of_need(received: Sequence[Message], measurements: Sequence[Measurement]) -> list[Message]:
-    """Return all messages sorted by the tick that needs them; within a tick the order of the log, measurement last."""
+def _in_order_of_need(
+    received: Sequence[Message], measurements: Sequence[Measurement]
+) -> list[Message]:
+    """Return all messages sorted by the tick that needs them.
+
+    Within a tick the order of the log, measurement last.
+    """
     last = measurements[-1].tick if measurements else -1
     order: list[tuple[int, int, int, Message]] = []
     pending: list[int] = []  # changes of links and targets, which belong to the next roster
@@ -216,8 +266,11 @@ def _in_order_of_need(received: Sequence[Message], measurements: Sequence[Measur
             continue
         tick = message.tick + 1
         if isinstance(message, Roster):
-            # Needed by the first measurement that names it or a later one, at the latest by the tick after its own.
-            tick = min(tick, next((m.tick for m in measurements if m.roster >= message.version), last + 1))
+            # Needed by the first measurement that names it or a later one, at the latest by the
+            # tick after its own.
+            tick = min(
+                tick, next((m.tick for m in measurements if m.roster >= message.version), last + 1)
+            )
             order += [(tick, 0, j, received[j]) for j in pending]
             pending.clear()
         order.append((tick, 0, i, message))
@@ -258,10 +311,14 @@ class Comparison:
     ticks: list[int] = field(default_factory=list)  # compared, in order
     plans: int = 0  # number of plans compared
     identical: int = 0  # number of plans that are equal bit for bit
-    unrecorded: list[int] = field(default_factory=list)  # ticks with an answer of the node but not in the log
-    by_field: dict[str, list[Difference]] = field(default_factory=dict)  # in the order they first differ
-    # For each tick compared: tick, largest difference of thrust (N) and of moments or rates (SI) of the plan's first
-    # step, then of all its steps.
+    unrecorded: list[int] = field(
+        default_factory=list
+    )  # ticks with an answer of the node but not in the log
+    by_field: dict[str, list[Difference]] = field(
+        default_factory=dict
+    )  # in the order they first differ
+    # For each tick compared: tick, largest difference of thrust (N) and of moments or rates (SI) of
+    # the plan's first step, then of all its steps.
     rows: list[tuple[int, float, float, float, float]] = field(default_factory=list)
     commands: tuple[str, ...] = INPUT_NAMES  # names of the inputs in plans
 
@@ -276,14 +333,19 @@ class Comparison:
         return next((tick for tick, *apart in self.rows if max(apart) > size), None)
 
     def add(self, step: Step, *, ignored: Iterable[str] = ()) -> None:
-        """Compare the replayed and recorded messages of one tick, except for ignored fields, e.g. report.lost."""
+        """Compare the replayed and recorded messages of one tick, except for ignored fields, e.g.
+
+        Report.lost.
+        """
         there = [recorded for recorded in step.recorded if recorded is not None]
         if len(there) < len(step.answers):
             self.unrecorded.append(step.tick)
             return
         self.ticks.append(step.tick)
         for answer, recorded in zip(step.answers, there, strict=True):
-            found = [d for d in differences(answer, recorded, self.commands) if d.field not in ignored]
+            found = [
+                d for d in differences(answer, recorded, self.commands) if d.field not in ignored
+            ]
             if isinstance(answer, Plan):
                 self.plans += 1
                 self.identical += not found
@@ -293,7 +355,9 @@ class Comparison:
                 self.rows.append((step.tick, *_inputs_apart(answer, recorded)))
 
 
-def differences(answer: Answer, recorded: Answer, commands: tuple[str, ...] = INPUT_NAMES) -> Iterator[Difference]:
+def differences(
+    answer: Answer, recorded: Answer, commands: tuple[str, ...] = INPUT_NAMES
+) -> Iterator[Difference]:
     """Yield the fields in which two messages of one kind differ by at least a bit; 0 and -0 do."""
     negotiation = answer.negotiation if isinstance(answer, Plan) else 0
     for name in (name for name in answer.__struct_fields__ if name not in _NOT_COMPARED):
@@ -307,8 +371,13 @@ def differences(answer: Answer, recorded: Answer, commands: tuple[str, ...] = IN
             where, size = _entry(answer, name, [int(i) for i in at], commands), float(apart[at])
             got, expected = got[at], expected[at]
         elif got.ndim:
-            got, expected = np.asarray(f"{len(got)} entries"), np.asarray(f"{len(expected)} entries")
-        yield Difference(answer.tick, answer.kind, negotiation, name, where, str(got), str(expected), size)
+            got, expected = (
+                np.asarray(f"{len(got)} entries"),
+                np.asarray(f"{len(expected)} entries"),
+            )
+        yield Difference(
+            answer.tick, answer.kind, negotiation, name, where, str(got), str(expected), size
+        )
 
 
 def _entry(message: Answer, name: str, at: list[int], commands: tuple[str, ...]) -> str:
@@ -319,7 +388,10 @@ def _entry(message: Answer, name: str, at: list[int], commands: tuple[str, ...])
 
 
 def _inputs_apart(plan: Plan, recorded: Plan) -> tuple[float, float, float, float]:
-    """Return the largest difference of thrust and of the other inputs: at the first step, then over the horizon."""
+    """Return the largest difference of thrust and of the other inputs.
+
+    At the first step, then over the horizon.
+    """
     steps = min(len(plan.inputs), len(recorded.inputs))
     apart = np.abs(plan.inputs[:steps] - recorded.inputs[:steps]).reshape(steps, -1, INPUTS)
     thrust, moments = apart[:, :, 0].max(axis=1), apart[:, :, 1:].max(axis=(1, 2))

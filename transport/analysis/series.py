@@ -1,4 +1,7 @@
-"""Time series of a run, the basis of every metric and figure; the swing at its end; estimates; its step table."""
+"""Time series of a run, the basis of every metric and figure.
+
+The swing at its end; estimates; its step table.
+"""
 
 import math
 from collections.abc import Iterator
@@ -8,17 +11,25 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from agent.kalman import TOLD, understood
-from model import state
-from model.arrays import Array
-from model.obstacles import clearances
-from model.rotations import rotation
-from protocol.scenario.faults import failures
-from protocol.scenario.setup import Setup
-from protocol.scenario.stage_cost import StageCost
-from protocol.scenario.targets import with_targets
-from protocol.wire.messages import STAGES, Note, Plan, PlantState, Roster, StepReport, Target, Tick
+from transport.agent.estimation.payload_pose import NAMES, poses
 from transport.log.run_log import Recorded, RunLog
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.obstacles import clearances
+from transport.model.rotations import rotation
+from transport.protocol.scenario.faults import failures
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.stage_cost import StageCost
+from transport.protocol.wire.messages import (
+    STAGES,
+    Note,
+    Plan,
+    PlantState,
+    Roster,
+    StepReport,
+    Target,
+    Tick,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +49,9 @@ class Series:
     cost: Array  # stage cost, docs/equations.md (21), (T,); of the remaining team after a UAV failure, see `StageCost`
     attitude_deg: Array  # payload roll, pitch, yaw, (T, 3)
     on_rods: npt.NDArray[np.bool_]  # whether a UAV has not been released, (T, N)
-    separation_m: Array  # smallest distance between two UAVs on their rods, (T,); infinite for one UAV
+    separation_m: (
+        Array  # smallest distance between two UAVs on their rods, (T,); infinite for one UAV
+    )
     clearance_m: Array  # smallest distances of UAVs on their rods, rods, payload from obstacles, (T, 3); or infinite
     violation: Array  # largest constraint violation relative to the constraint's range, (T,); see `_violation`
     local_error: Array  # largest local error estimate of the plant's integration where it is known, (<= T,), SI
@@ -56,7 +69,10 @@ class Series:
 
     @property
     def uav_errors_I(self) -> Array:
-        """UAV positions minus their references, (T, N, 3), inertial frame, m; NaN for released UAVs."""
+        """UAV positions minus their references, (T, N, 3), inertial frame, m.
+
+        NaN for released UAVs.
+        """
         return np.where(self.on_rods[:, :, None], self.uavs_I - self.uav_references_I, np.nan)
 
     @property
@@ -66,9 +82,14 @@ class Series:
 
 
 def series_of(setup: Setup, log: RunLog) -> Series:
-    """Return the series of a run from its recorded plant states; those of another number of UAVs are left out."""
-    setup = with_targets(setup, log.of(Target))
-    plant_states = {entry.tick: entry for entry in log.of(PlantState) if entry.x.shape == setup.hover.x.shape}
+    """Return the series of a run from its recorded plant states.
+
+    Those of another number of UAVs are left out.
+    """
+    setup = setup.after(log.of(Target))
+    plant_states = {
+        entry.tick: entry for entry in log.of(PlantState) if entry.x.shape == setup.hover.x.shape
+    }
     ticks = np.array(sorted(plant_states), dtype=np.int64)
     times_s: Array = ticks.astype(np.float64) * setup.settings.sampling_period_s
     N = setup.system.N
@@ -90,13 +111,18 @@ def series_of(setup: Setup, log: RunLog) -> Series:
         uavs_I=uavs_I,
         payload_reference_I=setup.maneuver.path(times_s)[0],
         uav_references_I=y_ref[:, : 3 * N].reshape(len(ticks), N, 3),
-        cost=np.array([cost.at(int(tick), *row) for tick, *row in zip(ticks, y, y_ref, u, strict=True)], dtype=float),
+        cost=np.array(
+            [cost.at(int(tick), *row) for tick, *row in zip(ticks, y, y_ref, u, strict=True)],
+            dtype=float,
+        ),
         attitude_deg=np.degrees(x[:, state.THETA0]),
         on_rods=on_rods,
         separation_m=separation_m,
         clearance_m=clear_m.min(axis=0, initial=np.inf),
         violation=_violation(setup, ticks, u, separation_m, clear_m[..., 0]),
-        local_error=np.array([e for tick in ticks if (e := plant_states[tick].local_error) >= 0.0], dtype=np.float64),
+        local_error=np.array(
+            [e for tick in ticks if (e := plant_states[tick].local_error) >= 0.0], dtype=np.float64
+        ),
     )
 
 
@@ -104,7 +130,9 @@ def _separation(uavs_I: Array, on_rods: npt.NDArray[np.bool_]) -> Array:
     """Return the smallest distance between any two UAVs on their rods, (T,), m."""
     i, j = np.triu_indices(uavs_I.shape[1], 1)
     distances_m = np.linalg.norm(uavs_I[:, i] - uavs_I[:, j], axis=2)
-    return np.asarray(np.where(on_rods[:, i] & on_rods[:, j], distances_m, np.inf).min(axis=1, initial=np.inf))
+    return np.asarray(
+        np.where(on_rods[:, i] & on_rods[:, j], distances_m, np.inf).min(axis=1, initial=np.inf)
+    )
 
 
 def _clearances(setup: Setup, x: Array, on_rods: npt.NDArray[np.bool_]) -> Array:
@@ -113,16 +141,21 @@ def _clearances(setup: Setup, x: Array, on_rods: npt.NDArray[np.bool_]) -> Array
     for row, obstacle in zip(found, setup.obstacles, strict=True):
         clear_m = clearances(setup.system, obstacle, x)
         for column in range(2):
-            row[:, column] = np.where(on_rods, clear_m[:, N * column : N * (column + 1)], np.inf).min(axis=1)
+            row[:, column] = np.where(
+                on_rods, clear_m[:, N * column : N * (column + 1)], np.inf
+            ).min(axis=1)
         row[:, 2] = clear_m[:, -1]
     return found
 
 
-def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_m: Array, clear_m: Array) -> Array:
+def _violation(
+    setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_m: Array, clear_m: Array
+) -> Array:
     """Return the largest constraint violation at each tick as a share of the constraint's range, (T,); 0 if all hold.
 
-    Ranges: largest minus smallest value of an input; twice its largest change per period; the minimum separation, and
-    the margin of UAVs from obstacles, themselves. Changes across a gap in the record and own constraints do not count.
+    Ranges: largest minus smallest value of an input; twice its largest change per period; the
+    minimum separation, and the margin of UAVs from obstacles, themselves. Changes across a gap in
+    the record and own constraints do not count.
     """
     settings, N = setup.settings, setup.system.N
     lower, upper, step = settings.lower(N), settings.upper(N), settings.step(N)
@@ -130,7 +163,9 @@ def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_
     before = np.vstack([setup.hover.u[None], u[:-1]])[: len(u)]
     change = (np.abs(u - before) - step) / (2.0 * step)
     for fault in failures(setup.faults):
-        change[ticks == fault.tick, state.input_slice(fault.uav)] = 0.0  # stopping motors violates no limit
+        change[ticks == fault.tick, state.input_slice(fault.uav)] = (
+            0.0  # stopping motors violates no limit
+        )
     consecutive = np.diff(ticks, prepend=-1) == 1
     worst = np.maximum(worst, np.where(consecutive, change.max(axis=1, initial=0.0), 0.0))
     if settings.separation is not None:
@@ -141,13 +176,16 @@ def _violation(setup: Setup, ticks: npt.NDArray[np.int64], u: Array, separation_
     return np.asarray(worst)
 
 
-# End of the run in which the swing is measured, s: longer than the 3.6 s period of a pendulum of 3.2 m, and shorter
-# than the last hover of the paper's maneuver, 5 s.
+# End of the run in which the swing is measured, s: longer than the 3.6 s period of a pendulum of
+# 3.2 m, and shorter than the last hover of the paper's maneuver, 5 s.
 SWING_S = 4.0
 
 
 def swing_of(setup: Setup, series: Series) -> float | None:
-    """Return the largest payload position error in the last `SWING_S` of a run, m; None without a recorded tick."""
+    """Return the largest payload position error in the last `SWING_S` of a run, m.
+
+    None without a recorded tick.
+    """
     if not len(series.ticks):
         return None
     periods = math.ceil(SWING_S / setup.settings.sampling_period_s - 1e-6)
@@ -158,10 +196,14 @@ def swing_of(setup: Setup, series: Series) -> float | None:
 def counted(setup: Setup, log: RunLog) -> RunLog:
     """Return a log without the plans and reports that no other process accepts.
 
-    They are those of incarnations of an agent that were not on the roster, such as of one that was stopped and
-    continues, and in lockstep those that missed their tick. Messages whose tick or roster is missing count.
+    They are those of incarnations of an agent that were not on the roster, such as of one that was
+    stopped and continues, and in lockstep those that missed their tick. Messages whose tick or
+    roster is missing count.
     """
-    rosters = {roster.version: dict(zip(roster.agents, roster.incarnations, strict=True)) for roster in log.of(Roster)}
+    rosters = {
+        roster.version: dict(zip(roster.agents, roster.incarnations, strict=True))
+        for roster in log.of(Roster)
+    }
     ticks = {tick.tick: tick for tick in log.of(Tick)}
     lockstep = setup.scenario.clock.mode == "lockstep"
 
@@ -192,21 +234,32 @@ class Estimates(NamedTuple):
 def estimates_of(series: Series, log: RunLog) -> Estimates | None:
     """Return the estimates in a log; None if there are none."""
     at = {int(tick): row for row, tick in enumerate(series.ticks)}
-    notes = [note for note in log.of(Note) if note.names == TOLD and note.tick in at]
+    notes = [note for note in log.of(Note) if note.names == NAMES and note.tick in at]
     if not notes:
         return None
-    numbers, rows = np.array([note.values for note in notes]), np.array([at[note.tick] for note in notes])
-    pose, P = understood(numbers)
+    numbers, rows = (
+        np.array([note.values for note in notes]),
+        np.array([at[note.tick] for note in notes]),
+    )
+    pose, P = poses(numbers)
     true = series.x[rows][:, np.r_[state.R0, state.THETA0]]
     return Estimates(np.array([note.agent for note in notes]), rows, pose, true, P, numbers[:, -2:])
 
 
-# Columns of the step table with this ending are wall-clock times; all others are equal bit for bit in equal runs.
+# Columns of the step table with this ending are wall-clock times; all others are equal bit for bit
+# in equal runs.
 WALL_CLOCK = "_ms"
 
 _SOLVE = ("status", "solver", "fallback", "iterations", "residual")
 _MESSAGES = ("delivered", "late", "lost")
-_FLIGHT = ("cost", "attitude_deg", "payload_error_m", "uav_error_m", "separation_min_m", "constraint_violation")
+_FLIGHT = (
+    "cost",
+    "attitude_deg",
+    "payload_error_m",
+    "uav_error_m",
+    "separation_min_m",
+    "constraint_violation",
+)
 _FORCE = ("force_x_N", "force_y_N", "force_z_N")
 _MOMENTS = ("thrust{}_N", "moment{}_x_Nm", "moment{}_y_Nm", "moment{}_z_Nm")
 _RATES = ("thrust{}_N", "rate{}_x_rad_s", "rate{}_y_rad_s", "rate{}_z_rad_s")
@@ -223,30 +276,48 @@ def steps_columns(setup: Setup) -> list[str]:
 def steps_rows(setup: Setup, log: RunLog) -> Iterator[dict[str, Any]]:
     """Yield one row per agent and tick, values by column, sorted by tick, then agent.
 
-    `cost`, `attitude_deg`, `payload_error_m`, `separation_min_m` and `constraint_violation` refer to the whole team and
-    are equal for all agents of a tick; `uav_error_m` and the inputs refer to the UAVs of the agent, the error
-    to those of them that are not released. Inputs of other UAVs, and values missing in the log, are None.
+    `cost`, `attitude_deg`, `payload_error_m`, `separation_min_m` and `constraint_violation` refer
+    to the whole team and are equal for all agents of a tick; `uav_error_m` and the inputs refer to
+    the UAVs of the agent, the error to those of them that are not released. Inputs of other UAVs,
+    and values missing in the log, are None.
     """
     series, columns = series_of(setup, log), steps_columns(setup)
     at = {int(tick): row for row, tick in enumerate(series.ticks)}
-    payload_m, uavs_m = np.linalg.norm(series.payload_error_I, axis=1), np.linalg.norm(series.uav_errors_I, axis=2)
+    payload_m, uavs_m = (
+        np.linalg.norm(series.payload_error_I, axis=1),
+        np.linalg.norm(series.uav_errors_I, axis=2),
+    )
     team = np.column_stack([series.cost, series.attitude_max_deg, payload_m])
     reports = {(report.tick, report.agent): report for report in log.of(StepReport)}
     for (tick, agent), report in sorted(reports.items()):
         row: dict[str, Any] = dict.fromkeys(columns)
         row |= {"tick": tick, "t_s": tick * setup.settings.sampling_period_s, "agent": agent}
-        row |= {name: getattr(report, name) for name in (*_SOLVE, *_MESSAGES)} | {"fallback": int(report.fallback)}
-        row |= {"plan_age_max": _oldest(report.plan_ages), "state_age_max": _oldest(report.state_ages)}
+        row |= {name: getattr(report, name) for name in (*_SOLVE, *_MESSAGES)} | {
+            "fallback": int(report.fallback)
+        }
+        row |= {
+            "plan_age_max": _oldest(report.plan_ages),
+            "state_age_max": _oldest(report.state_ages),
+        }
         row |= zip(_FORCE, report.force.tolist(), strict=True)
-        row |= {f"{stage}{WALL_CLOCK}": float(ms) for stage, ms in zip(STAGES, report.times_ms, strict=True)}
+        row |= {
+            f"{stage}{WALL_CLOCK}": float(ms)
+            for stage, ms in zip(STAGES, report.times_ms, strict=True)
+        }
         k = at.get(tick)
         if k is not None:
             owned = setup.owned[agent - 1] if agent <= len(setup.owned) else ()
             uav_m = max((float(uavs_m[k, i]) for i in owned if series.on_rods[k, i]), default=None)
             separation_m = float(series.separation_m[k]) if setup.system.N > 1 else None
-            row |= zip(_FLIGHT, (*team[k].tolist(), uav_m, separation_m, float(series.violation[k])), strict=True)
+            row |= zip(
+                _FLIGHT,
+                (*team[k].tolist(), uav_m, separation_m, float(series.violation[k])),
+                strict=True,
+            )
             for i in owned:
-                row |= zip(_input_names(setup, i), series.u[k, state.input_slice(i)].tolist(), strict=True)
+                row |= zip(
+                    _input_names(setup, i), series.u[k, state.input_slice(i)].tolist(), strict=True
+                )
         yield row
 
 

@@ -23,7 +23,9 @@ def compare(
         help="Run folders or names in runs/, by default the two most recent; LABEL=RUN names one.",
         autocompletion=complete_run,
     ),
-    out: Path | None = Option(None, metavar="FOLDER", help="Folder to write; by default comparisons/<time>-<runs>."),
+    out: Path | None = Option(
+        None, metavar="FOLDER", help="Folder to write; by default comparisons/<time>-<runs>."
+    ),
     figures: FiguresOption = True,
     output: FormatOption = Format.text,
 ) -> None:
@@ -46,11 +48,20 @@ def compare(
         fail(f"RUN: expected each label once, got {', '.join(labels)}; LABEL=RUN names one")
     table, notes = quantities(compared), list(doubts(compared))
     folder = out or new_folder(Path("comparisons"), f"{len(compared)}-runs")
-    columns = ["quantity", "unit", *labels, *(f"{label}, more than {labels[0]} (%)" for label in labels[1:])]
+    columns = [
+        "quantity",
+        "unit",
+        *labels,
+        *(f"{label}, more than {labels[0]} (%)" for label in labels[1:]),
+    ]
     lines = ((row.name, row.unit, *row.values, *row.percent[1:]) for row in table)
     with blame("--out"):
         folder.mkdir(parents=True, exist_ok=True)
-        write_csv(folder / "compare.csv", (dict(zip(columns, line, strict=True)) for line in lines), columns)
+        write_csv(
+            folder / "compare.csv",
+            (dict(zip(columns, line, strict=True)) for line in lines),
+            columns,
+        )
         files = [folder / "compare.csv", *(draw_compared(compared, folder) if figures else ())]
     for note in notes:
         typer.echo(f"note: {note}", err=True)
@@ -63,8 +74,12 @@ def compare(
     shown: list[dict[str, Any]] = [
         {"": f"{row.name} ({row.unit})" if row.unit else row.name}
         | {
-            label: value if i == 0 or percent is None else f"{value:.4g}  {f'{percent:+.1f}%' if percent else '=':>7}"
-            for i, (label, value, percent) in enumerate(zip(labels, row.values, row.percent, strict=True))
+            label: value
+            if i == 0 or percent is None
+            else f"{value:.4g}  {f'{percent:+.1f}%' if percent else '=':>7}"
+            for i, (label, value, percent) in enumerate(
+                zip(labels, row.values, row.percent, strict=True)
+            )
         }
         for row in table
     ]

@@ -5,25 +5,29 @@ from pathlib import Path
 import typer
 from typer import Option
 
-from deploy.hosts import read_inventory
-from protocol.network.endpoints import process_names
-from protocol.wire.keys import ROUTER
 from transport.cli.options import FormatOption, LargeOption, ScenarioOption, SetOption, read_setup
 from transport.cli.output import Format, show
+from transport.deploy.hosts import read_inventory
+from transport.protocol.network.endpoints import process_names
+from transport.protocol.wire.keys import ROUTER
 
 
 def keys(
     out: Path = Option(..., metavar="FOLDER", help="Folder of the keys; existing keys are kept."),
     scenario: ScenarioOption = "paper",
-    hosts: Path | None = Option(None, metavar="FILE", help="Inventory of hosts (docs/deploy.md); default: this host."),
-    days: int = Option(365, metavar="DAYS", min=1, max=3650, help="Validity of the certificates, days."),
+    hosts: Path | None = Option(
+        None, metavar="FILE", help="Inventory of hosts (docs/deploy.md); default: this host."
+    ),
+    days: int = Option(
+        365, metavar="DAYS", min=1, max=3650, help="Validity of the certificates, days."
+    ),
     output: FormatOption = Format.text,
 ) -> None:
     """Create a certificate authority and process certificates.
 
     Example: transport deploy keys --out keys
     """
-    from deploy.keys import LOOPBACK, OTHERS, make_certificates
+    from transport.deploy.keys import LOOPBACK, OTHERS, make_certificates
 
     processes = process_names(read_setup(scenario, allow_large=True).scenario)
     names = [*processes, *OTHERS]
@@ -41,11 +45,15 @@ def keys(
 
 
 def render(
-    hosts: Path = Option(..., metavar="FILE", help="Inventory: the processes of each host (docs/deploy.md)."),
+    hosts: Path = Option(
+        ..., metavar="FILE", help="Inventory: the processes of each host (docs/deploy.md)."
+    ),
     out: Path = Option(..., metavar="FOLDER", help="Folder to create, with one for each host."),
     scenario: ScenarioOption = "paper",
     settings: SetOption = None,
-    keys: Path | None = Option(None, metavar="FOLDER", help="Folder of keys (transport deploy keys)."),
+    keys: Path | None = Option(
+        None, metavar="FOLDER", help="Folder of keys (transport deploy keys)."
+    ),
     large: LargeOption = False,
     output: FormatOption = Format.text,
 ) -> None:
@@ -53,11 +61,14 @@ def render(
 
     Example: transport deploy render --hosts hosts.toml --keys keys --out deployment
     """
-    from deploy.hosts import render as render_folders
+    from transport.deploy.hosts import render as render_folders
 
     setup = read_setup(scenario, settings, allow_large=large)
     inventory = read_inventory(hosts, process_names(setup.scenario))
     folders = [str(folder) for folder in render_folders(setup, inventory, keys, out)]
     if keys is None:
-        typer.echo("warning: without keys, all who can reach these hosts can read and send every message", err=True)
+        typer.echo(
+            "warning: without keys, all who can reach these hosts can read and send every message",
+            err=True,
+        )
     show(output, {"folders": folders}, *(f" {folder}" for folder in folders))

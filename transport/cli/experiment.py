@@ -15,23 +15,30 @@ import typer
 from rich.console import Console
 from typer import Option
 
-from protocol.scenario.budget import ADMITTED, MB, MOST_TOTAL_BYTES, most_workers
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.schema import Scenario
 from transport.cli.lazy import with_options
 from transport.cli.options import RUNS, FormatOption, LargeOption
 from transport.cli.output import Format, show
-from transport.experiments import comparison, comparison_report, design_experiments, network_experiments
+from transport.experiments import (
+    comparison,
+    comparison_report,
+    design_experiments,
+    network_experiments,
+)
 from transport.experiments.cases import Case, Result, cases_of, refused
 from transport.experiments.declaration import EXPERIMENTS, Experiment, Values
 from transport.experiments.statistics import TITLE, WIDTH, PointStatistics, conclusions, table_of
 from transport.experiments.sweep import Results, sweep, write_markdown
 from transport.experiments.workers import check_cluster, on_cluster, on_cores
 from transport.flight.run_files import machine
+from transport.protocol.scenario.budget import ADMITTED, MB, MOST_TOTAL_BYTES, most_workers
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.schema import Scenario
 
 __all__ = ["EXPERIMENTS", "design_experiments", "network_experiments"]  # declared when imported
 
-_OUT = "Folder, by default a new one in runs/; an existing folder of the same experiment is resumed."
+_OUT = (
+    "Folder, by default a new one in runs/; an existing folder of the same experiment is resumed."
+)
 _SCENARIO = (
     "Scenario file or name; default: paper and resilient (hover: also centralized; "
     "deaths, sharing: resilient; agile: eight). Repeatable."
@@ -46,20 +53,29 @@ class ExperimentOptions:
     declared: Experiment
 
     settings: Annotated[
-        list[str] | None, Option("--set", metavar="KEY=VALUE", help="Change a value of every scenario. Repeatable.")
+        list[str] | None,
+        Option("--set", metavar="KEY=VALUE", help="Change a value of every scenario. Repeatable."),
     ] = None
-    seeds: Annotated[int | None, Option(metavar="COUNT", min=1, help="Repetitions of random runs: seeds 0, 1, ...")] = (
-        None
-    )
+    seeds: Annotated[
+        int | None,
+        Option(metavar="COUNT", min=1, help="Repetitions of random runs: seeds 0, 1, ..."),
+    ] = None
     out: Annotated[Path | None, Option(metavar="FOLDER", help=_OUT)] = None
     jobs: Annotated[
-        int | None, Option(metavar="COUNT", min=1, help="Parallel runs; default: all cores (scaling: 1).")
+        int | None,
+        Option(metavar="COUNT", min=1, help="Parallel runs; default: all cores (scaling: 1)."),
     ] = None
     allow_large: LargeOption = False
-    quick: Annotated[bool, Option("--quick", help="Few and short runs: a trial, no measurement.")] = False
+    quick: Annotated[
+        bool, Option("--quick", help="Few and short runs: a trial, no measurement.")
+    ] = False
     output: FormatOption = Format.text
-    scenarios: Annotated[list[str] | None, Option("--scenario", metavar="SCENARIO", help=_SCENARIO)] = None
-    dask: Annotated[str | None, Option(metavar="ADDRESS", help="Dask cluster, e.g. tcp://host:8786.")] = None
+    scenarios: Annotated[
+        list[str] | None, Option("--scenario", metavar="SCENARIO", help=_SCENARIO)
+    ] = None
+    dask: Annotated[
+        str | None, Option(metavar="ADDRESS", help="Dask cluster, e.g. tcp://host:8786.")
+    ] = None
 
     @property
     def repetitions(self) -> int:
@@ -85,7 +101,8 @@ class ExperimentOptions:
         if len(set(names)) < len(names):
             raise refused("--scenario", "each value once", ", ".join(names))
         return {
-            name: read_scenario(find_scenario(name), self.changes(), allow_large=self.allow_large) for name in names
+            name: read_scenario(find_scenario(name), self.changes(), allow_large=self.allow_large)
+            for name in names
         }
 
     def folder(self, name: str) -> Path:
@@ -128,7 +145,9 @@ def __getattr__(name: str) -> Callable[..., None]:
 
     command.__name__, command.__doc__ = name, declared.build.__doc__
     first = inspect.Parameter("options", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    own = [_parameter(option, values) for option, values in declared.options.items() if values.metavar]
+    own = [
+        _parameter(option, values) for option, values in declared.options.items() if values.metavar
+    ]
     command.__signature__ = inspect.Signature([first, *own])  # type: ignore[attr-defined]
     return with_options(_options_of(declared))(command)
 
@@ -139,9 +158,16 @@ def _parameter(name: str, values: Values) -> inspect.Parameter:
     depends = several or values.quick is not None
     help_text = values.help
     if depends:
-        shown = (value if isinstance(value, str) else f"{value:g}" for value in np.atleast_1d(values.default).tolist())
-        help_text = f"{help_text.rstrip('.')}; by default {', '.join(shown)}.{' Repeatable.' * several}"
-    option = Option(f"--{name}", metavar=values.metavar, help=help_text, min=values.least, max=values.most)
+        shown = (
+            value if isinstance(value, str) else f"{value:g}"
+            for value in np.atleast_1d(values.default).tolist()
+        )
+        help_text = (
+            f"{help_text.rstrip('.')}; by default {', '.join(shown)}.{' Repeatable.' * several}"
+        )
+    option = Option(
+        f"--{name}", metavar=values.metavar, help=help_text, min=values.least, max=values.most
+    )
     one = type(values.default[0] if several else values.default)
     kind: Any = list[one] if several else one  # type: ignore[valid-type]
     return inspect.Parameter(
@@ -152,7 +178,9 @@ def _parameter(name: str, values: Values) -> inspect.Parameter:
     )
 
 
-def _conduct(name: str, declared: Experiment, options: ExperimentOptions, given: Mapping[str, Any]) -> None:
+def _conduct(
+    name: str, declared: Experiment, options: ExperimentOptions, given: Mapping[str, Any]
+) -> None:
     """Simulate the cases of an experiment that have no result yet, and report all of them.
 
     Raises: ExperimentError: a case raised an error, a worker was lost, or the options are refused.
@@ -160,7 +188,11 @@ def _conduct(name: str, declared: Experiment, options: ExperimentOptions, given:
     experiment = declared.experiment(options.read(), given, quick=options.quick)
     timed = experiment.drawn_as == "scaling"
     cases = cases_of(
-        experiment.points, options.changes(), options.repetitions, timed=timed, allow_large=options.allow_large
+        experiment.points,
+        options.changes(),
+        options.repetitions,
+        timed=timed,
+        allow_large=options.allow_large,
     )
     folder = options.folder(name)
     with Results(name, folder) as results:
@@ -190,7 +222,9 @@ def _conduct(name: str, declared: Experiment, options: ExperimentOptions, given:
 @with_options(_options_of(comparison.DECLARED))
 def paper(
     options: ExperimentOptions,
-    gust: float = Option(1.0, metavar="SPEED", help="Standard deviation of gusts, m/s; 0 for still air only."),
+    gust: float = Option(
+        1.0, metavar="SPEED", help="Standard deviation of gusts, m/s; 0 for still air only."
+    ),
 ) -> None:
     """The paper's claim: centralized against distributed.
 
@@ -204,15 +238,14 @@ def paper(
     if not 0.0 <= gust < math.inf:
         raise refused("--gust", "a speed >= 0 m/s", f"{gust:g}")
     folder = options.folder("paper")
-    lines, table = comparison_report.compare(
-        options.changes(),
-        options.repetitions,
-        gust,
-        folder,
-        options.simulate,
-        Console(stderr=True),
+    compared = comparison_report.ComparisonOptions(
+        settings=options.changes(),
+        seeds=options.repetitions,
+        gust_mps=gust,
         quick=options.quick,
     )
+    console = Console(stderr=True)
+    lines, table = comparison_report.compare(compared, folder, options.simulate, console)
     content = {"experiment": "paper", "report": [line.strip() for line in lines if line.strip()]}
     show(options.output, content, table, *lines, width=WIDTH)
 
@@ -228,5 +261,7 @@ def _content(m: PointStatistics) -> dict[str, Any]:
         "errors": m.errors,
         "diverged_s": list(m.diverged_s),
         "cost_ratio": m.cost_ratio,
-        "numbers": {name: None if value is None else value._asdict() for name, value in m.numbers.items()},
+        "numbers": {
+            name: None if value is None else value._asdict() for name, value in m.numbers.items()
+        },
     }

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, get_origin
 
 import typer
@@ -24,7 +25,12 @@ _PLAIN: dict[str, Any] = {
 _USAGE = 2
 _EXAMPLE = "\n\nExample:"
 # Optional packages, and the extra that installs each.
-_EXTRAS = {"cryptography": "deploy", "prometheus_client": "metrics", "pyarrow": "parquet", "rosbags": "ros2"}
+_EXTRAS = {
+    "cryptography": "deploy",
+    "prometheus_client": "metrics",
+    "pyarrow": "parquet",
+    "rosbags": "ros2",
+}
 
 # A command: "module:function" below transport.cli, and its line in the list of commands.
 Entry = tuple[str, str]
@@ -45,22 +51,32 @@ class Command(TyperCommand):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         if self.help:
-            self.help = self.help.replace(_EXAMPLE, f"\n\n\b{_EXAMPLE[1:]}")  # \b: the paragraph is not wrapped
+            self.help = self.help.replace(
+                _EXAMPLE, f"\n\n\b{_EXAMPLE[1:]}"
+            )  # \b: the paragraph is not wrapped
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; other errors are bugs and keep their traceback."""
-        from protocol.scenario.errors import ScenarioError
-        from protocol.wire.errors import TransportError
+        from transport.protocol.scenario.errors import ScenarioError
+        from transport.protocol.wire.errors import TransportError
 
         try:
             return super().invoke(ctx)
         except TransportError as error:
-            blamed = error.blaming(ctx.params.get("settings") or []) if isinstance(error, ScenarioError) else error
+            blamed = (
+                error.blaming(ctx.params.get("settings") or [])
+                if isinstance(error, ScenarioError)
+                else error
+            )
             text, code = str(blamed), error.exit_code
         except OSError as error:
-            if error.filename is None:
+            if error.filename is not None:
+                text = f"{error.filename}: {error.strerror}"
+            elif _current_folder_is_gone():
+                text = "expected a current folder, got one that has been removed"
+            else:
                 raise
-            text, code = f"{error.filename}: {error.strerror}", _USAGE
+            code = _USAGE
         except ModuleNotFoundError as error:
             if error.name not in _EXTRAS:
                 raise
@@ -70,15 +86,28 @@ class Command(TyperCommand):
         raise typer.Exit(code)
 
 
+def _current_folder_is_gone() -> bool:
+    """Return whether the folder in which the command was started has been removed."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        return True
+    return False
+
+
 class LazyGroup(TyperGroup):
     """Group whose `commands` are stand-ins with a name and one line of help until one of them is called."""
 
     table: ClassVar[Mapping[str, Entry]] = {}
-    sections: ClassVar[Mapping[str, Sequence[str]]] = {}  # names of commands and groups by heading of the help
+    sections: ClassVar[
+        Mapping[str, Sequence[str]]
+    ] = {}  # names of commands and groups by heading of the help
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        stand_ins = {name: TyperCommand(name, short_help=line) for name, (_, line) in self.table.items()}
+        stand_ins = {
+            name: TyperCommand(name, short_help=line) for name, (_, line) in self.table.items()
+        }
         found = {**stand_ins, **self.commands}
         self.commands = {name: found[name] for names in self.sections.values() for name in names}
 
@@ -90,7 +119,9 @@ class LazyGroup(TyperGroup):
             context = getattr(error, "ctx", None)
             path = "transport" if context is None else context.command_path
             text = " ".join(error.format_message().split()).rstrip(".")
-            problems: list[Any] = getattr(error.__cause__, "errors", list)()  # pydantic's, without the given value
+            problems: list[Any] = getattr(
+                error.__cause__, "errors", list
+            )()  # pydantic's, without the given value
             if problems:
                 given = repr(problems[0]["input"])
                 text = text.replace("Input should be", "expected").replace("Value error, ", "")
@@ -116,7 +147,9 @@ class LazyGroup(TyperGroup):
         module, _, function = self.table[name][0].partition(":")
         single = typer.Typer(**_PLAIN)
         found = getattr(load(f"transport.cli.{module}"), function)
-        single.command(name, cls=Command, context_settings=getattr(found, "context_settings", None))(found)
+        single.command(
+            name, cls=Command, context_settings=getattr(found, "context_settings", None)
+        )(found)
         return typer.main.get_command(single)
 
     def format_commands(self, _: Any, formatter: Any) -> None:
@@ -124,11 +157,16 @@ class LazyGroup(TyperGroup):
         width = max(map(len, self.commands))
         for heading, names in self.sections.items():
             with formatter.section(heading):
-                lines = {name: self.commands[name].get_short_help_str(formatter.width - 6 - width) for name in names}
+                lines = {
+                    name: self.commands[name].get_short_help_str(formatter.width - 6 - width)
+                    for name in names
+                }
                 formatter.write_dl([(name.ljust(width), line) for name, line in lines.items()])
 
 
-def lazy_group(sections: Mapping[str, Mapping[str, Entry | typer.Typer]], **options: Any) -> typer.Typer:
+def lazy_group(
+    sections: Mapping[str, Mapping[str, Entry | typer.Typer]], **options: Any
+) -> typer.Typer:
     """Return a group of commands and groups under headings, with options of `typer.Typer`, such as help and epilog."""
     entries = {name: entry for members in sections.values() for name, entry in members.items()}
     own = {
@@ -142,7 +180,9 @@ def lazy_group(sections: Mapping[str, Mapping[str, Entry | typer.Typer]], **opti
     return group
 
 
-def with_options(*options: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def with_options(
+    *options: Callable[..., Any],
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that gives a command shared options, after its own.
 
     The annotated parameters of all `options`, but those that a `partial` has bound, become options, and their results
@@ -155,7 +195,8 @@ def with_options(*options: Callable[..., Any]) -> Callable[[Callable[..., None]]
             {
                 name: parameter
                 for name, parameter in inspect.signature(option).parameters.items()
-                if get_origin(parameter.annotation) is Annotated and name not in getattr(option, "keywords", ())
+                if get_origin(parameter.annotation) is Annotated
+                and name not in getattr(option, "keywords", ())
             }
             for option in options
         ]
@@ -163,11 +204,15 @@ def with_options(*options: Callable[..., Any]) -> Callable[[Callable[..., None]]
         @wraps(command)
         def with_shared(**given: Any) -> None:
             made = [{name: given.pop(name) for name in names} for names in shared]
-            command(*(option(**values) for option, values in zip(options, made, strict=True)), **given)
+            command(
+                *(option(**values) for option, values in zip(options, made, strict=True)), **given
+            )
 
         parameters = [*own, *(parameter for of in shared for parameter in of.values())]
         with_shared.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        with_shared.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        with_shared.__annotations__ = {
+            parameter.name: parameter.annotation for parameter in parameters
+        }
         return with_shared
 
     return decorate

@@ -1,6 +1,7 @@
 """The commands `transport log`: describe and export the log of a run."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,12 +9,13 @@ import typer
 from rich.text import Text
 from typer import Argument, Option
 
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import KINDS, Control
+from transport.cli.lazy import with_options
 from transport.cli.options import FormatOption, complete_run, run_folder
 from transport.cli.output import Format, blame, facts, fail, rows, show
 from transport.log.run_log import RunLog, missing, read_log, setup_in, topic_of
-from transport.log.tables import INPUT_NAMES, RATE_NAMES, columns, tables
+from transport.log.tables import INPUT_NAMES, RATE_NAMES, Row, columns, tables
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import KINDS, Control
 
 LogArgument = Annotated[
     Path | None,
@@ -41,14 +43,10 @@ def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:
     Example: transport log info runs/20260102-101500-paper
     """
     file, log, setup = _open(path)
-    control, lost = next(log.of(Control), None), _lost(log)
-    by_topic: dict[str, list[int]] = {}
-    for entry in log.messages:
-        by_topic.setdefault(topic_of(entry.message), []).append(entry.message.tick)
-    topics: list[dict[str, Any]] = [
-        {"topic": topic, "messages": len(ticks), "first_tick": min(ticks), "last_tick": max(ticks)}
-        for topic, ticks in sorted(by_topic.items())
-    ]
+    lost = _lost(log)
+    topics = _topics(log)
+
+    control = next(log.of(Control), None)
     about = {
         "file": str(file),
         "bytes": file.stat().st_size,
@@ -61,27 +59,72 @@ def info(path: LogArgument = None, output: FormatOption = Format.text) -> None:
         "ticks_of_the_run": None if setup is None else setup.ticks,
         "complete": not lost,
     }
-    told = [*about.items(), *(("lost", Text(sentence, "yellow")) for sentence in lost)]
+
+    warnings = [("lost", Text(sentence, "yellow")) for sentence in lost]
     tables = [rows(topics, "topic")] if topics else []
-    show(output, {**about, "lost": lost, "channels": topics}, facts(told), *tables)
+    content = {**about, "lost": lost, "channels": topics}
+    show(output, content, facts([*about.items(), *warnings]), *tables)
+
+
+def _topics(log: RunLog) -> list[dict[str, Any]]:
+    """Return a row for each topic of a log, with its number of messages and its ticks."""
+    ticks_by_topic: dict[str, list[int]] = {}
+    for entry in log.messages:
+        ticks_by_topic.setdefault(topic_of(entry.message), []).append(entry.message.tick)
+    return [
+        {"topic": topic, "messages": len(ticks), "first_tick": min(ticks), "last_tick": max(ticks)}
+        for topic, ticks in sorted(ticks_by_topic.items())
+    ]
 
 
 def _lost(log: RunLog) -> list[str]:
-    """Return what is missing from a log, a sentence each."""
+    """Return a sentence about each kind of messages that is missing from a log."""
     return [sentence for sentence in (log.cut, missing(log)) if sentence]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableOptions:
+    """Options of the tables of a log."""
+
+    out: Annotated[
+        Path | None,
+        Option("--out", metavar="FOLDER", help="Folder for the tables, created if missing."),
+    ] = None
+    parquet: Annotated[
+        bool,
+        Option(
+            "--parquet/--csv",
+            help="Parquet (needs the extra: pip install 'payload-transport[parquet]').",
+        ),
+    ] = False
+    kinds: Annotated[
+        list[str] | None,
+        Option(
+            "--kind",
+            metavar="KIND",
+            help="Kind of message: plant_state, plan, ... Repeatable.",
+        ),
+    ] = None
+
+    def check(self) -> None:
+        """End the command if a kind of message does not exist; load the package that writes Parquet."""
+        unknown = sorted(set(self.kinds or []) - set(KINDS))
+        if unknown:
+            fail(f"--kind: expected one of {', '.join(KINDS)}, got {unknown[0]!r}")
+        if self.parquet:
+            import pyarrow.parquet  # noqa: F401 - before the log is read, which may take minutes
+
+
+@with_options(TableOptions)
 def export(
+    options: TableOptions,
     path: LogArgument = None,
-    out: Path | None = Option(None, metavar="FOLDER", help="Folder for the tables, created if missing."),
-    parquet: bool = Option(
-        False, "--parquet/--csv", help="Parquet (needs the extra: pip install 'payload-transport[parquet]')."
+    foxglove: Path | None = Option(
+        None, metavar="FILE", help="Write a copy with a 3D scene for Foxglove."
     ),
-    kinds: list[str] | None = Option(
-        None, "--kind", metavar="KIND", help="Kind of message: plant_state, plan, ... Repeatable."
+    ros2: Path | None = Option(
+        None, metavar="FILE", help="Write a bag for ROS 2: an MCAP file with CDR messages."
     ),
-    foxglove: Path | None = Option(None, metavar="FILE", help="Write a copy with a 3D scene for Foxglove."),
-    ros2: Path | None = Option(None, metavar="FILE", help="Write a bag for ROS 2: an MCAP file with CDR messages."),
     output: FormatOption = Format.text,
 ) -> None:
     """Write a log as tables, for Foxglove, or as a bag for ROS 2.
@@ -90,56 +133,75 @@ def export(
 
     Example: transport log export runs/20260102-101500-paper --parquet --out tables
     """
-    scenes = {option: file for option, file in (("--foxglove", foxglove), ("--ros2", ros2)) if file is not None}
-    if out is None and not scenes:
+    copies = {
+        option: target
+        for option, target in (("--foxglove", foxglove), ("--ros2", ros2))
+        if target is not None
+    }
+    if options.out is None and not copies:
         fail("expected --out, --foxglove, --ros2 or several of them, got none")
-    unknown = sorted(set(kinds or []) - set(KINDS))
-    if unknown:
-        fail(f"--kind: expected one of {', '.join(KINDS)}, got {unknown[0]!r}")
-    for option, target in scenes.items():
-        if target.exists():
-            fail(f"{option}: expected a file that does not exist yet, got {target}")
-    if parquet:
-        import pyarrow.parquet  # noqa: F401 - before the log is read, which may take minutes
+    options.check()
+    for option, target in copies.items():
+        _check_copy(option, target)
+
     file, log, setup = _open(path)
-    written: dict[Path, int] = {}  # number of rows or ticks by file
-    if out is not None:
+    counts: dict[Path, int] = {}  # number of rows or ticks by file
+    if options.out is not None:
         with blame("--out"):
-            written |= _export_tables(log, setup, out, kinds or [], parquet=parquet)
-    for option, target in scenes.items():
+            counts |= _export_tables(log, setup, options, options.out)
+    for option, target in copies.items():
         if setup is None:
             fail(f"{option}: {file} has no scenario, or one of another version")
         with blame(option):
-            written[target] = _export_scenes(log, setup, target, is_bag=option == "--ros2")
+            counts[target] = _export_scenes(log, setup, target, is_bag=option == "--ros2")
+
     for sentence in _lost(log):
         typer.echo(f"warning: {sentence}", err=True)
-    content = [{"file": str(target), "rows": count} for target, count in written.items()]
-    units = {target: "ticks" if target in scenes.values() else "rows" for target in written}
-    show(output, {"files": content}, *(f" {target}  {count} {units[target]}" for target, count in written.items()))
+    content = [{"file": str(target), "rows": count} for target, count in counts.items()]
+    lines = [
+        f" {target}  {count} {'ticks' if target in copies.values() else 'rows'}"
+        for target, count in counts.items()
+    ]
+    show(output, {"files": content}, *lines)
+
+
+def _check_copy(option: str, target: Path) -> None:
+    """End the command if a copy of the log cannot have a name."""
+    if target.suffix != ".mcap":  # players tell the format by it
+        fail(f"{option}: expected a file name that ends in .mcap, got {target}")
+    if target.exists():
+        fail(f"{option}: expected a file that does not exist yet, got {target}")
 
 
 def _export_tables(
-    log: RunLog, setup: Setup | None, out: Path, kinds: list[str], *, parquet: bool
+    log: RunLog, setup: Setup | None, options: TableOptions, out: Path
 ) -> Iterator[tuple[Path, int]]:
     """Write a table for each kind of message; yield file and number of rows."""
     from transport.report.report import write_csv
 
     period_s = None if setup is None else setup.settings.sampling_period_s
-    commands = RATE_NAMES if setup is not None and setup.system.commands_rates else INPUT_NAMES
+    is_rates = setup is not None and setup.system.commands_rates
+    commands = RATE_NAMES if is_rates else INPUT_NAMES
+
     out.mkdir(parents=True, exist_ok=True)
     for kind, table in tables(log, period_s, commands).items():
-        if kinds and kind not in kinds:
+        if options.kinds and kind not in options.kinds:
             continue
-        target = out / f"{kind}.{'parquet' if parquet else 'csv'}"
-        if parquet:
-            import pyarrow as pa
-            import pyarrow.parquet as pq
-
-            content = pa.table({name: [row.get(name) for row in table] for name in columns(table)})
-            pq.write_table(content.replace_schema_metadata(log.header), target)
+        target = out / f"{kind}.{'parquet' if options.parquet else 'csv'}"
+        if options.parquet:
+            _write_parquet(target, table, log.header)
         else:
             write_csv(target, table, columns(table))
         yield target, len(table)
+
+
+def _write_parquet(target: Path, table: list[Row], metadata: Mapping[str, str]) -> None:
+    """Write a table as Parquet, with the metadata of the log."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    content = pa.table({name: [row.get(name) for row in table] for name in columns(table)})
+    pq.write_table(content.replace_schema_metadata(metadata), target)
 
 
 def _export_scenes(log: RunLog, setup: Setup, out: Path, *, is_bag: bool) -> int:

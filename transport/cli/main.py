@@ -46,6 +46,7 @@ app = lazy_group(
                 epilog="Exit codes: 0 done, whatever the result; 2 usage, 3 scenario, 4 cluster or worker lost, "
                 "7 some simulations raised an error, 130 interrupted.",
             ),
+            "worst": ("worst:worst", "Search for the network that brings the team down."),
             "scenario": lazy_group(
                 {"Commands": _SCENARIO},
                 help="Create scenarios.",
@@ -67,26 +68,41 @@ app = lazy_group(
         },
         "Act on an active run": {
             "top": ("top:top", "Watch the agents of an active run."),
-            "status": ("operate:status", "Show the progress of a run, or the health of one process."),
+            "status": (
+                "operate:status",
+                "Show the progress of a run, or the health of one process.",
+            ),
             "target": ("operate:target", "Send the payload of an active run to a target."),
             "link": lazy_group(
                 {"Commands": _LINK},
                 help="Change the links of an active run.",
             ),
-            "fault": ("operate:fault", "Kill, stop, continue or restart a process of an active run."),
+            "fault": (
+                "operate:fault",
+                "Kill, stop, continue or restart a process of an active run.",
+            ),
         },
         "Start processes by hand": {
-            "coordinator": ("processes:coordinator", "Run the coordinator: sampling clock and roster."),
+            "coordinator": (
+                "processes:coordinator",
+                "Run the coordinator: sampling clock and roster.",
+            ),
             "plant": ("processes:plant", "Run the plant: dynamics and actuators."),
             "agent": ("processes:agent", "Run one agent: the controller of the UAVs it owns."),
-            "record": ("processes:record", "Record and report a run whose processes were started by hand."),
+            "record": (
+                "processes:record",
+                "Record and report a run whose processes were started by hand.",
+            ),
         },
         "Connect hosts": {
             "deploy": lazy_group(
                 {"Commands": _DEPLOY},
                 help="Deploy a run to several hosts.",
             ),
-            "router": ("processes:router", "Route messages between hosts without a direct connection."),
+            "router": (
+                "processes:router",
+                "Route messages between hosts without a direct connection.",
+            ),
             "metrics": ("operate:metrics", "Export process metrics to Prometheus."),
             "ros2": ("ros2:ros2", "Publish an active run for ROS 2 over rmw_zenoh."),
         },
@@ -96,7 +112,8 @@ app = lazy_group(
     help="Several UAVs carry one payload; each runs its own model predictive controller in a separate process.\n\n"
     "Start with: transport run paper",
     epilog="Exit codes: 0 done, 2 usage, 3 scenario, 4 peer lost or not reachable, "
-    "5 deadlines missed, 6 diverged, 8 plans differ (replay), 9 a check failed (doctor), "
+    "5 deadlines missed, 6 diverged, 7 steps of a controller failed, 8 plans differ (replay), "
+    "9 a check failed (doctor), "
     "10 not recorded, 130 interrupted.",
 )
 
@@ -109,6 +126,8 @@ def _version(is_given: bool) -> None:
 
 @app.callback()
 def options(
-    version: bool = Option(False, "--version", help="Show the version and exit.", callback=_version, is_eager=True),
+    version: bool = Option(
+        False, "--version", help="Show the version and exit.", callback=_version, is_eager=True
+    ),
 ) -> None:
     """Options without a command."""

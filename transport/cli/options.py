@@ -1,6 +1,7 @@
 """Arguments and options that several commands have, each defined once, and the scenario or run that they name."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
@@ -8,9 +9,9 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
 from transport.cli.output import Format, fail
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
 
 # Runs are recorded here, and runs are looked for here, unless an option names another folder.
 RUNS = Path("runs")
@@ -40,14 +41,25 @@ ScenarioArgument = Annotated[
 ]
 ScenarioOption = Annotated[
     str,
-    Option(metavar="SCENARIO", help="Scenario file or name; the same for all processes.", autocompletion=_scenarios),
+    Option(
+        metavar="SCENARIO",
+        help="Scenario file or name; the same for all processes.",
+        autocompletion=_scenarios,
+    ),
 ]
 SetOption = Annotated[
     list[str] | None,
-    Option("--set", metavar="KEY=VALUE", help="Change a scenario value, e.g. controller.horizon=10. Repeatable."),
+    Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a scenario value, e.g. controller.horizon=10. Repeatable.",
+    ),
 ]
 LargeOption = Annotated[
-    bool, Option("--allow-large", help="Accept a run beyond the limits on size, memory, log and computation.")
+    bool,
+    Option(
+        "--allow-large", help="Accept a run beyond the limits on size, memory, log and computation."
+    ),
 ]
 RunArgument = Annotated[
     Path | None,
@@ -57,16 +69,25 @@ RunArgument = Annotated[
         autocompletion=complete_run,
     ),
 ]
-FormatOption = Annotated[Format, Option("--format", metavar="FORMAT", help="Output format: text or json.")]
+FormatOption = Annotated[
+    Format, Option("--format", metavar="FORMAT", help="Output format: text or json.")
+]
 FiguresOption = Annotated[bool, Option("--figures/--no-figures", help="Draw the figures.")]
 HostOption = Annotated[
     str,
-    Option(metavar="ADDRESS", help="Address to listen on. Any host that reaches it can view and change the run."),
+    Option(
+        metavar="ADDRESS",
+        help="Address to listen on. Any host that reaches it can view and change the run.",
+    ),
 ]
-PortOption = Annotated[int, Option(metavar="PORT", min=0, max=65535, help="Port, or the next free one.")]
+PortOption = Annotated[
+    int, Option(metavar="PORT", min=0, max=65535, help="Port, or the next free one.")
+]
 
 
-def read_setup(scenario: str, settings: Sequence[str] | None = None, *, allow_large: bool = False) -> Setup:
+def read_setup(
+    scenario: str, settings: Sequence[str] | None = None, *, allow_large: bool = False
+) -> Setup:
     """Return the setup of a scenario, file or name, with changes KEY=VALUE.
 
     With `allow_large` the run may exceed the limits of `protocol.scenario.budget`. The last setup is kept until its
@@ -86,8 +107,13 @@ def _setup(path: Path, settings: tuple[str, ...], allow_large: bool, _: int) -> 
 
 def newest_runs() -> list[Path]:
     """Return the folders below runs/ that hold a log, the most recently written first."""
-    logs = [path for path in RUNS.glob(f"*/{_LOG}") if not path.parent.is_symlink()]  # `latest` is one of them
-    return [path.parent for path in sorted(logs, key=lambda path: path.stat().st_mtime, reverse=True)]
+    written_ns: dict[Path, int] = {}
+    for log in RUNS.glob(f"*/{_LOG}"):
+        if log.parent.is_symlink():  # `latest` is one of the others
+            continue
+        with suppress(OSError):  # the folder has gone meanwhile
+            written_ns[log.parent] = log.stat().st_mtime_ns
+    return sorted(written_ns, key=lambda folder: written_ns[folder], reverse=True)
 
 
 def run_folder(given: Path | None) -> Path:
@@ -95,8 +121,9 @@ def run_folder(given: Path | None) -> Path:
     if given is not None:
         in_runs = RUNS / given
         return in_runs if not given.exists() and in_runs.exists() else given
-    found = newest_runs()
-    if not found:
+
+    runs = newest_runs()
+    if not runs:
         fail(f"RUN: expected a run folder, got none, and there is no run in {RUNS}/")
-    typer.echo(f"run: {found[0]}", err=True)
-    return found[0]
+    typer.echo(f"run: {runs[0]}", err=True)
+    return runs[0]

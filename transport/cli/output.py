@@ -9,8 +9,8 @@ from typing import Any, NoReturn
 import orjson
 import typer
 
-from protocol.wire.errors import TransportError
-from protocol.wire.exit_codes import EXIT_USAGE
+from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.exit_codes import EXIT_USAGE
 
 
 class Format(StrEnum):

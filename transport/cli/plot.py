@@ -6,13 +6,13 @@ import orjson
 import typer
 from typer import Option
 
-from protocol.network.parent import stand_by
-from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_UNRECORDED
 from transport.cli.lazy import load
 from transport.cli.options import FormatOption, RunArgument, run_folder
 from transport.cli.output import Format, blame, fail, show
-from transport.log.run_log import open_run
+from transport.log.run_log import LogError, open_run
+from transport.protocol.network.parent import stand_by
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED, EXIT_UNREACHABLE, EXIT_UNRECORDED
 from transport.report.report import report_run, summary_table, warnings, write_report
 
 
@@ -41,11 +41,16 @@ def plot(
             check_animation(animation)
     run = open_run(folder, horizons=False)
     if not run.log.messages:
-        fail(f"{folder / 'run.mcap'}: expected a log with messages, got one without a readable message")
+        fail(
+            f"{folder / 'run.mcap'}: expected a log with messages, got one without a readable message"
+        )
     try:
         report_run(run, forks=True, pdf=pdf)
     except KeyboardInterrupt:
-        fail(f"interrupted; the report is not complete, make it with: transport plot {folder}", EXIT_INTERRUPTED)
+        fail(
+            f"interrupted; the report is not complete, make it with: transport plot {folder}",
+            EXIT_INTERRUPTED,
+        )
     except OSError as error:
         fail(f"{folder}: cannot write the report ({error.strerror or error})", EXIT_UNRECORDED)
     show_report(folder, output)
@@ -55,13 +60,21 @@ def plot(
         typer.echo(f" {animation}", err=output is Format.json)
 
 
-def report(folder: Path, output: Format, *, figures: bool, setup: Setup) -> None:
-    """Write the report of a run folder and print its summary."""
+def report(
+    folder: Path, output: Format, *, figures: bool, setup: Setup, is_written: bool = False
+) -> None:
+    """Write the report of a run that has ended, unless it is written, and print its summary.
+
+    If that cannot be done, or the log is gone, the exit code says that the run is not recorded.
+    """
     try:
-        write_report(folder, figures=figures, setup=setup)
+        if not is_written:
+            write_report(folder, figures=figures, setup=setup)
+        show_report(folder, output)
     except OSError as error:
         fail(f"{folder}: cannot write the report ({error.strerror or error})", EXIT_UNRECORDED)
-    show_report(folder, output)
+    except LogError as error:
+        fail(f"cannot write the report: {error}", EXIT_UNRECORDED)
 
 
 def show_report(folder: Path, output: Format) -> None:
@@ -69,5 +82,10 @@ def show_report(folder: Path, output: Format) -> None:
     summary = orjson.loads((folder / "summary.json").read_bytes())
     for warning in warnings(summary):
         typer.echo(f"warning: {warning}", err=True)
-    files = ["summary.json", "steps.csv", "run.mcap", *[f"figures/{p.name}" for p in folder.glob("figures/*.png")]]
+    files = [
+        "summary.json",
+        "steps.csv",
+        "run.mcap",
+        *[f"figures/{p.name}" for p in folder.glob("figures/*.png")],
+    ]
     show(output, summary, summary_table(summary), *(f" {folder / file}" for file in files))

@@ -14,15 +14,23 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from protocol.network.bus import Place
-from protocol.network.endpoints import Endpoints, endpoints_of, security_of
-from protocol.network.process import Journal, run_node
-from protocol.scenario.setup import Setup
-from protocol.wire.keys import ROUTER, Keys
-from protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name
 from transport.cli.lazy import with_options
-from transport.cli.options import RUNS, FiguresOption, FormatOption, LargeOption, ScenarioOption, SetOption, read_setup
+from transport.cli.options import (
+    RUNS,
+    FiguresOption,
+    FormatOption,
+    LargeOption,
+    ScenarioOption,
+    SetOption,
+    read_setup,
+)
 from transport.cli.output import Format, blame, fail
+from transport.protocol.network.bus import Place
+from transport.protocol.network.endpoints import Endpoints, endpoints_of, security_of
+from transport.protocol.network.process import Journal, run_node
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.keys import ROUTER, Keys
+from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,19 +39,28 @@ class ProcessOptions:
 
     scenario: ScenarioOption = "paper"
     settings: SetOption = None
-    run: Annotated[str | None, Option(metavar="NAME", help="Name of the run; the scenario's name by default.")] = None
+    run: Annotated[
+        str | None, Option(metavar="NAME", help="Name of the run; the scenario's name by default.")
+    ] = None
     listen: Annotated[
-        list[str] | None, Option(metavar="ENDPOINT", help="Zenoh endpoint to listen on, e.g. tcp/127.0.0.1:7449.")
+        list[str] | None,
+        Option(metavar="ENDPOINT", help="Zenoh endpoint to listen on, e.g. tcp/127.0.0.1:7449."),
     ] = None
     connect: Annotated[
-        list[str] | None, Option(metavar="ENDPOINT", help="Zenoh endpoint of another process. Repeatable.")
+        list[str] | None,
+        Option(metavar="ENDPOINT", help="Zenoh endpoint of another process. Repeatable."),
     ] = None
     incarnation: Annotated[
-        int | None, Option(metavar="NUMBER", min=0, help="Number of this start; by default the time.")
+        int | None,
+        Option(metavar="NUMBER", min=0, help="Number of this start; by default the time."),
     ] = None
     join_timeout: Annotated[
         float | None,
-        Option(metavar="SECONDS", min=0.0, help="Time to wait for the other processes, s; default: the scenario's."),
+        Option(
+            metavar="SECONDS",
+            min=0.0,
+            help="Time to wait for the other processes, s; default: the scenario's.",
+        ),
     ] = None
     allow_large: LargeOption = False
 
@@ -60,12 +77,16 @@ class ProcessOptions:
         for option, given in (("--listen", self.listen), ("--connect", self.connect)):
             for endpoint in given or []:
                 if not re.fullmatch(r"[a-z0-9-]+/\S+", endpoint):
-                    fail(f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}")
+                    fail(
+                        f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}"
+                    )
         return Place(
             run=run,
             incarnation=time.time_ns() // 10**6 if self.incarnation is None else self.incarnation,
             endpoints=endpoints_of(name, scenario, self.listen, self.connect),
-            join_timeout_s=scenario.clock.join_timeout_s if self.join_timeout is None else self.join_timeout,
+            join_timeout_s=scenario.clock.join_timeout_s
+            if self.join_timeout is None
+            else self.join_timeout,
         )
 
 
@@ -78,7 +99,7 @@ def agent(
 
     Example: transport agent --id 2
     """
-    from agent.node import AgentNode
+    from transport.agent.node import AgentNode
 
     setup = options.setup()
     if number not in setup.agents:
@@ -102,7 +123,7 @@ def coordinator(
 
     Example: transport coordinator --observer recorder
     """
-    from coordinator.node import CoordinatorNode
+    from transport.coordinator.node import CoordinatorNode
 
     setup, place = options.setup(), options.place(COORDINATOR)
     node = CoordinatorNode(setup, place.incarnation, observer or [])
@@ -116,7 +137,7 @@ def plant(options: ProcessOptions) -> None:
 
     Example: transport plant --scenario paper
     """
-    from plant.node import PlantNode
+    from transport.plant.node import PlantNode
 
     setup, place = options.setup(), options.place(PLANT)
     node = PlantNode(setup, place.incarnation)
@@ -144,15 +165,21 @@ def record(
     from transport.flight.run_files import new_folder
 
     setup, place = options.setup(), options.place(RECORDER)
-    finished = observe(setup, place, out or new_folder(RUNS, setup.scenario.name), Console(stderr=True))
+    finished = observe(
+        setup, place, out or new_folder(RUNS, setup.scenario.name), Console(stderr=True)
+    )
     report(finished.folder, output, figures=figures, setup=setup)
     if finished.exit_code != 0:
         fail(finished.reason, finished.exit_code)
 
 
 def router(
-    listen: list[str] = Option(..., metavar="ENDPOINT", help="Zenoh endpoint to listen on. Repeatable."),
-    connect: list[str] | None = Option(None, metavar="ENDPOINT", help="Endpoint of another router."),
+    listen: list[str] = Option(
+        ..., metavar="ENDPOINT", help="Zenoh endpoint to listen on. Repeatable."
+    ),
+    connect: list[str] | None = Option(
+        None, metavar="ENDPOINT", help="Endpoint of another router."
+    ),
     scenario: ScenarioOption = "paper",
     settings: SetOption = None,
 ) -> None:
@@ -162,10 +189,12 @@ def router(
 
     Example: transport router --listen tcp/127.0.0.1:7400
     """
-    from protocol.network.session import route
+    from transport.protocol.network.session import route
 
     setup = read_setup(scenario, settings, allow_large=True)
-    endpoints = Endpoints(listen=listen, connect=connect or [], mode="router", security=security_of(setup.scenario))
+    endpoints = Endpoints(
+        listen=listen, connect=connect or [], mode="router", security=security_of(setup.scenario)
+    )
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())

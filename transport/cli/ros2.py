@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import typer
 from typer import Option
 
-from protocol.network.rmw_zenoh import RosNode
-from transport.cli.operate import RunOption, find_active
+from transport.cli.active import RunOption, find_active
 from transport.cli.output import blame
 from transport.flight.live import Commands
 from transport.log.run_log import LogTail, setup_of
+from transport.protocol.network.rmw_zenoh import RosNode
 from transport.scene.scene import RunHistory, SceneBuilder
 
 if TYPE_CHECKING:
@@ -34,7 +34,9 @@ _NICE = 10  # the processes of the run have the processors first
 def ros2(
     run: RunOption = None,
     connect: str = Option("tcp/127.0.0.1:7447", metavar="ENDPOINT", help="Zenoh router of ROS 2."),
-    domain: int = Option(0, metavar="NUMBER", min=0, max=232, envvar="ROS_DOMAIN_ID", help="Domain of ROS 2."),
+    domain: int = Option(
+        0, metavar="NUMBER", min=0, max=232, envvar="ROS_DOMAIN_ID", help="Domain of ROS 2."
+    ),
 ) -> None:
     """Publish an active run for ROS 2 over rmw_zenoh.
 
@@ -63,7 +65,9 @@ def ros2(
         _publish(messages, history, tail, node, commands)
 
 
-def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node: RosNode, commands: Commands) -> None:
+def _publish(
+    messages: "Ros2Messages", history: RunHistory, tail: LogTail, node: RosNode, commands: Commands
+) -> None:
     """Publish the ticks of a run until it has ended: the states of all, plans and drawing of the newest.
 
     Of the targets that come in each interval the newest is handed on; a refused one is told.
@@ -80,7 +84,11 @@ def _publish(messages: "Ros2Messages", history: RunHistory, tail: LogTail, node:
                 commands.target(goal_in(data))
             except GoalError as error:
                 typer.echo(f"{TARGET[0]}: {error}", err=True)
-        ticks = [tick for tick in range(max(done + 1, history.first), history.last + 1) if tick in history.plant_states]
+        ticks = [
+            tick
+            for tick in range(max(done + 1, history.first), history.last + 1)
+            if tick in history.plant_states
+        ]
         for tick in ticks:
             at_ns = time.time_ns()
             if messages.speed > 0.0:  # stamps of a paced run without the jitter of this process

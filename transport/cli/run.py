@@ -15,16 +15,16 @@ from typing import Self
 from rich.console import Console
 from typer import Option
 
-from protocol.network.endpoints import process_names
-from protocol.scenario.setup import Setup
-from protocol.wire.exit_codes import EXIT_INTERRUPTED
-from protocol.wire.names import COORDINATOR
 from transport.cli import options
 from transport.cli.lazy import load
 from transport.cli.output import Format, fail
 from transport.flight.harness import Child, start_child
 from transport.flight.run import simulate
 from transport.flight.run_files import new_folder
+from transport.protocol.network.endpoints import process_names
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.names import COORDINATOR
 from transport.viewer.process import ViewerBeside
 from transport.viewer.server import require_viser
 
@@ -35,7 +35,9 @@ _LONGEST_S, _KILLED_S = 120.0, 1.0
 def run(
     scenario: options.ScenarioArgument = "paper",
     settings: options.SetOption = None,
-    out: Path | None = Option(None, metavar="FOLDER", help="Run folder to create; by default runs/<time>-<scenario>."),
+    out: Path | None = Option(
+        None, metavar="FOLDER", help="Run folder to create; by default runs/<time>-<scenario>."
+    ),
     output: options.FormatOption = Format.text,
     figures: options.FiguresOption = True,
     external: list[str] | None = Option(
@@ -57,17 +59,19 @@ def run(
     folder = out if out is not None else new_folder(options.RUNS, setup.scenario.name)
     if view:
         require_viser()
-    viewer = ViewerBeside(folder, host, port, setup.scenario.clock.join_timeout_s) if view else nullcontext()
+    viewer = (
+        ViewerBeside(folder, host, port, setup.scenario.clock.join_timeout_s)
+        if view
+        else nullcontext()
+    )
     with viewer as beside:
         with ReportProcess(folder) as reporter, _interrupts_told(folder):
             prepare = reporter.prepare if figures else lambda: None
             ready = beside.wait_until_ready if beside is not None else lambda: None
             finished = simulate(setup, folder, Console(stderr=True), prepare, ready, external or [])
             plot = load("transport.cli.plot")
-            if reporter.report():
-                plot.show_report(folder, output)
-            else:
-                plot.report(folder, output, figures=figures, setup=setup)
+            is_written = reporter.report()
+            plot.report(folder, output, figures=figures, setup=setup, is_written=is_written)
         if beside is not None and finished.exit_code != EXIT_INTERRUPTED:
             beside.wait_for_user()
     if finished.exit_code != 0:
@@ -81,7 +85,11 @@ def _interrupts_told(folder: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         log = folder / "run.mcap"
-        kept = f"kept {log}, report it with: transport plot {folder}" if log.exists() else "nothing is recorded"
+        kept = (
+            f"kept {log}, report it with: transport plot {folder}"
+            if log.exists()
+            else "nothing is recorded"
+        )
         fail(f"interrupted; {kept}", EXIT_INTERRUPTED)
 
 
@@ -92,7 +100,9 @@ def _check_external(setup: Setup, external: list[str]) -> None:
         if name not in names:
             fail(f"--external: expected one of {', '.join(names)}, got {name!r}")
         if any(fault.target == name for fault in setup.faults):
-            expected = "expected a process without scripted faults, which act only on processes of the run"
+            expected = (
+                "expected a process without scripted faults, which act only on processes of the run"
+            )
             fail(f"--external: {expected}, got {name!r}")
 
 

@@ -8,29 +8,46 @@ import tomli_w
 import typer
 from typer import Argument, Option
 
-from protocol.scenario.budget import estimate
-from protocol.scenario.team import FEWEST, MOST, given
-from protocol.wire.exit_codes import EXIT_CHECK_FAILED
 from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, SetOption, read_setup
 from transport.cli.output import Format, blame, fail, show
 from transport.flight.run_files import checked
 from transport.interface.scenario import Scenario
+from transport.protocol.scenario.budget import estimate
+from transport.protocol.scenario.team import FEWEST, MOST, given
+from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
 
 
 def new(
-    uavs: int = Option(..., metavar="COUNT", min=FEWEST, max=MOST, help="Number of UAVs, 2 to 256."),
-    template: str = Option(
-        "resilient", "--from", metavar="SCENARIO", help="Scenario file or name for all but the system."
+    uavs: int = Option(
+        ..., metavar="COUNT", min=FEWEST, max=MOST, help="Number of UAVs, 2 to 256."
     ),
-    group: int | None = Option(None, "--groups", metavar="COUNT", min=1, help="UAVs per agent; default: as in --from."),
+    template: str = Option(
+        "resilient",
+        "--from",
+        metavar="SCENARIO",
+        help="Scenario file or name for all but the system.",
+    ),
+    group: int | None = Option(
+        None, "--groups", metavar="COUNT", min=1, help="UAVs per agent; default: as in --from."
+    ),
     vehicle: str | None = Option(
-        None, metavar="NAME", help="crazyflie, x500, racing or a vehicle file; default: the paper's."
+        None,
+        metavar="NAME",
+        help="crazyflie, x500, racing or a vehicle file; default: the paper's.",
     ),
     load_kg: float | None = Option(
-        None, "--load", metavar="KG", min=1e-3, help="Payload mass; by default half the mass of the UAVs."
+        None,
+        "--load",
+        metavar="KG",
+        min=1e-3,
+        help="Payload mass; by default half the mass of the UAVs.",
     ),
-    name: str | None = Option(None, metavar="NAME", help="Name; by default from --from, --vehicle and --uavs."),
-    out: Path | None = Option(None, metavar="FILE", help="File to write; by default standard output."),
+    name: str | None = Option(
+        None, metavar="NAME", help="Name; by default from --from, --vehicle and --uavs."
+    ),
+    out: Path | None = Option(
+        None, metavar="FILE", help="File to write; by default standard output."
+    ),
     output: FormatOption = Format.text,
 ) -> None:
     """Write a scenario for a team of any size.
@@ -45,13 +62,22 @@ def new(
     with blame("--from"):
         ready = Scenario(template, allow_large=True)
     made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
-    tree, sizes = given(made.validated), f"{len(made.setup.agents)} agents, hover thrust {made.setup.hover.u[0]:.2f} N"
+    tree, sizes = (
+        given(made.validated),
+        f"{len(made.setup.agents)} agents, hover thrust {made.setup.hover.u[0]:.2f} N",
+    )
     text = tomli_w.dumps(tree)
-    show(output, {"scenario": tree, "file": out and str(out)}, *([text.rstrip("\n")] if out is None else []))
+    show(
+        output,
+        {"scenario": tree, "file": out and str(out)},
+        *([text.rstrip("\n")] if out is None else []),
+    )
     if out is not None:
         with blame("--out"):
             out.write_text(text, encoding="utf-8")
-        typer.echo(f"{uavs} UAVs, {sizes}; run it with: transport run {shlex.quote(str(out))}", err=True)
+        typer.echo(
+            f"{uavs} UAVs, {sizes}; run it with: transport run {shlex.quote(str(out))}", err=True
+        )
 
 
 def validate(
@@ -73,15 +99,21 @@ def validate(
         return
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
     own = ", ".join(f"{what} {name}" for what, name in classes.items())
-    typer.echo(f"valid: {sizes}, hover thrust {setup.hover.u[0]:.2f} N, digest {digest}, {own}", err=True)
+    typer.echo(
+        f"valid: {sizes}, hover thrust {setup.hover.u[0]:.2f} N, digest {digest}, {own}", err=True
+    )
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
 
 
 def margins(
     scenario: ScenarioArgument,
     settings: SetOption = None,
-    figure: Path | None = Option(None, metavar="FILE", help="Draw the ranges; the ending is the format."),
-    without: str | None = Option(None, metavar="AGENTS", help="Agents that are gone for good, such as 1,2."),
+    figure: Path | None = Option(
+        None, metavar="FILE", help="Draw the ranges; the ending is the format."
+    ),
+    without: str | None = Option(
+        None, metavar="AGENTS", help="Agents that are gone for good, such as 1,2."
+    ),
     large: LargeOption = False,
     output: FormatOption = Format.text,
 ) -> None:
@@ -108,7 +140,9 @@ def margins(
 
 
 def doctor(
-    scenario: str = Argument("paper", metavar="SCENARIO", help="File or name of the scenario that is to run here."),
+    scenario: str = Argument(
+        "paper", metavar="SCENARIO", help="File or name of the scenario that is to run here."
+    ),
     settings: SetOption = None,
     large: LargeOption = False,
     output: FormatOption = Format.text,

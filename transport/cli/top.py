@@ -12,21 +12,31 @@ from rich.live import Live
 from rich.text import Text
 from typer import Option
 
-from model.state import StateView
-from plant.actuators import FAIL_SAFE
-from protocol.scenario.setup import Setup
-from protocol.scenario.stage_cost import StageCost
-from protocol.scenario.targets import with_targets
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from protocol.wire.messages import Control, Message, PlantState, Rejected, Roster, StepReport, Target, Tick, agent_name
-from transport.cli.operate import RunOption, find_active
+from transport.cli.active import RunOption, find_active
 from transport.cli.options import run_folder
 from transport.cli.output import Format, fail, rows, show
 from transport.flight import live
 from transport.log.run_log import LogTail, setup_of
+from transport.model.state import StateView
+from transport.plant.actuators import FAIL_SAFE
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.stage_cost import StageCost
+from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.messages import (
+    Control,
+    Message,
+    PlantState,
+    Rejected,
+    Roster,
+    StepReport,
+    Target,
+    Tick,
+    agent_name,
+)
 
 # Number of steps for the longest step time, and of kept notices.
-_RECENT, _NOTICES = 100, 5
+_RECENT = 100
+_NOTICES = 5
 # An agent is silent after this many ticks without a report.
 _BEHIND = 5
 # Counts of an agent that the table only has if they are not zero.
@@ -34,6 +44,7 @@ _RARE = ("missed", "fallbacks", "failures", "rejected", "off")
 _COLOURS = {"active": "green", "silent": "yellow", "off": "red", "fail-safe": "bold red"}
 _DRAW_S = 0.25  # interval between two tables on a terminal
 _NICE = 10  # the processes of the run have the processors first
+_ADVICE = "name its folder with --run"
 
 
 class Watch:
@@ -56,7 +67,9 @@ class Watch:
         self.control: Control | None = None  # end of the run
         self.notices: deque[str] = deque(maxlen=_NOTICES)  # latest changes of the roster
         self.rejections = Counter[str]()  # rejected messages by receiver
-        self._recent_ms: dict[int, deque[float]] = {agent: deque(maxlen=_RECENT) for agent in setup.agents}
+        self._recent_ms: dict[int, deque[float]] = {
+            agent: deque(maxlen=_RECENT) for agent in setup.agents
+        }
         self._opened: Tick | None = None
         self._cost = StageCost(setup)
 
@@ -75,7 +88,7 @@ class Watch:
             case PlantState():
                 self.plant_state = message
             case Target():
-                self.setup = with_targets(self.setup, [message])
+                self.setup = self.setup.after([message])
             case Roster():
                 members = frozenset(message.agents)
                 for agent in (self.members or frozenset()) - members:
@@ -90,51 +103,76 @@ class Watch:
     def state_of(self, agent: int) -> str:
         """Return the state of an agent: active, silent, off (the roster), or fail-safe; "-" while unknown."""
         uavs = self.setup.owned[agent - 1]
-        if self.plant_state is not None and any(self.plant_state.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
+        state = self.plant_state
+        if state is not None and any(state.plan_ticks[uav] == FAIL_SAFE for uav in uavs):
             return "fail-safe"
         if self.members is not None and agent not in self.members:
             return "off"
+
         tick = self.agents[agent]["tick"]
-        return "-" if tick is None else "active" if self.tick - tick <= _BEHIND else "silent"
+        if tick is None:
+            return "-"
+        return "active" if self.tick - tick <= _BEHIND else "silent"
 
     def content(self) -> dict[str, Any]:
         """Return the status as JSON data."""
-        period_s, state, cost, attitude_deg = self.setup.settings.sampling_period_s, self.plant_state, None, None
-        if state is not None:
-            y_ref = self.setup.reference.outputs(np.array([state.tick * period_s]))[0]
-            cost = self._cost.at(state.tick, self.setup.model.outputs(state.x), y_ref, state.u)
-            attitude_deg = float(np.degrees(np.abs(StateView(state.x).Theta0)).max())
+        cost, attitude_deg = self._performance()
+        agents = []
+        for number, agent in self.agents.items():
+            rejected = self.rejections[agent_name(number)]
+            agents.append(agent | {"state": self.state_of(number), "rejected": rejected})
+
         return {
             "scenario": self.setup.scenario.name,
             "tick": self.tick,
             "ticks": self.setup.ticks,
-            "time_s": max(self.tick, 0) * period_s,
+            "time_s": max(self.tick, 0) * self.setup.settings.sampling_period_s,
             "cost": cost,
             "attitude_deg": attitude_deg,
             "outcome": self.control and self.control.outcome,
             "reason": self.control and self.control.reason,
             "rejections": dict(self.rejections),
             "notices": list(self.notices),
-            "agents": [
-                agent | {"state": self.state_of(number), "rejected": self.rejections[agent_name(number)]}
-                for number, agent in self.agents.items()
-            ],
+            "agents": agents,
         }
 
+    def _performance(self) -> tuple[float | None, float | None]:
+        """Return stage cost and payload attitude, deg, of the newest state; None before the first."""
+        state = self.plant_state
+        if state is None:
+            return None, None
+
+        t_s = state.tick * self.setup.settings.sampling_period_s
+        y = self.setup.model.outputs(state.x)
+        y_ref = self.setup.reference.outputs(np.array([t_s]))[0]
+        cost = self._cost.at(state.tick, y, y_ref, state.u)
+        attitude_deg = float(np.degrees(np.abs(StateView(state.x).Theta0)).max())
+        return cost, attitude_deg
+
     def _open(self, tick: Tick) -> None:
-        realtime, before = self.setup.scenario.clock.mode == "realtime", self._opened
-        if realtime and before is not None and tick.tick == before.tick + 1:
+        """Take note of an opened tick, in real time also of the agents that missed its deadline."""
+        before = self._opened
+        is_realtime = self.setup.scenario.clock.mode == "realtime"
+        if is_realtime and before is not None and tick.tick == before.tick + 1:
             for agent in set(before.members) - set(tick.answered):
                 self.agents[agent]["missed"] += 1
+
         if self.members is None:
             self.members = frozenset(tick.members)
-        self.tick, self._opened = tick.tick, tick
+        self.tick = tick.tick
+        self._opened = tick
 
     def _report(self, report: StepReport) -> None:
-        agent, recent_ms = self.agents[report.agent], self._recent_ms[report.agent]
+        """Take note of the step of an agent."""
+        recent_ms = self._recent_ms[report.agent]
         recent_ms.append(float(report.times_ms[-1]))
-        agent |= {"tick": report.tick, "step_ms": recent_ms[-1], "worst_ms": max(recent_ms)}
-        agent["plan_ages"] = list(report.plan_ages)  # of the other agents, in their order; -1 for none
+
+        agent = self.agents[report.agent]
+        agent["tick"] = report.tick
+        agent["step_ms"] = recent_ms[-1]
+        agent["worst_ms"] = max(recent_ms)
+        # Of the other agents, in their order; -1 for none.
+        agent["plan_ages"] = list(report.plan_ages)
         agent["lost"] += report.lost
         agent["late"] += report.late
         agent["fallbacks"] += report.fallback
@@ -144,7 +182,9 @@ class Watch:
 def top(
     run: RunOption = None,
     once: bool = Option(False, "--once", help="Print one table and exit."),
-    output: Format = Option(Format.text, "--format", metavar="FORMAT", help="Output format, with --once."),
+    output: Format = Option(
+        Format.text, "--format", metavar="FORMAT", help="Output format, with --once."
+    ),
 ) -> None:
     """Watch the agents of an active run.
 
@@ -157,17 +197,22 @@ def top(
     """
     if output is Format.json and not once:
         fail("--format json: expected it with --once, got it without")
-    folder = find_active(None, "name its folder with --run")[0] if run is None else run_folder(Path(run))
-    if not (folder / "run.mcap").exists():
+    folder = run_folder(Path(run)) if run is not None else find_active(None, _ADVICE)[0]
+    log = folder / "run.mcap"
+    if not log.exists():
         fail(f"--run: expected a run folder with a log, got {folder}")
+
     os.nice(_NICE)
-    watch, tail = Watch(setup_of(folder)), LogTail(folder / "run.mcap")
-    name, is_marked = folder.resolve().name, live.read(folder) is not None  # not marked: started by hand
-    with Live(auto_refresh=False, transient=True) as shown:
+    watch = Watch(setup_of(folder))
+    tail = LogTail(log)
+    name = folder.resolve().name
+    is_marked = live.read(folder) is not None  # a run started by hand is not
+    with Live(auto_refresh=False, transient=True) as screen:
         while not once and not tail.ended and (live.read(folder) is not None) == is_marked:
             watch.read(tail)
-            shown.update(table_of(watch, name), refresh=True)
+            screen.update(table_of(watch, name), refresh=True)
             time.sleep(_DRAW_S)
+
     watch.read(tail)
     show(output, {"run": name, **watch.content()}, table_of(watch, name))
     if watch.control is None and not once:
@@ -177,20 +222,26 @@ def top(
 def table_of(watch: Watch, run: str) -> Group:
     """Return the table of a run by name."""
     content = watch.content()
-    outcome, period_s = content["outcome"], watch.setup.settings.sampling_period_s
-    head = f"tick {watch.tick} of {watch.setup.ticks}, {content['time_s']:.2f} of {watch.setup.ticks * period_s:.2f} s"
+    outcome = content["outcome"]
+    title = Text(run, "bold")
+    if outcome:
+        reason = f": {content['reason']}" if content["reason"] else ""
+        title.append(f"  {outcome}{reason}", "bold green" if outcome == "completed" else "bold red")
+
+    end_s = watch.setup.ticks * watch.setup.settings.sampling_period_s
+    progress = f"tick {watch.tick} of {watch.setup.ticks}, {content['time_s']:.2f} of {end_s:.2f} s"
     if watch.plant_state is not None:
-        head += f"  cost {content['cost']:.5f}  attitude {content['attitude_deg']:.2f} deg"
-    end = f"  {outcome}{': ' if content['reason'] else ''}{content['reason']}" if outcome else ""
-    refused = [f" {count} messages refused by {name}" for name, count in watch.rejections.items()]
-    cells = [
-        {name.replace("_", " "): value for name, value in agent.items() if name not in _RARE}
-        | {"state": Text(agent["state"], _COLOURS.get(agent["state"], ""))}
-        | {"": Text(", ".join(f"{agent[name]} {name}" for name in _RARE if agent[name]), "yellow")}
-        for agent in content["agents"]
-    ]
-    lines = [Text(line, "yellow") for line in (*(f" {notice}" for notice in content["notices"]), *refused)]
-    colour = "bold green" if outcome == "completed" else "bold red"
-    return Group(
-        Text.assemble((run, "bold"), (end, colour)), Text(head), rows(cells, "uavs", "state", "plan ages", ""), *lines
-    )
+        progress += f"  cost {content['cost']:.5f}  attitude {content['attitude_deg']:.2f} deg"
+
+    refused = [f"{count} messages refused by {name}" for name, count in watch.rejections.items()]
+    lines = [Text(f" {line}", "yellow") for line in (*content["notices"], *refused)]
+    cells = [_cells(agent) for agent in content["agents"]]
+    return Group(title, Text(progress), rows(cells, "uavs", "state", "plan ages", ""), *lines)
+
+
+def _cells(agent: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of an agent: its values, and in the last column the rare counts that are not zero."""
+    values = {name.replace("_", " "): value for name, value in agent.items() if name not in _RARE}
+    values["state"] = Text(agent["state"], _COLOURS.get(agent["state"], ""))
+    rare = ", ".join(f"{agent[name]} {name}" for name in _RARE if agent[name])
+    return values | {"": Text(rare, "yellow")}

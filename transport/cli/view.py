@@ -9,10 +9,10 @@ import orjson
 import typer
 from typer import Option
 
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.cli.options import FormatOption, HostOption, PortOption, RunArgument, run_folder
 from transport.cli.output import Format
 from transport.flight.live import read as read_live_run
+from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.viewer.process import parent_ended
 from transport.viewer.viewer import LOG, open_viewer
 
@@ -23,7 +23,9 @@ def view(
     given: RunArgument = None,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
-    wait: float = Option(0.0, metavar="SECONDS", min=0.0, help="Time to wait for the run to start, s."),
+    wait: float = Option(
+        0.0, metavar="SECONDS", min=0.0, help="Time to wait for the run to start, s."
+    ),
     output: FormatOption = Format.text,
 ) -> None:
     """Show a recorded or active run in the browser.

@@ -15,21 +15,26 @@ from typing import Any
 import numpy as np
 import threadpoolctl
 
-from agent.own import controller_version
-from plant.engines import engine_version
-from protocol.scenario.budget import check_budget
-from protocol.scenario.file import ScenarioError, find_scenario, read_scenario, with_settings
-from protocol.scenario.schema import Scenario
-from protocol.scenario.setup import Setup
-from protocol.scenario.team import given, resized
-from protocol.wire.codec import encode
-from protocol.wire.errors import TransportError
-from protocol.wire.exit_codes import EXIT_USAGE
-from protocol.wire.messages import Control, Plan, StepReport, Tick
+from transport.agent.own import controller_version
 from transport.analysis.metrics import summarise
 from transport.flight import memory
 from transport.flight.run_files import checked
 from transport.log.run_log import Recorded, RunLog
+from transport.plant.engines import engine_version
+from transport.protocol.scenario.budget import check_budget
+from transport.protocol.scenario.file import (
+    ScenarioError,
+    find_scenario,
+    read_scenario,
+    with_settings,
+)
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.team import given, resized
+from transport.protocol.wire.codec import encode
+from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.exit_codes import EXIT_USAGE
+from transport.protocol.wire.messages import Control, Plan, StepReport, Tick
 
 # Outcome of a case that could not be simulated.
 ERROR = "error"
@@ -56,7 +61,16 @@ _SHARES = {"plans_lost_share": ("lost", "sent"), "plans_shared_share": ("shared"
 NUMBERS = ("lost_s", *_FROM_SUMMARY, *_SHARES)
 
 # Keys, sections and values of a scenario that make a run random, unless they are the defaults.
-_RANDOM = {"jitter_s", "loss", "duplicate", "reorder", "gust_mps", "noise", "empirical", "gilbert_elliott"}
+_RANDOM = {
+    "jitter_s",
+    "loss",
+    "duplicate",
+    "reorder",
+    "gust_mps",
+    "noise",
+    "empirical",
+    "gilbert_elliott",
+}
 
 
 class ExperimentError(TransportError, RuntimeError):
@@ -67,7 +81,9 @@ class ExperimentError(TransportError, RuntimeError):
         self.exit_code = exit_code
 
 
-def refused(option: str, expected: str, got: object, exit_code: int = EXIT_USAGE) -> ExperimentError:
+def refused(
+    option: str, expected: str, got: object, exit_code: int = EXIT_USAGE
+) -> ExperimentError:
     """Return the error for a wrong option."""
     return ExperimentError(f"{option}: expected {expected}, got {got}", exit_code)
 
@@ -79,12 +95,16 @@ class Point:
     A baseline is what the scenario's other points with the same group are compared to.
     """
 
-    labels: Mapping[str, str | float]  # values by column that tell the point from the scenario's others
+    labels: Mapping[
+        str, str | float
+    ]  # values by column that tell the point from the scenario's others
     text: str  # the same in words, such as "200 ms"
     settings: tuple[str, ...] = ()  # changes of the scenario, as for `--set`
     baseline: bool = False
     group: str = ""  # name of points that share a baseline of their own
-    team: tuple[int, int] | None = None  # number of UAVs and UAVs per agent, as of `transport scenario new`
+    team: tuple[int, int] | None = (
+        None  # number of UAVs and UAVs per agent, as of `transport scenario new`
+    )
     scenario: str = ""  # file or name
 
     def read(self, settings: Sequence[str] = ()) -> Scenario:
@@ -116,7 +136,12 @@ class Case:
 
 
 def cases_of(
-    points: Sequence[Point], settings: Sequence[str], seeds: int, *, timed: bool = False, allow_large: bool = False
+    points: Sequence[Point],
+    settings: Sequence[str],
+    seeds: int,
+    *,
+    timed: bool = False,
+    allow_large: bool = False,
 ) -> list[Case]:
     """Return every run of a sweep: each point with the seeds 0, 1, ...; one seed for a deterministic point.
 
@@ -134,14 +159,18 @@ def cases_of(
     return cases
 
 
-def cases_of_point(index: int, scenario: Scenario, path: Path, seeds: int, *, more: More | None = None) -> list[Case]:
+def cases_of_point(
+    index: int, scenario: Scenario, path: Path, seeds: int, *, more: More | None = None
+) -> list[Case]:
     """Return the runs of the point with an index, whose scenario comes from a file; as `cases_of`.
 
     Raises: ScenarioError: the scenario cannot be simulated.
     """
     if scenario.clock.mode != "lockstep":
         # In real time the result would depend on the machine and its load.
-        raise ScenarioError(str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}")
+        raise ScenarioError(
+            str(path), "clock.mode", f"expected lockstep, got {scenario.clock.mode}"
+        )
     checked(Setup.of(scenario, str(path)))  # refuses an impossible setup before the first run
     cases = []
     for seed in range(seeds if more is resource_use or is_random(scenario) else 1):
@@ -164,7 +193,9 @@ def key_of(scenario: Scenario) -> str:
 
 def is_random(scenario: Scenario) -> bool:
     """Return whether runs of the scenario differ with the seed."""
-    return not _RANDOM.isdisjoint(re.findall(r'"(\w+)"', scenario.model_dump_json(exclude_defaults=True)))
+    return not _RANDOM.isdisjoint(
+        re.findall(r'"(\w+)"', scenario.model_dump_json(exclude_defaults=True))
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,7 +212,11 @@ def run_in_memory(setup: Setup) -> RunLog:
     """Simulate a run in this process and return its log, stamped with the processor time of this thread."""
     messages: list[Recorded] = []
     clock = time.thread_time_ns  # excludes the rest of the machine
-    memory.simulate(setup, lambda message: messages.append(Recorded(message=message, received_ns=clock())), clock)
+    memory.simulate(
+        setup,
+        lambda message: messages.append(Recorded(message=message, received_ns=clock())),
+        clock,
+    )
     return RunLog(header={}, messages=tuple(messages), cut="")
 
 
@@ -192,14 +227,26 @@ def simulate(case: Case) -> Result:
         with threadpoolctl.threadpool_limits(1):
             setup = Setup.of(case.scenario, case.source)
             if key_of(setup.scenario) != case.key:
-                raise RuntimeError("expected the version of this package that started the experiment, got another")
+                raise RuntimeError(
+                    "expected the version of this package that started the experiment, got another"
+                )
             log = run_in_memory(setup)
             summary, control = summarise(setup, log), next(log.of(Control))
-            end_s = None if control.outcome == "completed" else control.tick * setup.settings.sampling_period_s
-            numbers = {"lost_s": end_s, **_numbers(summary), **(case.more(setup, summary, log) if case.more else {})}
+            end_s = (
+                None
+                if control.outcome == "completed"
+                else control.tick * setup.settings.sampling_period_s
+            )
+            numbers = {
+                "lost_s": end_s,
+                **_numbers(summary),
+                **(case.more(setup, summary, log) if case.more else {}),
+            }
     except Exception as error:  # noqa: BLE001  # an error of one case must not end the others
         text = " ".join(str(error).split())
-        return Result(key=case.key, outcome=ERROR, reason=f"{type(error).__name__}: {text}", numbers={})
+        return Result(
+            key=case.key, outcome=ERROR, reason=f"{type(error).__name__}: {text}", numbers={}
+        )
     return Result(key=case.key, outcome=control.outcome, reason=control.reason, numbers=numbers)
 
 
@@ -207,7 +254,10 @@ def _numbers(summary: Any) -> dict[str, float | None]:
     messages = summary["messages"]
     return {
         **{name: reduce(getitem, place, summary) for name, place in _FROM_SUMMARY.items()},
-        **{name: messages[part] / messages[of] if messages[of] else None for name, (part, of) in _SHARES.items()},
+        **{
+            name: messages[part] / messages[of] if messages[of] else None
+            for name, (part, of) in _SHARES.items()
+        },
     }
 
 
@@ -227,8 +277,12 @@ def resource_use(setup: Setup, _: Any, log: RunLog) -> Mapping[str, float | None
     return {
         "plans_per_tick": receivers * len(bytes_of_plans) / ticks,
         "plan_bytes_per_s": receivers * sum(bytes_of_plans) / duration_s,
-        "cpu_step_p50_ms": float(np.median(steps_ms)),  # of an agent's step: all stages of computation
+        "cpu_step_p50_ms": float(
+            np.median(steps_ms)
+        ),  # of an agent's step: all stages of computation
         "cpu_step_p99_ms": float(np.percentile(steps_ms, 99.0)),
         "cpu_team_tick_ms": sum(steps_ms) / ticks,
-        "cpu_flight_s_per_s": (ended_ns - began_ns) / 1e9 / duration_s,  # with plant, coordinator and messages
+        "cpu_flight_s_per_s": (ended_ns - began_ns)
+        / 1e9
+        / duration_s,  # with plant, coordinator and messages
     }

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from model.arrays import Array
 from transport.experiments.cases import ExperimentError, Point
 from transport.experiments.declaration import QUICK_MANEUVER, Experiment
 from transport.experiments.statistics import COST_RATIO, PointStatistics, estimate
 from transport.experiments.sweep import Swept
+from transport.model.arrays import Array
 
 NAME = "paper"
 
@@ -58,7 +58,16 @@ QUICK_MEASUREMENT = "maneuver.phase=[{name='climb',duration_s=0.4,displacement_m
 REPEATS, QUICK_REPEATS = 5, 1
 
 # From the best to the worst, and the relative difference of the mean cost up to which each reaches.
-GRADES = ("much better", "better", "slightly better", "equal", "slightly worse", "worse", "much worse", "diverged")
+GRADES = (
+    "much better",
+    "better",
+    "slightly better",
+    "equal",
+    "slightly worse",
+    "worse",
+    "much worse",
+    "diverged",
+)
 _UP_TO = (-0.5, -0.1, -0.005, 0.005, 0.1, 0.5, 1e300)
 
 Row = dict[str, Any]
@@ -102,7 +111,11 @@ class Curve:
             del row["scenario"]
             agent, team = (float(np.median(self.loads[budget][i])) for budget in (AGENT, TEAM))
             step_ms = 1e3 * cell.period_s * agent
-            yield row | {"cpu_step_ms": step_ms, "cpu_agent_s_per_s": agent, "cpu_team_s_per_s": team}
+            yield row | {
+                "cpu_step_ms": step_ms,
+                "cpu_agent_s_per_s": agent,
+                "cpu_team_s_per_s": team,
+            }
 
     def cost_ratios(self, period_s: float) -> list[float]:
         """Return the cost over the reference's at a period within the grid, one for each seed.
@@ -110,7 +123,10 @@ class Curve:
         Interpolation is linear in the logarithms of cost and period; infinite beside a diverged run.
         """
         periods = np.log([cell.period_s for cell in reversed(self.cells)])
-        return [math.exp(np.interp(math.log(period_s), periods, np.log(own))) for own in self.ratios[::-1].T]
+        return [
+            math.exp(np.interp(math.log(period_s), periods, np.log(own)))
+            for own in self.ratios[::-1].T
+        ]
 
     def cost_range(self, low_s: float, high_s: float) -> tuple[float, float] | None:
         """Return the lowest and highest cost ratio over the periods within the grid, confidence intervals included.
@@ -141,7 +157,9 @@ def cells_of(reference: Cell, *, quick: bool = False) -> dict[tuple[str, str], l
         return Cell(controller, round(factor * reference.period_s, 6), horizon)
 
     return {
-        curve: [cell(*curve, factor) for factor in (QUICK_GRID if quick else GRID) if factor >= shortest]
+        curve: [
+            cell(*curve, factor) for factor in (QUICK_GRID if quick else GRID) if factor >= shortest
+        ]
         for curve, shortest in CURVES.items()
     }
 
@@ -175,7 +193,10 @@ def equal_periods(periods_s: Array, loads: Array) -> tuple[float, float]:
         loads: Processor time over the reference's, (periods, repetitions).
     """
     periods, rising = np.log(periods_s), np.maximum.accumulate(np.log(loads))
-    equal_s = [math.exp(np.interp(0.0, ratios, periods, left=math.inf, right=-math.inf)) for ratios in rising.T]
+    equal_s = [
+        math.exp(np.interp(0.0, ratios, periods, left=math.inf, right=-math.inf))
+        for ratios in rising.T
+    ]
     return min(equal_s), max(equal_s)
 
 
@@ -191,15 +212,21 @@ def curves_of(
     lost, mean = (_by_point(swept, name) for name in ("lost_s", "cost_mean"))
     steps_ms = _by_point(timed, "cpu_step_p50_ms")
     agents = {case.point: len(case.scenario.owned) for case in timed.cases}
-    agents_of = {point.labels["controller"]: agents[i] for i, point in enumerate(timed.experiment.points)}
+    agents_of = {
+        point.labels["controller"]: agents[i] for i, point in enumerate(timed.experiment.points)
+    }
     curves = []
     for weather in dict.fromkeys(weather for weather, *_ in mean):
         first = (weather, *reference)
         if not (np.isnan(lost[first]).all() and mean[first].all()):
-            raise ExperimentError(f"{NAME}: expected a centralized controller that completes, got one that does not")
+            raise ExperimentError(
+                f"{NAME}: expected a centralized controller that completes, got one that does not"
+            )
         for (controller, kept), own in cells.items():
             keys = [(weather, *cell) for cell in own]
-            ratios = np.array([np.where(np.isnan(lost[key]), mean[key] / mean[first], math.inf) for key in keys])
+            ratios = np.array(
+                [np.where(np.isnan(lost[key]), mean[key] / mean[first], math.inf) for key in keys]
+            )
             agent = np.array([steps_ms[STILL, *cell] / 1e3 / cell.period_s for cell in own])
             loads = {TEAM: agents_of[controller] * agent, AGENT: agent}
             measured = [statistics[key] for key in keys]
@@ -210,7 +237,9 @@ def curves_of(
 def _by_point(swept: Swept, name: str) -> dict[tuple[Any, ...], Array]:
     """Return a number of the runs of each point, by its labels; NaN where a run has none."""
     return {
-        tuple(point.labels.values()): np.array([result.numbers[name] for result in results], dtype=float)
+        tuple(point.labels.values()): np.array(
+            [result.numbers[name] for result in results], dtype=float
+        )
         for point, results in zip(swept.experiment.points, swept.by_point, strict=True)
     }
 
@@ -226,14 +255,22 @@ def verdicts(curves: Sequence[Curve], reference: Cell) -> Iterator[Row]:
     An end of the periods beyond the grid is empty, the ratio of a diverged run infinite.
     """
     first = curves[0]
-    at_reference = {budget: loads[first.cells.index(reference)] for budget, loads in first.loads.items()}
+    at_reference = {
+        budget: loads[first.cells.index(reference)] for budget, loads in first.loads.items()
+    }
     for curve in (curve for curve in curves if curve.controller != CENTRALIZED):
         # The processor time of diverging runs is not representative.
         done = np.flatnonzero(np.isfinite(curve.ratios).all(axis=1))
         own = np.array([cell.period_s for cell in curve.cells])[done]
-        ranges = {SAME_RATE: (reference.period_s, reference.period_s)} if curve.kept == SECONDS else {}
+        ranges = (
+            {SAME_RATE: (reference.period_s, reference.period_s)} if curve.kept == SECONDS else {}
+        )
         for budget, loads in curve.loads.items():
-            ranges[budget] = equal_periods(own, loads[done] / at_reference[budget]) if len(own) else (0.0, math.inf)
+            ranges[budget] = (
+                equal_periods(own, loads[done] / at_reference[budget])
+                if len(own)
+                else (0.0, math.inf)
+            )
         for budget, (low_s, high_s) in ranges.items():
             yield _verdict(curve, budget, low_s, high_s)
 
@@ -242,22 +279,34 @@ def _verdict(curve: Curve, budget: str, low_s: float, high_s: float) -> Row:
     """Return the row of a curve over the periods at which it computes as much as the reference."""
     low, high = (f"{1e3 * s:.3g} ms" if 0.0 < s < math.inf else "" for s in (low_s, high_s))
     ratios = curve.cost_range(low_s, high_s)
-    row: Row = {"weather": curve.weather, "controller": curve.controller, "at": budget, "T_s": "", "cost": ""}
+    row: Row = {
+        "weather": curve.weather,
+        "controller": curve.controller,
+        "at": budget,
+        "T_s": "",
+        "cost": "",
+    }
     if budget != SAME_RATE:
         row["at"] = f"the same computation of {budget}, as many {curve.kept} of horizon"
     if ratios is None:
         row["verdict"] = f"computes {'more' if low_s else 'less'} wherever it completes"
     else:
         grades = [grade(ratio) for ratio in ratios]
-        row["T_s"] = " to ".join(dict.fromkeys([low or "shorter than the grid", high or "longer than the grid"]))
-        row["cost"] = " to ".join(dict.fromkeys(f"x{ratio:.2f}" for ratio in ratios)).replace("xinf", "diverged")
+        row["T_s"] = " to ".join(
+            dict.fromkeys([low or "shorter than the grid", high or "longer than the grid"])
+        )
+        row["cost"] = " to ".join(dict.fromkeys(f"x{ratio:.2f}" for ratio in ratios)).replace(
+            "xinf", "diverged"
+        )
         row["verdict"] = " to ".join(dict.fromkeys(grades))
     row["claim"] = row["supported"] = ""
     if curve.controller == PAPER:
         row["claim"] = "slightly worse" if budget == SAME_RATE else "slightly better"
         row["supported"] = "does not apply" if ratios is None else "undetermined"
         if ratios and low and high:
-            best, claim, worst = (GRADES.index(name) for name in (grades[0], row["claim"], grades[1]))
+            best, claim, worst = (
+                GRADES.index(name) for name in (grades[0], row["claim"], grades[1])
+            )
             if not best <= claim <= worst:
                 row["supported"] = "does not hold"
             elif best == worst:

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
-from protocol.scenario.keys import UNITS, ending_of, fields, key_of, short_names, unit_of
-from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point
+from transport.protocol.scenario.keys import UNITS, ending_of, fields, key_of, short_names, unit_of
+from transport.protocol.scenario.schema import Scenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +57,15 @@ def axis(column: str) -> Axis:
     key = short_names().get(column, column)
     found = fields().get(key)
     # Labels of links name plans.
-    if found is None or not key_of(found).label or key.startswith(("links.measurement.", "links.actuation.")):
+    if (
+        found is None
+        or not key_of(found).label
+        or key.startswith(("links.measurement.", "links.actuation."))
+    ):
         ending = ending_of(key)
-        return Axis(column, key.removesuffix(ending).replace(".", " ").replace("_", " "), UNITS[ending][0])
+        return Axis(
+            column, key.removesuffix(ending).replace(".", " ").replace("_", " "), UNITS[ending][0]
+        )
     unit = key_of(found).shown or unit_of(key, found)
     return Axis(column, key_of(found).label, unit, _FACTORS.get(unit.partition(" ")[0], 1.0))
 
@@ -118,7 +124,9 @@ class Experiment:
     maneuver: str = ""  # setting; empty: the scenario's own
     quick_maneuver: str = QUICK_MANEUVER
 
-    def experiment(self, scenarios: Mapping[str, Scenario], given: Mapping[str, Any], *, quick: bool = False) -> Self:
+    def experiment(
+        self, scenarios: Mapping[str, Scenario], given: Mapping[str, Any], *, quick: bool = False
+    ) -> Self:
         """Return the experiment with the points of scenarios and the options given, the others at their defaults.
 
         Raises: ExperimentError: an option is refused.

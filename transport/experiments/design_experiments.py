@@ -6,12 +6,12 @@ from itertools import product
 
 import numpy as np
 
-from protocol.scenario.file import ScenarioError, with_settings
-from protocol.scenario.schema import Scenario
-from protocol.scenario.team import given
 from transport.experiments.cases import Point, refused
 from transport.experiments.declaration import NONE, Values, declared
 from transport.experiments.network_experiments import NETWORKS
+from transport.protocol.scenario.file import ScenarioError, with_settings
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.team import given
 
 AS_IT_IS, NEVER, CENTRALIZED = "as it is", "never", "centralized"
 
@@ -68,10 +68,14 @@ def _takes(scenario: Scenario, setting: str) -> bool:
     "horizon",
     drawn_as="variants",
     horizon=Values([5, 10, 20, 30], "STEPS", "Steps N_p.", [10]),
-    terminal=Values([1.0, 5.0, 20.0], "WEIGHT", "Terminal weight, for open-loop prediction.", [5.0]),
+    terminal=Values(
+        [1.0, 5.0, 20.0], "WEIGHT", "Terminal weight, for open-loop prediction.", [5.0]
+    ),
     delay=Values(0.2, "SECONDS", "Delay of every plan on the second network, s."),
 )
-def horizon(scenario: Scenario, horizon: Sequence[int], terminal: Sequence[float], delay: float) -> Iterator[Point]:
+def horizon(
+    scenario: Scenario, horizon: Sequence[int], terminal: Sequence[float], delay: float
+) -> Iterator[Point]:
     """Effect of horizon and terminal weight.
 
     Each horizon with each weight, on a perfect network and with a delay.
@@ -94,7 +98,9 @@ def horizon(scenario: Scenario, horizon: Sequence[int], terminal: Sequence[float
                 {"network": network, "horizon": steps, "terminal": end},
                 f"N_p {steps}, {text}, {network}",
                 tuple(settings),
-                baseline=steps == controller.horizon and end in (own_end, _COST_TO_GO) and delay_s == 0.0,
+                baseline=steps == controller.horizon
+                and end in (own_end, _COST_TO_GO)
+                and delay_s == 0.0,
             )
 
 
@@ -113,7 +119,9 @@ def hover(scenario: Scenario, duration: Sequence[float]) -> Iterator[Point]:
     Example: transport experiment hover --duration 60 --scenario resilient
     """
     phases = scenario.maneuver.phase
-    for duration_s in duration:  # no run is a baseline: mean costs of different lengths are not comparable
+    for (
+        duration_s
+    ) in duration:  # no run is a baseline: mean costs of different lengths are not comparable
         setting = f"maneuver.phase.{len(phases)}.duration_s={duration_s!r}"
         yield Point({"hover_s": duration_s}, f"{duration_s:g} s of hover", (setting,))
 
@@ -138,7 +146,10 @@ def kill(scenario: Scenario, at: float, restart: float) -> Iterator[Point]:
     for back_s in (restart, None):
         how = "not restarted" if back_s is None else f"restarted after {back_s - at:g} s"
         for agent in range(1, len(scenario.owned) + 1):
-            events = [_event(at, "kill", agent), *([_event(back_s, "restart", agent)] if back_s else [])]
+            events = [
+                _event(at, "kill", agent),
+                *([_event(back_s, "restart", agent)] if back_s else []),
+            ]
             yield Point(
                 {"agent": str(agent), "restart_s": back_s or NEVER},
                 f"agent{agent} {how}",
@@ -226,7 +237,11 @@ AGILE: Mapping[str, tuple[str, ...]] = {
     _LATE: NETWORKS[_LATE],
     "400 ms delay, 30 % loss": ("links.delay_s=0.4", "links.loss=0.3"),
     **{
-        f"payload {100.0 * (factor - 1.0):+.0f} %": (*NETWORKS[_LATE], _ESTIMATE, f"plant.payload_mass_factor={factor}")
+        f"payload {100.0 * (factor - 1.0):+.0f} %": (
+            *NETWORKS[_LATE],
+            _ESTIMATE,
+            f"plant.payload_mass_factor={factor}",
+        )
         for factor in (0.57, 0.8, 1.2, 1.43)
     },
     "motor lag 60 ms": (*NETWORKS[_LATE], "plant.motors.lag_s=0.06"),
@@ -255,7 +270,9 @@ def agile(scenario: Scenario, speed: Sequence[float]) -> Iterator[Point]:
 
     Example: transport experiment agile --speed 5 --seeds 10
     """
-    paced = [i for i, phase in enumerate(scenario.maneuver.phase, start=1) if phase.speed_mps is not None]
+    paced = [
+        i for i, phase in enumerate(scenario.maneuver.phase, start=1) if phase.speed_mps is not None
+    ]
     if not paced:
         raise refused("--scenario", "a maneuver with speed_mps in a phase", scenario.name)
     whole = f"agents.owned=[{[uav.id for uav in scenario.system.uav]}]"

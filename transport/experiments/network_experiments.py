@@ -3,9 +3,9 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from protocol.scenario.schema import Scenario
 from transport.experiments.cases import Point, refused
 from transport.experiments.declaration import NONE, Values, declared
+from transport.protocol.scenario.schema import Scenario
 
 # Standard deviation of one unit of `links.jitter_s`, and the mean it adds, by distribution (docs/keys.md); and the
 # smallest mean delay at which the random part is never cut off at zero, in standard deviations. The normal distribution
@@ -33,7 +33,12 @@ def latency(_: Scenario, delay: Sequence[float]) -> Iterator[Point]:
     Example: transport experiment latency --delay 0.1 --delay 0.3 --scenario resilient
     """
     for delay_s in sorted({0.0, *delay}):
-        yield Point({"delay_s": delay_s}, _ms(delay_s), (f"links.delay_s={delay_s!r}",), baseline=delay_s == 0.0)
+        yield Point(
+            {"delay_s": delay_s},
+            _ms(delay_s),
+            (f"links.delay_s={delay_s!r}",),
+            baseline=delay_s == 0.0,
+        )
 
 
 @declared(
@@ -60,7 +65,11 @@ def _bursts(share: float, burst_ticks: float) -> str:
     """Return the setting of a link that loses every plan in its bad state and spends a share of the ticks there."""
     most = burst_ticks / (1.0 + burst_ticks)
     if share > most:
-        raise refused("--loss", f"at most {most:.3g} with bursts of {burst_ticks:g} ticks on average", f"{share:g}")
+        raise refused(
+            "--loss",
+            f"at most {most:.3g} with bursts of {burst_ticks:g} ticks on average",
+            f"{share:g}",
+        )
     leave = 1.0 / burst_ticks
     enter = min(1.0, leave * share / (1.0 - share))  # from share = enter / (enter + leave)
     return f"links.gilbert_elliott={{enter={enter!r},leave={leave!r},loss=1.0}}"
@@ -74,7 +83,9 @@ def _bursts(share: float, burst_ticks: float) -> str:
     std=Values([0.02, 0.05, 0.08], "SECONDS", "Standard deviation of the delay, s.", [0.05]),
     mean=Values(0.16, "SECONDS", "Mean delay, s."),
 )
-def jitter(_: Scenario, distribution: Sequence[str], std: Sequence[float], mean: float) -> Iterator[Point]:
+def jitter(
+    _: Scenario, distribution: Sequence[str], std: Sequence[float], mean: float
+) -> Iterator[Point]:
     """Effect of the distribution of random delays.
 
     Several distributions with the same mean and standard deviation.
@@ -102,7 +113,11 @@ def jitter(_: Scenario, distribution: Sequence[str], std: Sequence[float], mean:
                 f"links.jitter_s={scale_s!r}",
                 f"links.distribution={name}",
             )
-            labels: dict[str, str | float] = {"distribution": name, "std_s": deviation_s, "mean_s": mean}
+            labels: dict[str, str | float] = {
+                "distribution": name,
+                "std_s": deviation_s,
+                "mean_s": mean,
+            }
             yield Point(labels, f"{name} with {_ms(deviation_s)}", settings)
 
 
@@ -137,7 +152,10 @@ def matrix(_: Scenario, delay: Sequence[float], loss: Sequence[float]) -> Iterat
     scenarios=("resilient",),
     seeds=5,
     threshold=Values(
-        [0.002, 0.005, 0.01, 0.02, 0.05], "SHARE", "Smallest change that is sent, share of the input's range.", [0.01]
+        [0.002, 0.005, 0.01, 0.02, 0.05],
+        "SHARE",
+        "Smallest change that is sent, share of the input's range.",
+        [0.01],
     ),
     heartbeat=Values(1.0, "SECONDS", "Longest time between two plans, s."),
 )

@@ -20,7 +20,9 @@ class Estimate(NamedTuple):
     """A mean with its uncertainty."""
 
     mean: float
-    half_width: float | None  # half the 95 % confidence interval of the mean; None for a single value
+    half_width: (
+        float | None
+    )  # half the 95 % confidence interval of the mean; None for a single value
     n: int  # number of repetitions
 
 
@@ -33,7 +35,9 @@ def estimate(values: Sequence[float]) -> Estimate | None:
     n = len(values)
     if n == 0:
         return None
-    half_width = float(stdtrit(n - 1, 0.975)) * statistics.stdev(values) / math.sqrt(n) if n > 1 else None
+    half_width = (
+        float(stdtrit(n - 1, 0.975)) * statistics.stdev(values) / math.sqrt(n) if n > 1 else None
+    )
     return Estimate(math.fsum(values) / n, half_width, n)
 
 
@@ -62,7 +66,11 @@ class PointStatistics:
 
     def row(self) -> dict[str, Any]:
         """Return values by column, as in points.csv."""
-        row: dict[str, Any] = {"scenario": self.point.scenario, **self.point.labels, "flights": self.runs}
+        row: dict[str, Any] = {
+            "scenario": self.point.scenario,
+            **self.point.labels,
+            "flights": self.runs,
+        }
         row |= {"completed": self.completed, "errors": self.errors}
         row |= {FIRST_DIVERGED: min(self.diverged_s, default=None), COST_RATIO: self.cost_ratio}
         for name, value in self.numbers.items():
@@ -83,7 +91,8 @@ def statistics_of(
         simulated = [result for result in found if result.outcome != ERROR]
         done = [result.numbers for result in simulated if result.outcome == "completed"]
         estimates = {
-            name: estimate([value for numbers in done if (value := numbers.get(name)) is not None]) for name in names
+            name: estimate([value for numbers in done if (value := numbers.get(name)) is not None])
+            for name in names
         }
         ends_s = (result.numbers["lost_s"] for result in simulated)
         m = PointStatistics(
@@ -100,7 +109,8 @@ def statistics_of(
             baselines[point.scenario, point.group] = m.mean("cost_mean")
     return [
         replace(m, cost_ratio=cost / baseline)
-        if (baseline := baselines.get((m.point.scenario, m.point.group))) and (cost := m.mean("cost_mean")) is not None
+        if (baseline := baselines.get((m.point.scenario, m.point.group)))
+        and (cost := m.mean("cost_mean")) is not None
         else m
         for m in made
     ]
@@ -136,7 +146,16 @@ _ATTITUDE = Column("attitude\n(deg)", "attitude_max_deg", 1.0, 2, True)
 _SWING = Column("swing\n(m)", "swing_m")
 _APART = Column("apart\n(m)", "separation_min_m", 1.0, 3)
 _AGE = Column("age\n(tick)", "plan_age_mean_ticks")
-_COLUMNS = [_DIVERGED, _COST, _RATIO, Column("max\n(1e-3)", "cost_max", 1e3, 1), _ATTITUDE, _SWING, _APART, _AGE]
+_COLUMNS = [
+    _DIVERGED,
+    _COST,
+    _RATIO,
+    Column("max\n(1e-3)", "cost_max", 1e3, 1),
+    _ATTITUDE,
+    _SWING,
+    _APART,
+    _AGE,
+]
 
 # Columns of experiments whose points have a label: plans that are not sent, speeds, and teams, which are timed.
 _FURTHER = {
@@ -168,17 +187,24 @@ def table_of(title: str, measured: Sequence[PointStatistics]) -> Table:
 
 
 def console_table(
-    title: str, labels: Mapping[str, str], columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]
+    title: str,
+    labels: Mapping[str, str],
+    columns: Sequence[Column],
+    rows: Sequence[Mapping[str, Any]],
 ) -> Table:
     """Return a table for the console: labels with their headings, number of completed runs, columns of numbers."""
-    table = Table(box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0))
+    table = Table(
+        box=None, title=title, title_justify="left", title_style="bold", padding=(0, 1, 0, 0)
+    )
     for heading in labels.values():
         table.add_column(heading, no_wrap=True)
     for heading in ("done", *(column.heading for column in columns)):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         texts = [value if isinstance(value := row[name], str) else f"{value:g}" for name in labels]
-        done = f"{row['completed']}/{row['flights']}" + (f" {row['errors']}!" if row.get("errors") else "")
+        done = f"{row['completed']}/{row['flights']}" + (
+            f" {row['errors']}!" if row.get("errors") else ""
+        )
         table.add_row(*texts, done, *(column.cell(row) for column in columns))
     return table
 
@@ -205,10 +231,16 @@ def conclusions(measured: Sequence[PointStatistics]) -> list[str]:
 
 def _outcomes(measured: Sequence[PointStatistics]) -> Iterator[str]:
     """Yield how many runs were completed, where and when the first of the others diverged, and the errors."""
-    runs, completed, errors = (sum(getattr(m, name) for m in measured) for name in ("runs", "completed", "errors"))
+    runs, completed, errors = (
+        sum(getattr(m, name) for m in measured) for name in ("runs", "completed", "errors")
+    )
     diverged = [(m.diverged_s[0], m.point.text) for m in measured if m.diverged_s]
     if runs:
-        first = "first diverged at {:.1f} s ({})".format(*min(diverged)) if diverged else "none diverged"
+        first = (
+            "first diverged at {:.1f} s ({})".format(*min(diverged))
+            if diverged
+            else "none diverged"
+        )
         yield f"completes {completed} of {runs} runs, {first}"
     if errors:
         yield f"{errors} run{'s' * (errors > 1)} could not be simulated"
@@ -216,10 +248,16 @@ def _outcomes(measured: Sequence[PointStatistics]) -> Iterator[str]:
 
 def _extremes(measured: Sequence[PointStatistics]) -> Iterator[str]:
     """Yield the largest attitude, and the lowest and highest cost over the baseline's."""
-    attitudes = [(value, m.point.text) for m in measured if (value := m.mean("attitude_max_deg")) is not None]
+    attitudes = [
+        (value, m.point.text) for m in measured if (value := m.mean("attitude_max_deg")) is not None
+    ]
     if attitudes:
         yield "largest payload attitude {:.2f} deg ({})".format(*max(attitudes))
-    costs = [(m.cost_ratio, m.point.text) for m in measured if m.cost_ratio is not None and not m.point.baseline]
+    costs = [
+        (m.cost_ratio, m.point.text)
+        for m in measured
+        if m.cost_ratio is not None and not m.point.baseline
+    ]
     if costs:
         ends = dict.fromkeys([min(costs), max(costs)])
         yield "cost " + " to ".join(f"x{ratio:.2f} ({text})" for ratio, text in ends)
@@ -229,7 +267,11 @@ def _growth(measured: Sequence[PointStatistics]) -> Iterator[str]:
     """Yield how numbers grow from `FEWEST` to `MOST` UAVs: p of N^p by least squares; nothing for a single team."""
     for name, (number, factor, unit) in _GROWING.items():
         means = {float(m.point.labels["uavs"]): factor * (m.mean(number) or 0.0) for m in measured}
-        fitted = {uavs: value for uavs, value in sorted(means.items()) if FEWEST <= uavs <= MOST and value > 0.0}
+        fitted = {
+            uavs: value
+            for uavs, value in sorted(means.items())
+            if FEWEST <= uavs <= MOST and value > 0.0
+        }
         if len(fitted) > 1:
             sizes, values = list(fitted), list(fitted.values())
             power = np.polyfit(np.log(sizes), np.log(values), 1)[0]

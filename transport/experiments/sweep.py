@@ -9,16 +9,22 @@ from typing import Any, BinaryIO, Self
 
 import orjson
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
-from protocol.wire.exit_codes import EXIT_CASE_FAILED
 from transport.experiments.cases import ERROR, NUMBERS, Case, ExperimentError, Result, refused
 from transport.experiments.declaration import Experiment
 from transport.experiments.figures import draw
 from transport.experiments.statistics import PointStatistics, statistics_of
 from transport.flight.progress import ConsoleProgress
 from transport.flight.run_files import machine
+from transport.protocol.wire.exit_codes import EXIT_FAILED
 from transport.report.report import write_csv, write_whole
 
 _IDENTITY, _RESULTS = "experiment.json", "results.jsonl"
@@ -83,9 +89,15 @@ def _identify(folder: Path, experiment: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     if not any(folder.iterdir()):
         write_whole(identity, orjson.dumps({"experiment": experiment}) + b"\n")
-    found = f"experiment {orjson.loads(identity.read_bytes())['experiment']}" if identity.exists() else "other files"
+    found = (
+        f"experiment {orjson.loads(identity.read_bytes())['experiment']}"
+        if identity.exists()
+        else "other files"
+    )
     if found != wanted:
-        raise refused("--out", f"a new folder, or one of {wanted}", f"{folder}, which contains {found}")
+        raise refused(
+            "--out", f"a new folder, or one of {wanted}", f"{folder}, which contains {found}"
+        )
 
 
 Simulate = Callable[[Sequence[Case]], Iterable[Result]]
@@ -110,11 +122,15 @@ class Swept:
     @cached_property
     def measured(self) -> list[PointStatistics]:
         """Statistics of each point."""
-        return statistics_of(self.experiment.points, self.by_point, self._numbers[1:])  # lost_s is in diverged_s
+        return statistics_of(
+            self.experiment.points, self.by_point, self._numbers[1:]
+        )  # lost_s is in diverged_s
 
     @property
     def _numbers(self) -> list[str]:
-        return list(dict.fromkeys([*NUMBERS, *(name for result in self.results for name in result.numbers)]))
+        return list(
+            dict.fromkeys([*NUMBERS, *(name for result in self.results for name in result.numbers)])
+        )
 
     def rows(self, table: str) -> list[dict[str, Any]]:
         """Return a row for each point or, if the table is not "points", for each run; values by column."""
@@ -127,9 +143,14 @@ class Swept:
             rows.append({"scenario": point.scenario, **point.labels, **own, **result.numbers})
         return rows
 
-    def write(self, folder: Path, *, shown: tuple[Experiment, Sequence[PointStatistics]] | None = None) -> list[Path]:
+    def write(
+        self, folder: Path, *, shown: tuple[Experiment, Sequence[PointStatistics]] | None = None
+    ) -> list[Path]:
         """Write tables and figure to a folder and return the files; the figure may show another view of the sweep."""
-        files = [self.write_cases(folder / "cases.csv"), *draw(*(shown or (self.experiment, self.measured)), folder)]
+        files = [
+            self.write_cases(folder / "cases.csv"),
+            *draw(*(shown or (self.experiment, self.measured)), folder),
+        ]
         points = folder / "points.csv"
         rows = self.rows("points")
         write_csv(points, rows, list(rows[0]))
@@ -137,7 +158,14 @@ class Swept:
 
     def write_cases(self, file: Path) -> Path:
         """Write a row for each run and return the file; floats are written without loss."""
-        columns = ["scenario", *self.experiment.points[0].labels, "seed", "outcome", "reason", *self._numbers]
+        columns = [
+            "scenario",
+            *self.experiment.points[0].labels,
+            "seed",
+            "outcome",
+            "reason",
+            *self._numbers,
+        ]
         write_csv(file, self.rows("runs"), columns)
         return file
 
@@ -149,17 +177,22 @@ class Swept:
         failed = [result for result in self.results if result.outcome == ERROR]
         if failed:
             more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
-            raise ExperimentError(f"a run raised an error{more}: {failed[0].reason}", EXIT_CASE_FAILED)
+            raise ExperimentError(f"a run raised an error{more}: {failed[0].reason}", EXIT_FAILED)
 
 
 def sweep(
-    experiment: Experiment, cases: Sequence[Case], simulate: Simulate, results: Results, console: Console
+    experiment: Experiment,
+    cases: Sequence[Case],
+    simulate: Simulate,
+    results: Results,
+    console: Console,
 ) -> Swept:
     """Simulate the cases without a result, and keep each result at once."""
     every = {case.key: case for case in cases}
     # Seed by seed: a slow period of the machine affects the timing of all points alike.
     missing = sorted(
-        (case for case in every.values() if not results.done(case.key)), key=lambda case: case.scenario.seed
+        (case for case in every.values() if not results.done(case.key)),
+        key=lambda case: case.scenario.seed,
     )
     try:
         with _Progress(experiment.name, len(every) - len(missing), len(every), console) as progress:
@@ -167,7 +200,9 @@ def sweep(
                 results.add(result)
                 case = every[result.key]
                 point = experiment.points[case.point]
-                progress.advance(f"{point.scenario}, {point.text}, seed {case.scenario.seed}: {result.outcome}")
+                progress.advance(
+                    f"{point.scenario}, {point.text}, seed {case.scenario.seed}: {result.outcome}"
+                )
     except (KeyboardInterrupt, ExperimentError):
         done = sum(results.done(case.key) for case in cases)
         if results.folder is not None:
@@ -177,11 +212,17 @@ def sweep(
     return Swept(experiment=experiment, cases=cases, results=[results[case.key] for case in cases])
 
 
-def write_markdown(folder: Path, sentences: Sequence[str], table: Table, files: Sequence[Path]) -> list[str]:
+def write_markdown(
+    folder: Path, sentences: Sequence[str], table: Table, files: Sequence[Path]
+) -> list[str]:
     """Write sentences, table and machine to report.md; return lines for the console, with the files."""
     file, origin = folder / "report.md", f"machine: {machine()}"
     rows = zip(*(column.cells for column in table.columns), strict=True)
-    cells = [[" ".join(str(column.header).split()) for column in table.columns], ["---"] * len(table.columns), *rows]
+    cells = [
+        [" ".join(str(column.header).split()) for column in table.columns],
+        ["---"] * len(table.columns),
+        *rows,
+    ]
     lines = [f"| {' | '.join(map(str, row))} |" for row in cells]
     text = [*(f"- {sentence}" for sentence in sentences), "", *lines, "", f"*{origin}*", ""]
     write_whole(file, "\n".join(text).encode())
@@ -193,7 +234,9 @@ class _Progress(ConsoleProgress):
 
     def __init__(self, name: str, done: int, total: int, console: Console) -> None:
         status = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[last]}"))
-        super().__init__(console, TextColumn(name), *status, TimeElapsedColumn(), TimeRemainingColumn())
+        super().__init__(
+            console, TextColumn(name), *status, TimeElapsedColumn(), TimeRemainingColumn()
+        )
         self._task = self._bar.add_task(name, total=total, completed=done, last="")
 
     def advance(self, last: str) -> None:

@@ -8,41 +8,63 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
-from protocol.scenario.budget import most_workers
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
 from transport.experiments.cases import Case, ExperimentError, Result, refused, simulate
+from transport.protocol.scenario.budget import most_workers
+from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+
+Item = TypeVar("Item")
+Value = TypeVar("Value")
 
 # Timeout of the cluster, and period at which a worker checks that its parent lives, s.
 _ANSWER_S, _CHECK_S = 15.0, 0.5
 
 
 def on_cores(cases: Sequence[Case], jobs: int | None = None) -> Iterator[Result]:
-    """Simulate cases on this machine, by default as many at a time as there are cores, and memory for.
-
-    One job is done in this process.
+    """Simulate cases on this machine, by default as many at a time as cores and memory allow.
 
     Raises: ExperimentError: a worker process has died.
     """
     import joblib
 
     most = jobs or min(joblib.cpu_count(), most_workers(case.scenario for case in cases))
-    if (jobs := min(len(cases), most)) <= 1:
-        yield from map(simulate, cases)
+    return map_on_cores(simulate, cases, most)
+
+
+def map_on_cores(
+    function: Callable[[Item], Value], items: Sequence[Item], jobs: int | None = None
+) -> Iterator[Value]:
+    """Apply a function to items in worker processes, in any order; one job is done in this process.
+
+    Args:
+        function: Picklable; returns one result.
+        items: Its arguments.
+        jobs: Most workers; by default one for each core.
+
+    Raises: ExperimentError: a worker process has died.
+    """
+    import joblib
+
+    cores = joblib.cpu_count()
+    workers = min(len(items), jobs or cores)
+    if workers <= 1:
+        yield from map(function, items)
         return
     from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     # Not loky alone: with all cases in its queue its thread may raise while workers are killed.
     team = joblib.Parallel(
-        n_jobs=jobs, return_as="generator_unordered", batch_size=1, max_nbytes=None,
+        n_jobs=workers, return_as="generator_unordered", batch_size=1, max_nbytes=None,
         initializer=_serve, initargs=(os.getpid(),),
     )  # fmt: skip
     try:
-        yield from team(joblib.delayed(simulate)(case) for case in cases)
+        yield from team(joblib.delayed(function)(item) for item in items)
     except TerminatedWorkerError as error:
-        raise ExperimentError(f"a worker process died: {str(error).splitlines()[0]}", EXIT_UNREACHABLE) from error
+        first_line = str(error).splitlines()[0]
+        raise ExperimentError(f"a worker process died: {first_line}", EXIT_UNREACHABLE) from error
     finally:
         get_reusable_executor().shutdown(wait=True, kill_workers=True)
 
@@ -55,7 +77,9 @@ def check_cluster(address: str) -> None:
     if "://" not in address:
         raise refused("--dask", "an address such as tcp://host:8786", repr(address))
     if importlib.util.find_spec("distributed") is None:
-        raise refused("--dask", "the package distributed (pip install 'payload-transport[cluster]')", "none")
+        raise refused(
+            "--dask", "the package distributed (pip install 'payload-transport[cluster]')", "none"
+        )
 
 
 def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
@@ -68,16 +92,30 @@ def on_cluster(cases: Sequence[Case], address: str) -> Iterator[Result]:
     try:
         client = Client(address, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise refused("--dask", f"a scheduler at {address}", f"no answer ({error})", EXIT_UNREACHABLE) from error
+        raise refused(
+            "--dask", f"a scheduler at {address}", f"no answer ({error})", EXIT_UNREACHABLE
+        ) from error
     with client:
-        threads = [worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values()]
+        threads = [
+            worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values()
+        ]
         if not threads or max(threads) > 1:
-            expected = f"workers with one thread each at {address} (dask worker {address} --nthreads 1)"
-            raise refused("--dask", expected, f"some with {max(threads)}" if threads else "none", EXIT_UNREACHABLE)
+            expected = (
+                f"workers with one thread each at {address} (dask worker {address} --nthreads 1)"
+            )
+            raise refused(
+                "--dask",
+                expected,
+                f"some with {max(threads)}" if threads else "none",
+                EXIT_UNREACHABLE,
+            )
         futures = [client.submit(simulate, case, pure=False) for case in cases]
         for future in as_completed(futures, loop=client.loop):
             if future.status != "finished":
-                raise ExperimentError(f"--dask: the cluster at {address} fails: {future.exception()}", EXIT_UNREACHABLE)
+                raise ExperimentError(
+                    f"--dask: the cluster at {address} fails: {future.exception()}",
+                    EXIT_UNREACHABLE,
+                )
             yield future.result()
 
 

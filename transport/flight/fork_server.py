@@ -1,7 +1,8 @@
 """Fork server: starts the processes of a run by fork, so that imports are done once and their memory is shared.
 
-A forked process equals `python -m transport agent ...`: it has its own session, output, title and exit code, and is a
-child of the process that asked for it. On systems other than Linux processes are started by Popen.
+A forked process equals `python -m transport agent ...`: it has its own session, output, title and
+exit code, and is a child of the process that asked for it. On systems other than Linux processes
+are started by Popen.
 """
 
 import atexit
@@ -23,10 +24,12 @@ from typing import IO, Any, NoReturn
 import psutil
 import setproctitle
 
-from protocol.network.parent import ENVIRONMENT, PARENT_PIPE, python
-from protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.network.parent import ENVIRONMENT, PARENT_PIPE, python
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
 
-_FORK_SERVER = "fork-server"  # first argument of the command that is the server (`transport.__main__`)
+_FORK_SERVER = (
+    "fork-server"  # first argument of the command that is the server (`transport.__main__`)
+)
 _REQUEST_BYTES = 128 * 1024
 _ANSWER_S = 20.0  # time for an answer: the imports take 1 s
 _PR_SET_CHILD_SUBREAPER = 36  # <sys/prctl.h>
@@ -42,13 +45,19 @@ def fork_server() -> "ForkServer":
 
 @atexit.register
 def close_fork_server() -> None:
-    """End the server of this process, if there is one; a later call of `fork_server` starts another."""
+    """End the server of this process, if there is one.
+
+    A later call of `fork_server` starts another.
+    """
     while _servers:
         _servers.pop().close()
 
 
 class ForkServer:
-    """Client of the server process, which starts to import at once; forked processes outlive the server."""
+    """Client of the server process, which starts to import at once.
+
+    Forked processes outlive the server.
+    """
 
     def __init__(self) -> None:
         self._turn = threading.Lock()  # the answers of the server do not name their requests
@@ -64,7 +73,11 @@ class ForkServer:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 pass_fds=[other.fileno()],
-                env={**ENVIRONMENT, **os.environ, PARENT_PIPE: "1"},  # a stopped server notices its parent's end
+                env={
+                    **ENVIRONMENT,
+                    **os.environ,
+                    PARENT_PIPE: "1",
+                },  # a stopped server notices its parent's end
                 start_new_session=True,  # Ctrl-C is handled by this process
             )
 
@@ -73,18 +86,30 @@ class ForkServer:
     ) -> psutil.Process:
         """Start `transport` as a child with two open files and additions to the environment of this process."""
         environment = {**ENVIRONMENT, **os.environ, **extra}
-        request = {"arguments": list(arguments), "environment": environment, "folder": str(Path.cwd())}
         with self._turn:
             try:
                 if self._socket is not None:
-                    socket.send_fds(self._socket, [json.dumps(request).encode()], [stdin, output.fileno()])
+                    request = {
+                        "arguments": list(arguments),
+                        "environment": environment,
+                        "folder": str(Path.cwd()),
+                    }
+                    socket.send_fds(
+                        self._socket, [json.dumps(request).encode()], [stdin, output.fileno()]
+                    )
                     return psutil.Process(int(self._socket.recv(64)))
             except (OSError, ValueError, psutil.Error):
-                # The server only saves time. A process that it has forked but not announced ends with its input.
+                # The server only saves time: without it, or without a current folder, the process
+                # is started anew. One that it has forked but not announced ends with its input.
                 self.close()
         command = [*python("transport"), *arguments]
         return psutil.Popen(
-            command, stdin=stdin, stdout=output, stderr=subprocess.STDOUT, env=environment, start_new_session=True
+            command,
+            stdin=stdin,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=environment,
+            start_new_session=True,
         )
 
     def close(self) -> None:
@@ -102,9 +127,13 @@ def _adopt_orphans(adopt: bool) -> bool:
     return bool(ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(adopt), 0, 0, 0) == 0)
 
 
-def serve(own: socket.socket, prepare: Callable[[list[str]], None], command: Callable[[], NoReturn]) -> None:
+def serve(
+    own: socket.socket, prepare: Callable[[list[str]], None], command: Callable[[], NoReturn]
+) -> None:
     """Be the server: `prepare` and fork a process with the command for each request, until the socket is closed."""
-    setproctitle.setproctitle(f"transport {_FORK_SERVER}")  # before the environment moves: titles use its memory
+    setproctitle.setproctitle(
+        f"transport {_FORK_SERVER}"
+    )  # before the environment moves: titles use its memory
     while True:
         content, descriptors, _, _ = socket.recv_fds(own, _REQUEST_BYTES, 2)
         if not content:
@@ -120,14 +149,17 @@ def serve(own: socket.socket, prepare: Callable[[list[str]], None], command: Cal
             os.close(descriptor)
 
 
-def _started(request: Mapping[str, Any], descriptors: list[int], command: Callable[[], NoReturn]) -> int:
+def _started(
+    request: Mapping[str, Any], descriptors: list[int], command: Callable[[], NoReturn]
+) -> int:
     """Fork twice, so that the process that sent the request adopts the new one; return its id."""
     reads, writes = os.pipe()
     between = os.fork()
     if between == 0:
         own, pid = os.getpid(), os.fork()
         if pid == 0:
-            # Once it watches its parent, the end of this one would continue it if it were stopped by then.
+            # Once it watches its parent, the end of this one would continue it if it were stopped
+            # by then.
             while os.getppid() == own:
                 time.sleep(1e-4)
             _become(request, descriptors[0], descriptors[1], command)
@@ -139,7 +171,9 @@ def _started(request: Mapping[str, Any], descriptors: list[int], command: Callab
         return int(pipe.read() or b"0")
 
 
-def _become(request: Mapping[str, Any], stdin: int, output: int, command: Callable[[], NoReturn]) -> NoReturn:
+def _become(
+    request: Mapping[str, Any], stdin: int, output: int, command: Callable[[], NoReturn]
+) -> NoReturn:
     """Run the requested command in this process, and end."""
     code = 1
     try:

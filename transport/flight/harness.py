@@ -13,12 +13,12 @@ from typing import IO
 
 import psutil
 
-from protocol.network.endpoints import Endpoints
-from protocol.network.parent import PARENT_PIPE, STANDBY
-from protocol.wire.errors import TransportError
-from protocol.wire.exit_codes import EXIT_UNREACHABLE
-from protocol.wire.names import COORDINATOR, RECORDER
 from transport.flight.fork_server import fork_server
+from transport.protocol.network.endpoints import Endpoints
+from transport.protocol.network.parent import PARENT_PIPE, STANDBY
+from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.exit_codes import EXIT_UNREACHABLE
+from transport.protocol.wire.names import COORDINATOR, RECORDER
 
 _GRACE_S = 5.0  # time for processes to end before they are killed, and for killed ones
 
@@ -83,7 +83,9 @@ def start_child(
         stdin = os.fdopen(writes, "wb", 0)
         try:
             extra = {PARENT_PIPE: "1", STANDBY: "1" if standby else ""}
-            return Child(name, fork_server().start(arguments, reads, output, extra), stdin, log, incarnation)
+            return Child(
+                name, fork_server().start(arguments, reads, output, extra), stdin, log, incarnation
+            )
         except BaseException:
             stdin.close()
             raise
@@ -115,7 +117,10 @@ class Harness:
         psutil.wait_procs([child.process for child in self.children], timeout_s)
 
     def end(self, say: Callable[[str], None]) -> None:
-        """End all running children: SIGTERM, and SIGKILL after a grace period, with a sentence about each killed."""
+        """End all running children.
+
+        SIGTERM, and SIGKILL after a grace period, with a sentence about each killed.
+        """
         for child in self.children:
             child.signal(signal.SIGTERM)
             child.signal(signal.SIGCONT)  # a stopped process ignores SIGTERM
@@ -131,7 +136,11 @@ class Harness:
     def start(self, name: str, incarnation: int = 0) -> None:
         """Start a process of the mesh."""
         role = ["agent", "--id", name.removeprefix("agent")] if name.startswith("agent") else [name]
-        options = [("--scenario", str(self.scenario)), ("--run", self.run), ("--incarnation", str(incarnation))]
+        options = [
+            ("--scenario", str(self.scenario)),
+            ("--run", self.run),
+            ("--incarnation", str(incarnation)),
+        ]
         options += [] if self.keys is None else [("--set", keys_setting(self.keys))]
         options += [("--listen", endpoint) for endpoint in self.mesh[name].listen]
         options += [("--connect", endpoint) for endpoint in self.mesh[name].connect]
@@ -145,14 +154,19 @@ class Harness:
 
 def keys_setting(folder: Path | str) -> str:
     """Return the setting of a scenario that names a folder of keys."""
-    return f"network.keys={json.dumps(str(folder), ensure_ascii=False)}"  # TOML has no surrogate pairs
+    return (
+        f"network.keys={json.dumps(str(folder), ensure_ascii=False)}"  # TOML has no surrogate pairs
+    )
 
 
 @contextmanager
 def reserved_ports(host: str, ports: Sequence[int]) -> Iterator[list[int]]:
-    """Reserve ports, 0 for any free one, while the context is open: no other process gets one as "any port".
+    """Reserve ports, 0 for any free one, while the context is open.
 
-    A process that names the port and sets SO_REUSEADDR, as Zenoh does, can listen on it. Raises: HarnessError.
+    No other process gets one as "any port".
+
+    A process that names the port and sets SO_REUSEADDR, as Zenoh does, can listen on it. Raises:
+        HarnessError.
     """
     with ExitStack() as stack:
         found = []
@@ -162,8 +176,14 @@ def reserved_ports(host: str, ports: Sequence[int]) -> Iterator[list[int]]:
             try:
                 probe.bind((host, port))
             except OSError as error:
-                key = f"base_port: expected free ports, got {port}, which is taken" if port else "host"
-                raise HarnessError(f"network.{key}: cannot listen on {host} ({error.strerror})") from error
+                key = (
+                    f"base_port: expected free ports, got {port}, which is taken"
+                    if port
+                    else "host"
+                )
+                raise HarnessError(
+                    f"network.{key}: cannot listen on {host} ({error.strerror})"
+                ) from error
             found.append(probe.getsockname()[1])
         if sys.platform != "linux":
             stack.close()  # elsewhere a bound socket blocks its port

@@ -1,26 +1,32 @@
-"""Active runs on this machine: a file in the run folder that exists while the run is active, and requests to them."""
+"""Active runs on this machine.
+
+A file in the run folder that exists while the run is active, and requests to them.
+"""
 
 import queue
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import psutil
 
-from model.arrays import Array
-from protocol.network.security import Security
-from protocol.network.session import ask
-from protocol.scenario.links import PERFECT
-from protocol.wire.errors import TransportError
-from protocol.wire.keys import ROUTER
-from protocol.wire.messages import agent_name
-from protocol.wire.names import COORDINATOR, PLANT, RECORDER
+from transport.flight import registry
+from transport.model.arrays import Array
+from transport.protocol.network.security import Security
+from transport.protocol.network.session import ask
+from transport.protocol.scenario.links import PERFECT
+from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.keys import ROUTER
+from transport.protocol.wire.messages import agent_name
+from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
 
 _FILE = "live.json"
+# Process ids have 31 bits in POSIX; an id of 0 or below would mean a group.
+Pid = Annotated[int, msgspec.Meta(ge=1, le=2**31 - 1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +35,12 @@ class LiveRun:
 
     run: str  # its name
     endpoints: Mapping[str, str]  # endpoints of its processes, by name
-    pid: int  # process id of their parent
-    keys: str = ""  # folder of their keys; empty without keys
+    pid: Pid  # process id of their parent
+    keys: str = ""  # absolute path of the folder of their keys; empty without keys
 
-    def ask(self, name: str, what: str, given: Mapping[str, Any], keys: Path | None = None) -> dict[str, Any]:
+    def ask(
+        self, name: str, what: str, given: Mapping[str, Any], keys: Path | None = None
+    ) -> dict[str, Any]:
         """Return the answer of one of its processes to a request, as `request`."""
         keys = keys or (Path(self.keys) if self.keys else None)
         # Connect only to the process that is asked: a stopped one delays the connection.
@@ -45,16 +53,21 @@ def write(folder: Path, run: LiveRun) -> None:
     with suppress(OSError):
         new.write_bytes(msgspec.json.encode(run))
         new.replace(folder / _FILE)  # whole for every reader
+    registry.add(folder)
 
 
 def remove(folder: Path) -> None:
     """Mark the run of a folder as ended."""
+    registry.remove(folder)
     with suppress(OSError):
         (folder / _FILE).unlink()
 
 
 def read(folder: Path) -> LiveRun | None:
-    """Return the active run of a folder, or None; the file of a killed run, or with other content, is ignored."""
+    """Return the active run of a folder, or None.
+
+    The file of a killed run, or with other content, is ignored.
+    """
     try:
         run = msgspec.json.decode((folder / _FILE).read_bytes(), type=LiveRun)
     except (OSError, msgspec.MsgspecError):
@@ -63,13 +76,28 @@ def read(folder: Path) -> LiveRun | None:
 
 
 def newest_folder(parent: Path) -> Path | None:
-    """Return the folder of the most recent active run below a folder."""
-    found = [path for path in parent.glob(f"*/{_FILE}") if not path.parent.is_symlink() and read(path.parent)]
-    return max(found, key=lambda path: path.stat().st_mtime).parent if found else None
+    """Return the folder of the most recent active run below a folder, or else of this user's anywhere."""
+    below = [path for path in parent.glob("*") if not path.is_symlink()]
+    return _newest(below) or _newest(registry.folders())
+
+
+def _newest(folders: Iterable[Path]) -> Path | None:
+    """Return the folder whose run became active last; None if none is active."""
+    began_ns: dict[Path, int] = {}
+    for folder in folders:
+        with suppress(OSError):  # the folder has gone meanwhile
+            if read(folder) is not None:
+                began_ns[folder] = (folder / _FILE).stat().st_mtime_ns
+    return max(began_ns, key=lambda folder: began_ns[folder], default=None)
 
 
 def request(
-    run: str, endpoints: Sequence[str], name: str, what: str, given: Mapping[str, Any], keys: Path | None = None
+    run: str,
+    endpoints: Sequence[str],
+    name: str,
+    what: str,
+    given: Mapping[str, Any],
+    keys: Path | None = None,
 ) -> dict[str, Any]:
     """Send a request (docs/protocol.md) to a process of a run, with its folder of keys, and return the answer.
 
@@ -83,7 +111,10 @@ def request(
 
 
 class Commands:
-    """Requests to one live run, sent by a thread; `on_result` gets a sentence about each, and if it was refused."""
+    """Requests to one live run, sent by a thread.
+
+    `on_result` gets a sentence about each, and if it was refused.
+    """
 
     def __init__(self, run: LiveRun, on_result: Callable[[str, bool], None]) -> None:
         self._run, self._on_result = run, on_result
@@ -93,7 +124,9 @@ class Commands:
     def link(self, ends: tuple[int, int] | None, settings: Mapping[str, Any]) -> None:
         """Change the link from one agent to another, or, for None, all links between agents."""
         source, target = map(agent_name, ends) if ends else ("", "")
-        self._requests.put((COORDINATOR, "link", {"from": source, "to": target, "settings": settings}))
+        self._requests.put(
+            (COORDINATOR, "link", {"from": source, "to": target, "settings": settings})
+        )
 
     def clear(self) -> None:
         """Make all links perfect, those of the plant included."""
@@ -116,7 +149,9 @@ class Commands:
             except TransportError as error:
                 self._on_result(str(error), True)
                 continue
-            what = "links change" if kind == "link" else f"{content.get('do')} {content.get('target')}"
+            what = (
+                "links change" if kind == "link" else f"{content.get('do')} {content.get('target')}"
+            )
             text = f"{what}: at tick {answer['tick']}"
             if kind == "target":
                 text = "target ({:g}, {:g}, {:g}) m".format(*content["points_m"][-1])

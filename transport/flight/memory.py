@@ -10,17 +10,18 @@ from collections.abc import Callable, Sequence
 
 import threadpoolctl
 
-from agent.node import AgentNode
-from coordinator.node import CoordinatorNode
-from plant.node import PlantNode
-from protocol.scenario.faults import due
-from protocol.scenario.setup import Setup
-from protocol.wire.keys import Keys, matches
-from protocol.wire.messages import Control, Message, Presence
-from protocol.wire.node import Node
+from transport.agent.node import AgentNode
+from transport.coordinator.node import CoordinatorNode
 from transport.flight.signals import check_interrupt
+from transport.plant.node import PlantNode
+from transport.protocol.scenario.faults import due
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.keys import Keys, matches
+from transport.protocol.wire.messages import Control, Message, Presence
+from transport.protocol.wire.node import Node
 
-# Runs in several threads take turns: the number of BLAS threads, which decides the order of sums, is the process's.
+# Runs in several threads take turns: the number of BLAS threads, which decides the order of sums,
+# is the process's.
 _TURN = threading.RLock()
 
 
@@ -29,7 +30,9 @@ def simulate(
     record: Callable[[Message], None] = lambda _: None,
     stopwatch: Callable[[], int] = time.perf_counter_ns,
 ) -> Control:
-    """Simulate a run in this process, unpaced, and return how it ended: equal to one with processes bit for bit.
+    """Simulate a run in this process, unpaced, and return how it ended.
+
+    Equal to one with processes bit for bit.
 
     `record` is called with every message; `stopwatch` is the steady clock of the step reports, ns.
     """
@@ -41,7 +44,10 @@ class InMemoryRun:
     """State of one run: running nodes, messages in the queue, virtual time."""
 
     def __init__(
-        self, setup: Setup, record: Callable[[Message], None], stopwatch: Callable[[], int] = time.perf_counter_ns
+        self,
+        setup: Setup,
+        record: Callable[[Message], None],
+        stopwatch: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         self._setup, self._record, self._stopwatch = setup, record, stopwatch
         self._keys = Keys(setup.scenario.name)
@@ -65,7 +71,8 @@ class InMemoryRun:
             while self._queue:
                 check_interrupt()
                 self._deliver(self._queue.popleft())
-            # The other nodes receive the end of the run before it is returned; a killed coordinator sends none.
+            # The other nodes receive the end of the run before it is returned; a killed coordinator
+            # sends none.
             if self._coordinator.finished is not None:
                 return self._coordinator.finished
             if self._coordinator.name not in self.nodes:
@@ -87,7 +94,9 @@ class InMemoryRun:
         key = self._keys.of(message)
         if key not in self._subscribed:
             several = self._subscriptions.items()
-            self._subscribed[key] = [name for name, many in several if any(matches(one, key) for one in many)]
+            self._subscribed[key] = [
+                name for name, many in several if any(matches(one, key) for one in many)
+            ]
         return [name for name in self._subscribed[key] if name != message.sender]
 
     def _deliver(self, message: Message) -> None:
@@ -107,7 +116,10 @@ class InMemoryRun:
         return True
 
     def _bring_back(self) -> bool:
-        """Bring back the agent that the script returns at the next tick; return whether there was one."""
+        """Bring back the agent that the script returns at the next tick.
+
+        Return whether there was one.
+        """
         if not self._returns or self._returns[0].tick > self._coordinator.tick + 1:
             return False
         name = self._returns.pop(0).target
@@ -131,7 +143,10 @@ class InMemoryRun:
     def _without_coordinator(self) -> Control:
         """Return how the others end without the coordinator."""
         for node in self.nodes.values():
-            node.receive(Presence(self._coordinator.name, self._coordinator.incarnation, alive=False), self._now_ns)
+            node.receive(
+                Presence(self._coordinator.name, self._coordinator.incarnation, alive=False),
+                self._now_ns,
+            )
         ends = [node.finished for node in self.nodes.values() if node.finished is not None]
         self._record(ends[0])
         return ends[0]

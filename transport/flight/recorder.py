@@ -10,72 +10,122 @@ from collections import deque
 from collections.abc import Callable, Collection, Set
 from contextlib import suppress
 
-from protocol.admission.gate import Gate, Sample
-from protocol.admission.plausibility import check_plausible
-from protocol.network.bus import Bus, BusEvent, Interrupted, Left, Place
-from protocol.network.session import BusError
-from protocol.scenario.setup import Setup
-from protocol.scenario.targets import check_target, with_targets
-from protocol.wire import messages as wire
-from protocol.wire.codec import Header, decode, encode
-from protocol.wire.errors import MessageError
-from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.names import COORDINATOR
-from protocol.wire.node import Outbox, lost
 from transport.log.run_log import channel_of
 from transport.log.writer import LogWriter
+from transport.protocol.admission.gate import Gate, Sample
+from transport.protocol.admission.plausibility import check_plausible
+from transport.protocol.network.bus import Bus, BusEvent, Interrupted, Left, Place
+from transport.protocol.network.session import BusError
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.targets import check_target
+from transport.protocol.wire import messages as wire
+from transport.protocol.wire.codec import Header, decode, encode
+from transport.protocol.wire.errors import MessageError
+from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.names import COORDINATOR
+from transport.protocol.wire.node import Outbox, lost
 
 # Kinds of messages that the recorder reads; of the others it reads the header.
 _READ = (wire.Roster, wire.LinkChange, wire.Target, wire.Control, wire.Rejected)
 _UNREAD = {kind for kind, cls in {**wire.KINDS, **wire.BUNDLES}.items() if cls not in _READ}
-# Kinds among these that tell of the newest tick, and of the plant's state.
-_OF_TICKS, _OF_PLANT = (wire.Tick.kind, wire.Relay.kind), (wire.PlantState.kind, wire.Record.kind)
+# Kinds among the unread ones that tell of the newest tick, and of the plant's state.
+_OF_TICKS = (wire.Tick.kind, wire.Relay.kind)
+_OF_PLANT = (wire.PlantState.kind, wire.Record.kind)
 
-# Messages of the plant kept to find its newest state in: not every record has one, and one may be garbled.
+# Messages of the plant kept to find its newest state in: not every record has one, and one may be
+# garbled.
 _KEPT = 4
-# Wake-ups cost the run processor time, so messages are gathered in batches; in a paced run for less than a tick.
-_GATHER_S, _GATHER_PACED_S = 0.03, 0.01
-_PAUSE_S = 0.02  # the log file is flushed after a pause this long, less than the period of most runs
-# After the end of the run the recorder waits for the last message of each process, until none comes for this long;
-# where the tokens of all missing ones are gone; and, once the coordinator's token is gone, for the end of the run.
-_TRAIL_S, _QUIET_S, _OVERTAKEN_S = 2.0, 0.05, 0.5
+# Times for which messages are gathered into a batch, s: wake-ups cost the run processor time. In a
+# paced run less than a tick.
+_GATHER_S = 0.03
+_GATHER_PACED_S = 0.01
+# Pause after which the log file is flushed, s: less than the period of most runs.
+_PAUSE_S = 0.02
+# After the end of the run the recorder waits for the last message of each process: until none comes
+# for the trail time, or for the quiet time where the tokens of all missing processes are gone.
+_TRAIL_S = 2.0
+_QUIET_S = 0.05
+# Time to wait for the end of the run once the coordinator's token is gone, s.
+_OVERTAKEN_S = 0.5
 
 
 class Recorder:
-    """Recorder of one run, with its open log; its attributes show the progress."""
+    """Recorder of one run, with its open log; its attributes show the progress.
+
+    Attributes:
+        writer: The log.
+        setup: The run, with its targets so far.
+        started_s: Steady-clock time of the first plant state, None before.
+        control: End of the run, None before.
+        error: Why recording ended early, None if it did not.
+        received: Number of messages in the log.
+        tick: The newest open tick, -1 before the first.
+        requests: Requests to the parent of the run's processes.
+        gate: Checks of the messages that the recorder reads; readers of the log check the others.
+    """
 
     def __init__(
-        self, setup: Setup, place: Place, writer: LogWriter, say: Callable[[str], None] = lambda _: None
+        self,
+        setup: Setup,
+        place: Place,
+        writer: LogWriter,
+        say: Callable[[str], None] = lambda _: None,
+        bus_of: Callable[..., Bus] = Bus,
     ) -> None:
-        self.started_s: float | None = None  # steady-clock time of the first plant state
-        self.control: wire.Control | None = None  # how the run ended, once it has
-        self.error: str | None = None  # why recording ended early
-        self.received = 0  # messages in the log
-        self.tick = -1  # the newest open one
-        self.requests: queue.SimpleQueue[wire.Request] = queue.SimpleQueue()  # to the parent of the run's processes
-        self.setup = setup  # with its targets so far
-        self._say = say  # about roster changes after the start, faults, processes not there yet; on any thread
-        self.writer, self._writing = writer, threading.Lock()  # notes come from another thread
+        """Connect to a run.
+
+        Args:
+            setup: The run.
+            place: Place of the recorder in its network.
+            writer: The open log.
+            say: Told of roster changes after the start, faults, and processes not there yet, on any
+                thread.
+            bus_of: Constructor of the connection.
+        """
+        self.writer = writer
+        self.setup = setup
+        self.started_s: float | None = None
+        self.control: wire.Control | None = None
+        self.error: str | None = None
+        self.received = 0
+        self.tick = -1
+        self.requests: queue.SimpleQueue[wire.Request] = queue.SimpleQueue()
         self._keys = Keys(place.run)
-        # Checks the messages that the recorder reads; readers of the log reject others.
         self.gate = Gate(RECORDER, self._keys, setup.shape, self._check_moment, _UNREAD)
+
+        self._say = say
+        self._writing = threading.Lock()  # notes come from another thread
         self._newest = deque[bytes](maxlen=_KEPT)
-        gather_s = _GATHER_PACED_S if setup.scenario.clock.speed > 0.0 else _GATHER_S
-        self._bus = Bus(RECORDER, place, setup.scenario.digest(), self.gate, serves=True, gather_s=gather_s)
         self._out = Outbox(RECORDER, place.incarnation)
         self._thread = threading.Thread(target=self._run, name=RECORDER, daemon=True)
         self._expected: Set[str] = frozenset()
 
+        is_paced = setup.scenario.clock.speed > 0.0
+        self._bus = bus_of(
+            RECORDER,
+            place,
+            setup.scenario.digest(),
+            self.gate,
+            serves=True,
+            gather_s=_GATHER_PACED_S if is_paced else _GATHER_S,
+        )
+
     @property
     def plant_state(self) -> wire.PlantState | None:
-        """The newest state of the plant, or None; decoded when it is asked for, also on another thread."""
+        """The newest state of the plant, or None.
+
+        Decoded when it is asked for, also on another thread.
+        """
         for data in reversed(self._newest.copy()):
             with suppress(MessageError):  # garbled or forged
                 message = decode(data)
-                for state in map(decode, message.parts) if isinstance(message, wire.Record) else [message]:
-                    if isinstance(state, wire.PlantState):
-                        check_plausible(state, self.setup.shape)
-                        return state
+                parts = [message]
+                if isinstance(message, wire.Record):
+                    parts = [decode(part) for part in message.parts]
+                for part in parts:
+                    if isinstance(part, wire.PlantState):
+                        check_plausible(part, self.setup.shape)
+                        return part
         return None
 
     def start(self, expected: Collection[str]) -> None:
@@ -92,10 +142,14 @@ class Recorder:
         self._thread.join(timeout_s)
         return self._thread.is_alive()
 
-    def note(self, target: str, what: str, origin: wire.FaultOrigin, tick: int | None = None) -> None:
+    def note(
+        self, target: str, what: str, origin: wire.FaultOrigin, tick: int | None = None
+    ) -> None:
         """Log a fault of a process at a tick, by default the newest."""
         tick = max(self.tick, 0) if tick is None else tick
-        self._take(self._out.stamp(wire.FaultNote, tick=tick, target=target, what=what, origin=origin))
+        self._take(
+            self._out.stamp(wire.FaultNote, tick=tick, target=target, what=what, origin=origin)
+        )
 
     def close(self) -> None:
         """Leave the network and finish the log."""
@@ -105,6 +159,7 @@ class Recorder:
         self.writer.close()
 
     def _run(self) -> None:
+        """Join the run and record it; an error ends the recording and is kept."""
         try:
             if self._bus.join(self._expected, self._say) is None:
                 self._record()
@@ -118,39 +173,52 @@ class Recorder:
             self._bus.close()  # the coordinator waits for this
 
     def _record(self) -> None:
+        """Record until the run has ended and its processes have sent their last messages."""
         left = set[str]()  # processes that have sent their last message
         while self.control is None or not left >= self._expected:
-            timeout_s = None
-            if self.control is not None:
-                timeout_s = _TRAIL_S if (self._expected - left) & self._bus.alive.keys() else _QUIET_S
-            elif COORDINATOR not in self._bus.alive:
-                timeout_s = _OVERTAKEN_S
-            match event := self._next(timeout_s):
+            event = self._next(self._timeout_s(left))
+            match event:
                 case None:
                     break
                 case Interrupted():
                     return
                 case Left(name=name):
                     left.add(name)
-                case wire.Presence(name=name, alive=alive):  # also again, after a standstill of that process or of this
-                    left -= {name} if alive else set()
+                case wire.Presence(name=name, alive=True):
+                    # Also again, after a standstill of that process or of this one.
+                    left.discard(name)
+                case wire.Presence():
+                    pass
                 case wire.Request():
                     self.requests.put(event)
                 case _:
                     self.receive(event, self._bus.arrived_ns)
+
             for notice in self.gate.notices(self._out.incarnation, time.monotonic_ns()):
                 self._take(notice)
+
         if self.control is None:  # the coordinator cannot tell the end of the run
             state = self.plant_state
             self._take(lost(self._out, state.tick if state else 0, f"{COORDINATOR} is gone"))
 
+    def _timeout_s(self, left: Set[str]) -> float | None:
+        """Return how long to wait for the next event, given the processes that have left; None: for ever."""
+        if self.control is None:
+            return None if COORDINATOR in self._bus.alive else _OVERTAKEN_S
+
+        missing = self._expected - left
+        return _TRAIL_S if missing & self._bus.alive.keys() else _QUIET_S
+
     def _next(self, timeout_s: float | None) -> BusEvent | None:
         """Return the next event, or None after the timeout; flush the log in a pause."""
-        if timeout_s is None and not self.writer.is_up_to_date:
-            if (event := self._bus.next(_PAUSE_S)) is not None:
-                return event
-            with self._writing:
-                self.writer.flush()
+        if timeout_s is not None or self.writer.is_up_to_date:
+            return self._bus.next(timeout_s)
+
+        event = self._bus.next(_PAUSE_S)
+        if event is not None:
+            return event
+        with self._writing:
+            self.writer.flush()
         return self._bus.next(timeout_s)
 
     def receive(self, message: wire.Message | Sample, at_ns: int | None = None) -> None:
@@ -158,17 +226,27 @@ class Recorder:
         if isinstance(message, wire.Message):
             self._take(message, at_ns)
             return
+
         # Recorded as it came; progress is that of messages which are in order.
         header = message.header
         key = self._keys.end(message.key)
         self._write(f"/{key}", message.data, header, at_ns)
-        if header.tick >= self.setup.ticks or key != header.kind:  # kinds of progress have keys of their own
-            return
+
+        # Kinds of progress have keys of their own.
+        is_of_the_run = header.tick < self.setup.ticks and key == header.kind
+        if is_of_the_run:
+            self._show_progress(message.data, header)
+
+    def _show_progress(self, data: bytes, header: Header) -> None:
+        """Take note of the newest tick and of the messages of the plant."""
         if header.kind in _OF_TICKS:
             self.tick = max(header.tick, self.tick)
-        elif header.kind in _OF_PLANT:
-            self._newest.append(message.data)
-            if self.started_s is None and (header.tick > 0 or header.kind == wire.PlantState.kind):
+
+        if header.kind in _OF_PLANT:
+            self._newest.append(data)
+            # A record of tick 0 may come before the first state.
+            has_state = header.tick > 0 or header.kind == wire.PlantState.kind
+            if self.started_s is None and has_state:
                 self.started_s = time.monotonic()
 
     def _check_moment(self, message: wire.Message) -> None:
@@ -177,18 +255,22 @@ class Recorder:
             check_target(self.setup, message)
 
     def _take(self, message: wire.Message, at_ns: int | None = None) -> None:
+        """Log a message and act on it."""
         self._write(channel_of(message), encode(message), message, at_ns)
         match message:
             case wire.Control():
                 self.control = message
             case wire.Target():
-                self.setup = with_targets(self.setup, [message])
+                self.setup = self.setup.after([message])
             case wire.Roster(version=version, reason=reason) if version > 1:
                 self._say(f"roster: {reason}")
             case wire.FaultNote():
                 self._say(f"fault: {message.target} {message.what}")
 
-    def _write(self, topic: str, data: bytes, header: Header | wire.Message, at_ns: int | None) -> None:
+    def _write(
+        self, topic: str, data: bytes, header: Header | wire.Message, at_ns: int | None
+    ) -> None:
+        """Append the bytes of a message to the log, on any thread."""
         with self._writing:
             self.writer.add(topic, data, header, time.time_ns() if at_ns is None else at_ns)
         self.received += 1

@@ -2,37 +2,56 @@
 
 import math
 import os
-import shutil
 import signal
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from protocol.network.bus import Place
-from protocol.network.endpoints import mesh, process_names
-from protocol.network.security import Security
-from protocol.network.session import check_usable
-from protocol.scenario.faults import OF_UAVS
-from protocol.scenario.setup import Setup
-from protocol.wire import exit_codes as codes
-from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.messages import FaultOrigin, Request
-from protocol.wire.names import COORDINATOR
 from transport.flight import live
 from transport.flight.harness import Child, Harness, keys_setting, reserved_ports
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
-from transport.flight.run_files import RunError, checked, create, existing, own_keys, run_header
+from transport.flight.run_files import (
+    NewFolder,
+    RunError,
+    checked,
+    existing,
+    new_run_folder,
+    own_keys,
+    run_header,
+)
 from transport.flight.signals import collected_signals
 from transport.log.writer import LogWriter
+from transport.protocol.network.bus import Place
+from transport.protocol.network.endpoints import Endpoints, mesh, process_names
+from transport.protocol.network.security import Security
+from transport.protocol.network.session import check_usable
+from transport.protocol.scenario.faults import OF_UAVS
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire import exit_codes as codes
+from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.messages import FaultOrigin, Request
+from transport.protocol.wire.names import COORDINATOR
 
-_ORDERLY_ENDS = {0, codes.EXIT_UNREACHABLE, codes.EXIT_OVERRUN, codes.EXIT_DIVERGED, codes.EXIT_INTERRUPTED}
-_SIGNALS = {"kill": signal.SIGKILL, "stop": signal.SIGSTOP, "continue": signal.SIGCONT, "restart": signal.SIGKILL}
+_ORDERLY_ENDS = {
+    0,
+    codes.EXIT_UNREACHABLE,
+    codes.EXIT_OVERRUN,
+    codes.EXIT_DIVERGED,
+    codes.EXIT_FAILED,
+    codes.EXIT_INTERRUPTED,
+}
+_SIGNALS = {
+    "kill": signal.SIGKILL,
+    "stop": signal.SIGSTOP,
+    "continue": signal.SIGCONT,
+    "restart": signal.SIGKILL,
+}
 _NOTES = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
 
 
@@ -52,7 +71,11 @@ class FaultScript:
             if code >= 0 or child.is_noted:
                 continue
             child.is_noted = True
-            kills = [fault for fault in self._kills if fault.target == child.name and code == -signal.SIGKILL]
+            kills = [
+                fault
+                for fault in self._kills
+                if fault.target == child.name and code == -signal.SIGKILL
+            ]
             if kills:
                 self._kills.remove(kills[0])
                 self._recorder.note(child.name, _NOTES["kill"], "script", kills[0].tick)
@@ -72,7 +95,10 @@ class FaultScript:
         # Without ticks, as while the coordinator is stopped, the wall clock of a paced run tells.
         clock, started_s = self._setup.scenario.clock, self._recorder.started_s
         since_s = 0.0 if started_s is None else (time.monotonic() - started_s) * clock.speed
-        return self._recorder.tick >= tick or since_s >= (tick + 1) * self._setup.settings.sampling_period_s
+        return (
+            self._recorder.tick >= tick
+            or since_s >= (tick + 1) * self._setup.settings.sampling_period_s
+        )
 
     def _answer(self, request: Request) -> dict[str, Any]:
         action, target = (str(request.given.get(key, "")) for key in ("do", "target"))
@@ -82,7 +108,9 @@ class FaultScript:
             if got not in allowed:
                 return {"error": f"{key}: expected one of {', '.join(allowed)}, got {got!r}"}
         if action == "restart" and not target.startswith("agent"):
-            return {"error": f"target: expected an agent to restart, as a run ends with its {target}"}
+            return {
+                "error": f"target: expected an agent to restart, as a run ends with its {target}"
+            }
         if not self._do(target, action, "person"):
             return {"error": f"{target} is not running"}
         return {"tick": self._recorder.tick}
@@ -101,17 +129,51 @@ class FaultScript:
 
 
 _POLL_S = 0.05
-# Times for the processes to end after the run, and for the recorder to receive the messages of ended processes.
-_LEAVE_S, _CATCH_UP_S = 3.0, 2.0
+# Time for the processes to end after the run, s.
+_LEAVE_S = 3.0
+# Time for the recorder to receive the messages of ended processes, s.
+_CATCH_UP_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """End of a run: its folder, complete except for the report, exit code, and reason in a line, empty if completed."""
+    """End of a run.
+
+    Attributes:
+        folder: Run folder, complete except for the report.
+        exit_code: Exit code of the command.
+        reason: One line, empty if the run completed.
+    """
 
     folder: Path
     exit_code: int
     reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Addresses:
+    """Name of a run on the network, and the addresses of its processes.
+
+    Attributes:
+        run: Name of the run.
+        processes: Endpoints of agents, plant and coordinator by name.
+        recorder: Endpoints of the recorder, which also listens for requests to this process.
+    """
+
+    run: str
+    processes: Mapping[str, Endpoints]
+    recorder: Endpoints
+
+    @property
+    def keys(self) -> str:
+        """Absolute path of the folder of keys; empty without keys."""
+        security = self.recorder.security
+        return "" if security is None else str(security.folder.absolute())
+
+    def asked_at(self) -> dict[str, str]:
+        """Return the endpoint at which each process answers requests, by name."""
+        everyone = {**self.processes, RECORDER: self.recorder}
+        return {name: [*place.listen, *place.connect][0] for name, place in everyone.items()}
 
 
 def simulate(
@@ -124,101 +186,199 @@ def simulate(
 ) -> Finished:
     """Start the processes of a run, record it in a new folder, and wait for its end and theirs.
 
-    `started` is called once the processes are started; before the first tick they wait for `ready` to return. Processes
-    that are `external` join from elsewhere. Raises: TransportError. KeyboardInterrupt.
+    Args:
+        setup: The run.
+        folder: Run folder to create.
+        console: Console for the progress.
+        started: Called once the processes are started.
+        ready: The processes wait for its return before the first tick.
+        external: Names of processes that join from elsewhere.
+
+    Raises: TransportError. KeyboardInterrupt.
     """
-    scenario, names = setup.scenario, process_names(setup.scenario)
     if folder.exists():  # told before a first compilation
         raise existing(folder)
+
     with ExitStack() as stack:
         check_usable()
         classes = checked(setup, external)
         compile_model(setup.system.N, console)
-        base = scenario.network.base_port
-        wanted = [0] * len(names) if base is None else range(base, base + len(names))
-        # The recorder listens for requests to this process.
-        own_port, *ports = stack.enter_context(reserved_ports(scenario.network.host, [0, *wanted]))
-        places = mesh(scenario, [*names, RECORDER], [*ports, own_port])
-        places = {name: place.checked(name, scenario) for name, place in places.items()}
-        run = folder.name if Keys.allows(folder.name) else scenario.name
-        header = run_header(setup, run, len(names), create(folder, setup), classes)
-        called = {name: [*place.listen, *place.connect][0] for name, place in places.items()}
-        recording = places.pop(RECORDER)
-        started_here = {name: place for name, place in places.items() if name not in external}
+
+        addresses = stack.enter_context(_reserved(setup, folder))
+        made = stack.enter_context(new_run_folder(folder, setup))
+        names = list(addresses.processes)
+        header = run_header(setup, addresses.run, len(names), made.scenario_toml, classes)
         progress = stack.enter_context(RunProgress(setup, console))
-        own = stack.enter_context(own_keys(scenario, folder))
-        harness = Harness(run, folder / "scenario.toml", started_here, folder / "logs", own)
-        stack.callback(harness.end, progress.say)
+
+        own = stack.enter_context(own_keys(setup.scenario, folder))
         if own is not None:
-            recording = replace(recording, security=Security(own, ()))
-        keys = "" if recording.security is None else str(recording.security.folder)
-        for name in started_here:
-            harness.start(name)
-        place = Place(run=run, endpoints=recording, join_timeout_s=scenario.clock.join_timeout_s)
-        recorder = stack.enter_context(_recorded(place, folder, header, progress, harness))
-        try:
-            live.write(folder, live.LiveRun(run, called, os.getpid(), keys))
+            secured = replace(addresses.recorder, security=Security(own, ()))
+            addresses = replace(addresses, recorder=secured)
+
+        harness = stack.enter_context(_harness(addresses, folder, own, external, progress))
+        place = Place(
+            run=addresses.run,
+            endpoints=addresses.recorder,
+            join_timeout_s=setup.scenario.clock.join_timeout_s,
+        )
+        recorder = stack.enter_context(_recorded(place, made, header, progress, harness))
+
+        with _marked_active(folder, addresses):
             ready()  # the coordinator waits for the recorder
             recorder.start(names)
             for name in external:
-                ends = f"listens on {', '.join(places[name].listen)}, connects to {', '.join(places[name].connect)}"
-                needs = f"; it needs --set '{keys_setting(keys)}'" if keys else ""
-                progress.say(f"waiting for {name} of run {run}, digest {scenario.digest()}; it {ends}{needs}")
+                progress.say(_invitation(name, addresses, setup.scenario.digest()))
             started()
+
             _watch(recorder, progress, harness, FaultScript(setup, harness, recorder))
             if recorder.control is not None:
                 harness.wait(_LEAVE_S)
-        finally:
-            live.remove(folder)
     return _finished(folder, recorder)
 
 
+@contextmanager
+def _reserved(setup: Setup, folder: Path) -> Iterator[_Addresses]:
+    """Reserve the ports of a run while the context is open, and yield its addresses.
+
+    Raises: HarnessError: a port is taken. ScenarioError, SecurityError: an address or a key cannot
+        be used.
+    """
+    scenario = setup.scenario
+    names = process_names(scenario)
+    base_port = scenario.network.base_port
+    any_port = 0
+    wanted = [any_port] * len(names)
+    if base_port is not None:
+        wanted = list(range(base_port, base_port + len(names)))
+
+    # The port of the recorder comes first, so that it is taken even if a wanted one is not free.
+    with reserved_ports(scenario.network.host, [any_port, *wanted]) as (own_port, *ports):
+        places = mesh(scenario, [*names, RECORDER], [*ports, own_port])
+        checked_places = {name: place.checked(name, scenario) for name, place in places.items()}
+        recorder = checked_places.pop(RECORDER)
+        run = folder.name if Keys.allows(folder.name) else scenario.name
+        yield _Addresses(run=run, processes=checked_places, recorder=recorder)
+
+
+@contextmanager
+def _harness(
+    addresses: _Addresses,
+    folder: Path,
+    own_keys_folder: Path | None,
+    external: Collection[str],
+    progress: RunProgress,
+) -> Iterator[Harness]:
+    """Start the processes of a run that are not external, and end them with the context."""
+    own = {name: place for name, place in addresses.processes.items() if name not in external}
+    scenario_file = folder / "scenario.toml"
+    harness = Harness(addresses.run, scenario_file, own, folder / "logs", own_keys_folder)
+    try:
+        for name in own:
+            harness.start(name)
+        yield harness
+    finally:
+        harness.end(progress.say)
+
+
+@contextmanager
+def _marked_active(folder: Path, addresses: _Addresses) -> Iterator[None]:
+    """Mark a run as active while the context is open, so that viewers and requests find it."""
+    try:
+        endpoints = addresses.asked_at()
+        live.write(folder, live.LiveRun(addresses.run, endpoints, os.getpid(), addresses.keys))
+        yield
+    finally:
+        live.remove(folder)
+
+
+def _invitation(name: str, addresses: _Addresses, digest: str) -> str:
+    """Return a line with all that an external process needs to join."""
+    place = addresses.processes[name]
+    ends = f"listens on {', '.join(place.listen)}, connects to {', '.join(place.connect)}"
+    needs = f"; it needs --set '{keys_setting(addresses.keys)}'" if addresses.keys else ""
+    return f"waiting for {name} of run {addresses.run}, digest {digest}; it {ends}{needs}"
+
+
 def observe(setup: Setup, place: Place, folder: Path, console: Console) -> Finished:
-    """Record a run whose processes are started elsewhere, in a new folder. Raises: TransportError."""
+    """Record a run whose processes are started elsewhere, in a new folder.
+
+    Raises: TransportError.
+    """
     names = process_names(setup.scenario)
-    classes = {"engine": setup.scenario.plant.engine, "controller": setup.scenario.agents.controller}
-    header = run_header(setup, place.run, len(names), create(folder, setup), classes)
-    with RunProgress(setup, console) as progress, _recorded(place, folder, header, progress) as recorder:
-        recorder.start(names)
-        _watch(recorder, progress)
+    classes = {
+        "engine": setup.scenario.plant.engine,
+        "controller": setup.scenario.agents.controller,
+    }
+    with new_run_folder(folder, setup) as made:
+        header = run_header(setup, place.run, len(names), made.scenario_toml, classes)
+        with (
+            RunProgress(setup, console) as progress,
+            _recorded(place, made, header, progress) as recorder,
+        ):
+            recorder.start(names)
+            _watch(recorder, progress)
     return _finished(folder, recorder)
 
 
 @contextmanager
 def _recorded(
-    place: Place, folder: Path, header: Mapping[str, str], progress: RunProgress, harness: Harness | None = None
+    place: Place,
+    made: NewFolder,
+    header: Mapping[str, str],
+    progress: RunProgress,
+    harness: Harness | None = None,
 ) -> Iterator[Recorder]:
-    """Open log and recorder of a run; remove a folder without any message in the end, unless its processes tell why."""
+    """Open log and recorder of a run.
+
+    In the end the folder is kept if it has a message, or output of processes that tells why not;
+    not if the run was interrupted before its first tick.
+    """
     recorder = None
+    is_interrupted = False
     try:
-        writer = LogWriter(folder / "run.mcap", header, period_ns=progress.setup.period_ns, say=progress.say)
+        log = made.path / "run.mcap"
+        writer = LogWriter(log, header, period_ns=progress.setup.period_ns, say=progress.say)
         with closing(writer):
             recorder = Recorder(progress.setup, place, writer, progress.say)
             with closing(recorder):
                 yield recorder
+    except KeyboardInterrupt:
+        is_interrupted = True
+        raise
     finally:
-        is_told = harness is not None and recorder is not None and (recorder.error or harness.ended())
-        if recorder is None or not (recorder.received or is_told):
-            shutil.rmtree(folder, ignore_errors=True)
+        if recorder is not None:
+            is_told = harness is not None and bool(recorder.error or harness.ended())
+            is_early = is_interrupted and recorder.started_s is None
+            made.is_kept = not is_early and (recorder.received > 0 or is_told)
 
 
 def _finished(folder: Path, recorder: Recorder) -> Finished:
     """Return how a run ended; raise RunError if it did not begin or was not recorded."""
     control = recorder.control
-    if recorder.error is not None or (control is None and recorder.started_s is None):
-        raise RunError(recorder.error or "the run ended before its first tick", codes.EXIT_UNREACHABLE)
+    if recorder.error is not None:
+        raise RunError(recorder.error, codes.EXIT_UNREACHABLE)
+    if control is None and recorder.started_s is None:
+        raise RunError("the run ended before its first tick", codes.EXIT_UNREACHABLE)
     if control is None:
-        return Finished(folder, codes.EXIT_INTERRUPTED, "recording interrupted; the run may continue without it")
-    if lost := recorder.writer.lost:
-        text = f"{lost}; the run {control.outcome} {control.reason}".rstrip()
+        reason = "recording interrupted; the run may continue without it"
+        return Finished(folder, codes.EXIT_INTERRUPTED, reason)
+
+    if recorder.writer.lost:
+        text = f"{recorder.writer.lost}; the run {control.outcome} {control.reason}".rstrip()
         raise RunError(text, control.exit_code or codes.EXIT_UNRECORDED)
     return Finished(folder, control.exit_code, control.reason)
 
 
 def _watch(
-    recorder: Recorder, progress: RunProgress, harness: Harness | None = None, faults: FaultScript | None = None
+    recorder: Recorder,
+    progress: RunProgress,
+    harness: Harness | None = None,
+    faults: FaultScript | None = None,
 ) -> None:
-    """Show progress until the run has ended; forward Ctrl-C; refuse processes started here that end too early."""
+    """Show progress until the run has ended.
+
+    Forward Ctrl-C; refuse processes started here that end too early.
+    """
     interrupted, ended_s, goes_on = 0, math.inf, True
     with collected_signals() as signals:
         while goes_on:  # once more after the end
@@ -239,7 +399,8 @@ def _watch(
             if harness is None or recorder.control is not None or recorder.started_s is not None:
                 continue
             for child in harness.ended():
-                # A run may end within its first ticks: its messages can reach the recorder after a process has ended.
+                # A run may end within its first ticks: its messages can reach the recorder after a
+                # process has ended.
                 ended_s = min(ended_s, time.monotonic())
                 if child.code not in _ORDERLY_ENDS or time.monotonic() - ended_s > _CATCH_UP_S:
                     raise _ended_early(child)
@@ -247,8 +408,16 @@ def _watch(
 
 def _ended_early(child: Child) -> RunError:
     code = child.code or 0
-    how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-    last_line = child.log.read_text(encoding="utf-8", errors="replace").strip().rpartition("\n")[2]
-    # A child refuses the same options and scenario as this command would; any other end is that of a peer.
+    how = (
+        f"was killed by {signal.Signals(-code).name}"
+        if code < 0
+        else f"ended with exit code {code}"
+    )
+    last_line = "its output is gone"
+    with suppress(OSError):  # the run folder was removed
+        output = child.log.read_text(encoding="utf-8", errors="replace")
+        last_line = output.strip().rpartition("\n")[2]
+    # A child refuses the same options and scenario as this command would; any other end is that of
+    # a peer.
     passed_on = code if code in (codes.EXIT_USAGE, codes.EXIT_SCENARIO) else codes.EXIT_UNREACHABLE
     return RunError(f"{child.name} {how} before the run began: {last_line}", passed_on)

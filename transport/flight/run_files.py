@@ -4,8 +4,10 @@ import os
 import platform
 import re
 import secrets
+import shutil
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -13,20 +15,23 @@ from pathlib import Path
 import psutil
 import tomli_w
 
-from agent.own import checked_controller
-from model import native
-from plant.engines import checked_engine
-from protocol.network.security import SHARED
-from protocol.scenario.schema import Scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.errors import TransportError
-from protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
-from protocol.wire.names import PLANT, agent_name
-from transport.log.run_log import point_latest
+from transport.agent.own import checked_controller
+from transport.log.run_log import LATEST, point_latest
+from transport.model import native
+from transport.plant.engines import checked_engine
+from transport.protocol.network.security import SHARED
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.errors import TransportError
+from transport.protocol.wire.exit_codes import EXIT_SCENARIO, EXIT_USAGE
+from transport.protocol.wire.names import PLANT, agent_name
 
 
 class RunError(TransportError, RuntimeError):
-    """A run that could not be started or recorded: one line for the user, and the exit code of the command."""
+    """A run that could not be started or recorded.
+
+    One line for the user, and the exit code of the command.
+    """
 
     def __init__(self, text: str, exit_code: int) -> None:
         super().__init__(text)
@@ -54,19 +59,72 @@ def create(folder: Path, setup: Setup) -> str:
     try:
         str(folder).encode()  # Zenoh and TOML take UTF-8 only
         folder.mkdir(parents=True)
-        (folder / "scenario.toml").write_text(text, encoding="utf-8")
     except FileExistsError as error:
         raise existing(folder) from error
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise RunError(f"cannot create the folder {str(folder)!r} ({reason})", EXIT_USAGE) from error
-    point_latest(folder)
+        raise _not_created(folder, error) from error
+
+    try:
+        (folder / "scenario.toml").write_text(text, encoding="utf-8")
+        point_latest(folder)
+    except OSError as error:
+        discard(folder)
+        raise _not_created(folder, error) from error
+    except BaseException:  # an interrupt
+        discard(folder)
+        raise
     return text
+
+
+def _not_created(folder: Path, error: Exception) -> RunError:
+    """Return the error of a run folder that cannot be created."""
+    reason = getattr(error, "strerror", None) or error
+    return RunError(f"cannot create the folder {str(folder)!r} ({reason})", EXIT_USAGE)
+
+
+def discard(folder: Path) -> None:
+    """Remove a run folder; the link to the most recent run then leads to the one before."""
+    shutil.rmtree(folder, ignore_errors=True)
+
+    link = folder.parent / LATEST
+    with suppress(OSError):
+        if link.readlink() == Path(folder.name):
+            link.unlink()
+            logs = list(folder.parent.glob("*/run.mcap"))
+            newest = max(logs, key=lambda log: log.stat().st_mtime_ns, default=None)
+            if newest is not None:
+                point_latest(newest.parent)
+
+
+@dataclass(slots=True)
+class NewFolder:
+    """A run folder in the making."""
+
+    path: Path
+    scenario_toml: str  # text of the resolved scenario
+    is_kept: bool = False  # whether the folder stays
+
+
+@contextmanager
+def new_run_folder(folder: Path, setup: Setup) -> Iterator[NewFolder]:
+    """Create a run folder and remove it in the end unless it is kept: a start that fails leaves none.
+
+    Raises: RunError.
+    """
+    made = NewFolder(folder, create(folder, setup))
+    try:
+        yield made
+    finally:
+        if not made.is_kept:
+            discard(folder)
 
 
 @contextmanager
 def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
-    """Make the secret of a run in its folder; None where other keys protect the run, or it is to be open."""
+    """Make the secret of a run in its folder.
+
+    None where other keys protect the run, or it is to be open.
+    """
     network, keys = scenario.network, folder.resolve() / "keys"
     if network.keys is not None or network.router is not None or not network.secret:
         yield None
@@ -76,8 +134,12 @@ def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
     try:
         file.touch(mode=0o600)
         if file.stat().st_mode & 0o077:  # the file system keeps no permissions (FAT, some shares)
-            problem = f"network.secret: expected a file that only its owner can read, got {file} for all"
-            remedy = "use another folder, or --set network.secret=false: open to every local process"
+            problem = (
+                f"network.secret: expected a file that only its owner can read, got {file} for all"
+            )
+            remedy = (
+                "use another folder, or --set network.secret=false: open to every local process"
+            )
             raise RunError(f"{problem}; {remedy}", EXIT_SCENARIO)
         file.write_text(f"run:{secrets.token_hex(24)}\n", encoding="utf-8")
         yield keys
@@ -90,7 +152,10 @@ def own_keys(scenario: Scenario, folder: Path) -> Iterator[Path | None]:
 def run_header(
     setup: Setup, run: str, processes: int, scenario_toml: str, classes: Mapping[str, str]
 ) -> Mapping[str, str]:
-    """Return the metadata of a run's log; `classes` are engine and controller with their versions, as far as known."""
+    """Return the metadata of a run's log.
+
+    `classes` are engine and controller with their versions, as far as known.
+    """
     return {
         "run_id": run,
         "scenario": scenario_toml,
@@ -104,7 +169,10 @@ def run_header(
 
 
 def checked(setup: Setup, external: Collection[str] = ()) -> dict[str, str]:
-    """Return names and versions of engine and controller of a run after making each once; raise ScenarioError."""
+    """Return names and versions of engine and controller of a run after making each once.
+
+    Raise ScenarioError.
+    """
     agents_are_external = all(agent_name(agent) in external for agent in setup.agents)
     return {
         "engine": "external" if PLANT in external else checked_engine(setup),
@@ -115,7 +183,10 @@ def checked(setup: Setup, external: Collection[str] = ()) -> dict[str, str]:
 def versions() -> str:
     """Return the versions of Python, packages and kernels that results depend on, in one line."""
     packages = ("payload-transport", "numpy", "casadi", "daqp", "clarabel", "eclipse-zenoh")
-    found = [f"python {platform.python_version()}", *(f"{package} {version(package)}" for package in packages)]
+    found = [
+        f"python {platform.python_version()}",
+        *(f"{package} {version(package)}" for package in packages),
+    ]
     return ", ".join([*found, f"kernels {'compiled' if native.AVAILABLE else 'plain'}"])
 
 
@@ -123,7 +194,9 @@ def machine() -> str:
     """Return the machine in one line: processor, cores this process may use, system."""
     processor = platform.processor() or platform.machine()
     with suppress(OSError):
-        names = re.findall(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
+        names = re.findall(
+            r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8")
+        )
         processor = names[0] if names else processor
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return f"{processor}, {cores} cores, {platform.system()} {platform.release()}"

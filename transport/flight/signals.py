@@ -1,4 +1,7 @@
-"""The signals that end a command: as KeyboardInterrupt, or collected while a run with processes is active."""
+"""The signals that end a command.
+
+As KeyboardInterrupt, or collected while a run with processes is active.
+"""
 
 import signal
 import threading
@@ -6,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from protocol.network.parent import ending_signals
+from transport.protocol.network.parent import ending_signals
 
 # Names of the signals that were raised as KeyboardInterrupt.
 _raised: list[str] = []
@@ -21,7 +24,10 @@ def raise_interrupts() -> None:
 
 
 def check_interrupt() -> None:
-    """Raise KeyboardInterrupt if a signal has already been raised: compiled code that calls Python may suppress it."""
+    """Raise KeyboardInterrupt if a signal has already been raised.
+
+    Compiled code that calls Python may suppress it.
+    """
     if _raised:
         raise KeyboardInterrupt(_raised[0])
 
@@ -33,7 +39,10 @@ def _raise(number: int, _: FrameType | None) -> None:
 
 @contextmanager
 def collected_signals() -> Iterator[list[str]]:
-    """Collect the names of received SIGINT, SIGTERM and SIGHUP instead of ending; only in the main thread."""
+    """Collect the names of received SIGINT, SIGTERM and SIGHUP instead of ending.
+
+    Only in the main thread.
+    """
     received: list[str] = []
 
     def note(number: int, _: FrameType | None) -> None:

@@ -9,11 +9,11 @@ from typing import Any, Unpack
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from protocol.scenario.setup import Setup
 from transport.analysis.series import Series
 from transport.interface.scenario import Scenario
 from transport.interface.settings import ArgumentError, Settings, ShortSettings
 from transport.log.run_log import RunLog
+from transport.protocol.scenario.setup import Setup
 from transport.report.figures import FIGURES, fill
 from transport.report.margins import ACTUATIONS, HoverMargins, draw, hover_margins, rows
 from transport.report.style import RC

@@ -9,13 +9,6 @@ from typing import Any, Unpack
 import tomli_w
 from rich.console import Console
 
-from protocol.scenario.file import ScenarioError
-from protocol.scenario.files import points_of
-from protocol.scenario.setup import Setup
-from protocol.scenario.targets import with_targets
-from protocol.wire.exit_codes import EXIT_INTERRUPTED
-from protocol.wire.messages import Message, PlantState, Target
-from protocol.wire.names import COORDINATOR
 from transport.flight import live, memory
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.run_files import checked, run_header
@@ -23,6 +16,12 @@ from transport.interface.run import Run
 from transport.interface.scenario import Scenario, path_phase
 from transport.interface.settings import ArgumentError, Settings, ShortSettings, plain
 from transport.log.run_log import Recorded, RunLog, open_run
+from transport.protocol.scenario.file import ScenarioError
+from transport.protocol.scenario.files import points_of
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.exit_codes import EXIT_INTERRUPTED
+from transport.protocol.wire.messages import Message, PlantState, Target
+from transport.protocol.wire.names import COORDINATOR
 from transport.report.report import write_report
 
 _EVERY_S = 0.1  # shortest time between two updates, wall time
@@ -77,14 +76,18 @@ did you mean 'horizon'?
     flown = Scenario(scenario, settings, **short)
     if path is not None:
         flown.set(phases=[path_phase(path, flat=flown.maneuver.reference == "flat")])
-    setup = Setup.of(flown.validated, str(flown.file))  # its own: compiled functions must not be used by two threads
+    setup = Setup.of(
+        flown.validated, str(flown.file)
+    )  # its own: compiled functions must not be used by two threads
     target = None if folder is None else Path(folder)
     if target is not None and target.exists():  # before the simulation
         raise ArgumentError(f"folder: expected a folder that does not exist yet, got {target}")
     if processes:
         return _with_processes(flown, setup, target, shown=progress)
     if flown.clock.mode != "lockstep":
-        expected = "expected lockstep in memory, where no time passes (processes=True runs in real time)"
+        expected = (
+            "expected lockstep in memory, where no time passes (processes=True runs in real time)"
+        )
         raise ScenarioError(str(flown.file), "clock.mode", f"{expected}, got {flown.clock.mode}")
     run = _in_memory(flown, setup, shown=progress)
     if target is not None:
@@ -104,7 +107,12 @@ def load(folder: "str | PathLike[str]") -> Run:
     Raises: LogError: no run folder, or a log that cannot be read. ScenarioError: its scenario cannot be read.
     """
     recorded = open_run(Path(folder))
-    return Run(Scenario(recorded.scenario_file, allow_large=True), recorded.setup, recorded.log, Path(folder))
+    return Run(
+        Scenario(recorded.scenario_file, allow_large=True),
+        recorded.setup,
+        recorded.log,
+        Path(folder),
+    )
 
 
 class ActiveRun:
@@ -157,7 +165,9 @@ def active(folder: "str | PathLike[str] | None" = None) -> ActiveRun:
 def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
     began_ns, began_s = time.time_ns(), time.monotonic()
     compile_model(setup.system.N, console(shown=shown))
-    header = run_header(setup, setup.scenario.name, 1, tomli_w.dumps(setup.scenario.tree()), checked(setup))
+    header = run_header(
+        setup, setup.scenario.name, 1, tomli_w.dumps(setup.scenario.tree()), checked(setup)
+    )
     messages: list[Recorded] = []
     next_s = began_s
     with RunProgress(setup, console(shown=shown), waiting="in memory") as progress:
@@ -166,13 +176,15 @@ def _in_memory(scenario: Scenario, setup: Setup, *, shown: bool) -> Run:
             nonlocal next_s
             messages.append(Recorded(message=message, received_ns=time.time_ns()))
             if isinstance(message, Target):
-                progress.setup = with_targets(progress.setup, [message])
+                progress.setup = progress.setup.after([message])
             elif isinstance(message, PlantState) and time.monotonic() >= next_s:
                 next_s = time.monotonic() + _EVERY_S
                 progress.show(message, began_s)
 
         memory.simulate(setup, record)
-    log = RunLog(header={**header, "command_started_ns": str(began_ns)}, messages=tuple(messages), cut="")
+    log = RunLog(
+        header={**header, "command_started_ns": str(began_ns)}, messages=tuple(messages), cut=""
+    )
     return Run(scenario, setup, log)
 
 

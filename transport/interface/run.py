@@ -7,7 +7,6 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from protocol.scenario.setup import Setup
 from transport.analysis.metrics import summarise
 from transport.analysis.series import counted, steps_rows
 from transport.flight.run_files import create
@@ -16,6 +15,7 @@ from transport.interface.series import RunSeries
 from transport.interface.settings import ArgumentError, printed
 from transport.log.run_log import RunLog
 from transport.log.writer import LogWriter
+from transport.protocol.scenario.setup import Setup
 from transport.report.report import summary_table, write_report
 
 if TYPE_CHECKING:
@@ -41,8 +41,14 @@ class Run:
     `scenario` is the one that was simulated, `log` has all messages, `folder` is None for a run without run folder.
     """
 
-    def __init__(self, scenario: Scenario, setup: Setup, log: RunLog, folder: Path | None = None) -> None:
-        self.scenario, self.log, self.folder = scenario.copy(), log, folder  # changes of either do not affect the other
+    def __init__(
+        self, scenario: Scenario, setup: Setup, log: RunLog, folder: Path | None = None
+    ) -> None:
+        self.scenario, self.log, self.folder = (
+            scenario.copy(),
+            log,
+            folder,
+        )  # changes of either do not affect the other
         self._setup = setup
         self._counted = counted(setup, log)
 
@@ -58,7 +64,7 @@ class Run:
 
     @property
     def outcome(self) -> str:
-        """The end of the run: completed, diverged, aborted, or unknown for a log without its end."""
+        """The end of the run: completed, failed, diverged, aborted, or unknown for a log without its end."""
         return str(self.summary["outcome"])
 
     @property
@@ -96,13 +102,17 @@ class Run:
 
         Raises: ArgumentError: no such figure, or a run without data for it.
         """
-        from transport.interface.figure import run_figure  # loads matplotlib, 0.5 s that runs without figures save
+        from transport.interface.figure import (
+            run_figure,  # loads matplotlib, 0.5 s that runs without figures save
+        )
 
         return run_figure(figure, self._setup, self._counted, self.series.source)
 
     def view(self, host: str = "127.0.0.1", port: int = 8080) -> "RunViewer":
         """Show the run in the browser until the viewer is closed; raise ViewerError without viser (extra `view`)."""
-        from transport.interface.viewing import RunViewer  # loads the viewer, which other uses do not need
+        from transport.interface.viewing import (
+            RunViewer,  # loads the viewer, which other uses do not need
+        )
 
         return RunViewer(self._setup, self.log, host, port)
 
@@ -115,7 +125,9 @@ class Run:
         if self.folder is not None:
             return Path(shutil.copytree(self.folder, target))
         create(target, self._setup)
-        with closing(LogWriter(target / "run.mcap", self.log.header, period_ns=self._setup.period_ns)) as writer:
+        with closing(
+            LogWriter(target / "run.mcap", self.log.header, period_ns=self._setup.period_ns)
+        ) as writer:
             for entry in self.log.messages:
                 writer.write(entry.message, entry.received_ns)
         write_report(target, figures=figures)

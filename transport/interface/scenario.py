@@ -9,13 +9,13 @@ import numpy as np
 import tomli_w
 from pydantic import BaseModel
 
-from protocol.scenario.errors import ScenarioError, hint
-from protocol.scenario.file import find_scenario, read_tree, with_settings
-from protocol.scenario.keys import names_of
-from protocol.scenario.schema import Scenario as ScenarioTree
-from protocol.scenario.setup import Setup
-from protocol.scenario.team import FEWEST, MOST, given, resized
 from transport.interface.settings import ArgumentError, Settings, ShortSettings, key_of, settings_of
+from transport.protocol.scenario.errors import ScenarioError, hint
+from transport.protocol.scenario.file import find_scenario, read_tree, with_settings
+from transport.protocol.scenario.keys import names_of
+from transport.protocol.scenario.schema import Scenario as ScenarioTree
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.team import FEWEST, MOST, given, resized
 
 
 class Section:
@@ -71,7 +71,7 @@ class Scenario(Section):
     >>> scenario.links.loss = 1.5
     Traceback (most recent call last):
         ...
-    protocol.scenario.errors.ScenarioError: links.loss=1.5: expected less than or equal to 1, got 1.5
+    transport.protocol.scenario.errors.ScenarioError: links.loss=1.5: expected less than or equal to 1, got 1.5
     >>> scenario.links.loss
     0.0
     >>> scenario.resized(6)
@@ -166,7 +166,9 @@ class Scenario(Section):
         if group is not None and group < 1:
             raise ArgumentError(f"group: expected at least 1 UAV per agent, got {group}")
         source, chosen = str(self._path), None if vehicle is None else str(vehicle)
-        data = resized(self._tree, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg)
+        data = resized(
+            self._tree, uavs, group=group, name=name, source=source, vehicle=chosen, load_kg=load_kg
+        )
         made = Scenario(self)
         made._change(given(data), [])
         return made
@@ -185,7 +187,9 @@ class Scenario(Section):
             if isinstance(found, list | tuple):
                 parts = {str(number): entry for number, entry in enumerate(found, start=1)}
             elif isinstance(found, BaseModel):
-                parts = {name: getattr(found, field) for name, field in names_of(type(found)).items()}
+                parts = {
+                    name: getattr(found, field) for name, field in names_of(type(found)).items()
+                }
             if part not in parts:
                 raise ScenarioError(str(self._path), key, f"unknown key; {hint(part, parts)}")
             found = parts[part]
@@ -241,10 +245,18 @@ def path_phase(path: Sequence[Sequence[float]], *, flat: bool) -> dict[str, Any]
     except (TypeError, ValueError):
         rows = np.zeros(0)
     if rows.ndim != 2 or rows.shape[1] != 4 or len(rows) < 2:
-        raise ArgumentError(f"path: expected two or more rows of t_s, x_m, y_m, z_m, got {path!r:.60}")
+        raise ArgumentError(
+            f"path: expected two or more rows of t_s, x_m, y_m, z_m, got {path!r:.60}"
+        )
     rows = rows - rows[0]
     if flat:
         points, times = rows[1:, 1:].tolist(), rows[1:, 0].tolist()
         ramp_s = min(3.0, times[-1] / 2.0)
-        return {"name": "path", "kind": "spline", "points_m": points, "times_s": times, "ramp_s": ramp_s}
+        return {
+            "name": "path",
+            "kind": "spline",
+            "points_m": points,
+            "times_s": times,
+            "ramp_s": ramp_s,
+        }
     return {"name": "path", "way": rows.tolist()}

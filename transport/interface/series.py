@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from model import state
-from model.arrays import Array, frozen
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import ActualInputs, StepReport
 from transport.analysis.series import Series, series_of
 from transport.interface.settings import ArgumentError
 from transport.log.run_log import RunLog
+from transport.model import state
+from transport.model.arrays import Array, frozen
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import ActualInputs, StepReport
 
 _XYZ, _ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
 _UAV, _AGENT = "uav", "agent"
@@ -32,33 +32,67 @@ class Quantity:
 QUANTITIES: Mapping[str, Quantity] = {
     "time_s": Quantity("s", (), "Time t_k of the sampling instant."),
     "payload_position_m": Quantity("m", (_XYZ,), "Payload position, inertial frame, z down."),
-    "payload_reference_m": Quantity("m", (_XYZ,), "Reference position of the payload, inertial frame."),
-    "payload_error_m": Quantity("m", (_XYZ,), "Payload position minus its reference, inertial frame."),
+    "payload_reference_m": Quantity(
+        "m", (_XYZ,), "Reference position of the payload, inertial frame."
+    ),
+    "payload_error_m": Quantity(
+        "m", (_XYZ,), "Payload position minus its reference, inertial frame."
+    ),
     "payload_velocity_mps": Quantity("m/s", (_XYZ,), "Payload velocity, inertial frame."),
     "payload_attitude_deg": Quantity("deg", (_ANGLES,), "Payload roll, pitch and yaw."),
-    "payload_rate_radps": Quantity("rad/s", (_XYZ,), "Angular velocity of the payload, payload frame."),
-    "uav_position_m": Quantity("m", (_UAV, _XYZ), "UAV positions, inertial frame, z down; NaN after a release."),
-    "uav_reference_m": Quantity("m", (_UAV, _XYZ), "Reference positions of the UAVs, inertial frame."),
-    "uav_error_m": Quantity("m", (_UAV, _XYZ), "UAV positions minus references, inertial frame; NaN after a release."),
-    "uav_attitude_deg": Quantity("deg", (_UAV, _ANGLES), "UAV roll, pitch and yaw; NaN after a release."),
+    "payload_rate_radps": Quantity(
+        "rad/s", (_XYZ,), "Angular velocity of the payload, payload frame."
+    ),
+    "uav_position_m": Quantity(
+        "m", (_UAV, _XYZ), "UAV positions, inertial frame, z down; NaN after a release."
+    ),
+    "uav_reference_m": Quantity(
+        "m", (_UAV, _XYZ), "Reference positions of the UAVs, inertial frame."
+    ),
+    "uav_error_m": Quantity(
+        "m", (_UAV, _XYZ), "UAV positions minus references, inertial frame; NaN after a release."
+    ),
+    "uav_attitude_deg": Quantity(
+        "deg", (_UAV, _ANGLES), "UAV roll, pitch and yaw; NaN after a release."
+    ),
     "thrust_N": Quantity("N", (_UAV,), "Thrust applied from t_k on."),
-    "thrust_limits_N": Quantity("N", (("smallest", "largest"),), "Limits of the thrust of each UAV."),
+    "thrust_limits_N": Quantity(
+        "N", (("smallest", "largest"),), "Limits of the thrust of each UAV."
+    ),
     "moment_Nm": Quantity(
-        "N m", (_UAV, _XYZ), "Moments about the UAV's body axes, applied from t_k on; with body rates their mean."
+        "N m",
+        (_UAV, _XYZ),
+        "Moments about the UAV's body axes, applied from t_k on; with body rates their mean.",
     ),
     "moment_limit_Nm": Quantity("N m", (_XYZ,), "Limit of the moments of each UAV, either sign."),
-    "rate_command_radps": Quantity("rad/s", (_UAV, _XYZ), "Body rates commanded from t_k on; NaN with moments."),
-    "cable_tension_N": Quantity("N", (_UAV,), "Least tension of each cable from t_k on, 0 while slack; NaN with rods."),
+    "rate_command_radps": Quantity(
+        "rad/s", (_UAV, _XYZ), "Body rates commanded from t_k on; NaN with moments."
+    ),
+    "cable_tension_N": Quantity(
+        "N", (_UAV,), "Least tension of each cable from t_k on, 0 while slack; NaN with rods."
+    ),
     "separation_m": Quantity("m", (), "Smallest distance between two UAVs."),
     "clearance_m": Quantity(
-        "m", (("UAVs", "rods", "payload"),), "Smallest distances from any obstacle; infinite without obstacles."
+        "m",
+        (("UAVs", "rods", "payload"),),
+        "Smallest distances from any obstacle; infinite without obstacles.",
     ),
     "cost": Quantity("", (), "Stage cost, docs/equations.md (21)."),
-    "constraint_violation": Quantity("", (), "Largest violation as a share of the constraint's range; 0 if all hold."),
-    "plan_age_ticks": Quantity("ticks", (_AGENT,), "Age of the oldest plan of another agent in use; NaN for none."),
-    "plans_lost": Quantity("", (_AGENT,), "Plans of other agents lost at this tick; NaN without a step."),
-    "estimated_force_N": Quantity("N", (_AGENT, _XYZ), "Force on the payload that the agent estimates; NaN for none."),
-    "step_ms": Quantity("ms", (_AGENT,), "Wall-clock time of the agent's step; NaN without a step."),
+    "constraint_violation": Quantity(
+        "", (), "Largest violation as a share of the constraint's range; 0 if all hold."
+    ),
+    "plan_age_ticks": Quantity(
+        "ticks", (_AGENT,), "Age of the oldest plan of another agent in use; NaN for none."
+    ),
+    "plans_lost": Quantity(
+        "", (_AGENT,), "Plans of other agents lost at this tick; NaN without a step."
+    ),
+    "estimated_force_N": Quantity(
+        "N", (_AGENT, _XYZ), "Force on the payload that the agent estimates; NaN for none."
+    ),
+    "step_ms": Quantity(
+        "ms", (_AGENT,), "Wall-clock time of the agent's step; NaN without a step."
+    ),
 }
 
 
@@ -76,7 +110,9 @@ class RunSeries(Mapping[str, Array]):
 
     def __init__(self, setup: Setup, log: RunLog) -> None:
         self.source = series_of(setup, log)  # as figures and metrics of the report use them
-        self._arrays = {name: np.array(values) for name, values in _arrays(setup, log, self.source).items()}
+        self._arrays = {
+            name: np.array(values) for name, values in _arrays(setup, log, self.source).items()
+        }
         frozen(*self._arrays.values())
 
     def __getitem__(self, name: str) -> Array:
@@ -90,7 +126,10 @@ class RunSeries(Mapping[str, Array]):
         return len(QUANTITIES)
 
     def __repr__(self) -> str:
-        rows = [f"{name:22}{self[name].shape!s:14}{quantity.meaning}" for name, quantity in QUANTITIES.items()]
+        rows = [
+            f"{name:22}{self[name].shape!s:14}{quantity.meaning}"
+            for name, quantity in QUANTITIES.items()
+        ]
         return "\n".join([f"{len(self['time_s'])} ticks; name, shape, meaning:", *rows])
 
     def unit(self, name: str) -> str:
@@ -111,7 +150,9 @@ class RunSeries(Mapping[str, Array]):
         for name, quantity in QUANTITIES.items():
             for place in np.ndindex(self[name].shape[1:]):
                 axes = zip(quantity.axes, place, strict=True)
-                label = ",".join(axis[i] if isinstance(axis, tuple) else str(i + 1) for axis, i in axes)
+                label = ",".join(
+                    axis[i] if isinstance(axis, tuple) else str(i + 1) for axis, i in axes
+                )
                 found[f"{name}[{label}]" if label else name] = self[name][(slice(None), *place)]
         return found
 
@@ -119,8 +160,15 @@ class RunSeries(Mapping[str, Array]):
 def _arrays(setup: Setup, log: RunLog, s: Series) -> dict[str, Any]:
     """Return the arrays of `QUANTITIES`."""
     T, N, M = len(s.ticks), setup.system.N, len(setup.agents)
-    uavs, inputs = s.x[:, state.PAYLOAD :].reshape(T, N, state.PER_UAV), s.u.reshape(T, N, state.INPUTS)
-    limits, on_rods, missing = setup.settings.limits, s.on_rods[:, :, None], np.full((T, N, 3), np.nan)
+    uavs, inputs = (
+        s.x[:, state.PAYLOAD :].reshape(T, N, state.PER_UAV),
+        s.u.reshape(T, N, state.INPUTS),
+    )
+    limits, on_rods, missing = (
+        setup.settings.limits,
+        s.on_rods[:, :, None],
+        np.full((T, N, 3), np.nan),
+    )
     moments_Nm, rates_radps, tensions_N = inputs[:, :, 1:], missing, missing[:, :, 0].copy()
     if setup.system.commands_rates:
         moments_Nm, rates_radps = missing.copy(), moments_Nm
@@ -130,12 +178,18 @@ def _arrays(setup: Setup, log: RunLog, s: Series) -> dict[str, Any]:
             moments_Nm[row_of[actual.tick]] = actual.inputs[:, 1:]
         if len(actual.tensions):
             tensions_N[row_of[actual.tick]] = actual.tensions
-    plan_ages, lost, step_ms, force_N = (np.full((T, M, *shape), np.nan) for shape in ((), (), (), (3,)))
+    plan_ages, lost, step_ms, force_N = (
+        np.full((T, M, *shape), np.nan) for shape in ((), (), (), (3,))
+    )
     for report in log.of(StepReport):
         if report.tick in row_of and report.agent in setup.agents:
             place = row_of[report.tick], report.agent - 1
             plan_ages[place] = max((age for age in report.plan_ages if age >= 0), default=np.nan)
-            lost[place], step_ms[place], force_N[place] = report.lost, report.times_ms[-1], report.force
+            lost[place], step_ms[place], force_N[place] = (
+                report.lost,
+                report.times_ms[-1],
+                report.force,
+            )
     return {
         "time_s": s.times_s,
         "payload_position_m": s.x[:, state.R0],

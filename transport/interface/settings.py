@@ -7,9 +7,9 @@ from typing import Any, Literal, TypedDict
 import numpy as np
 from rich.console import Console, RenderableType
 
-from protocol.scenario.errors import PythonSetting, hint
-from protocol.scenario.keys import short_names
-from protocol.wire.errors import TransportError
+from transport.protocol.scenario.errors import PythonSetting, hint
+from transport.protocol.scenario.keys import short_names
+from transport.protocol.wire.errors import TransportError
 
 Settings = Mapping[str, Any]
 

@@ -26,7 +26,10 @@ if TYPE_CHECKING:
 
 Base = str | PathLike[str] | Scenario
 
-_NAME, _CURVE = "sweep", "settings"  # the latter is the label of all keys but the one along the axis
+_NAME, _CURVE = (
+    "sweep",
+    "settings",
+)  # the latter is the label of all keys but the one along the axis
 
 
 def sweep(
@@ -99,7 +102,9 @@ class Sweep:
 
     def __init__(self, swept: experiment_sweep.Swept) -> None:
         self._swept = swept
-        self.points: list[PointStatistics] = swept.measured  # means over completed runs with 95 % confidence intervals
+        self.points: list[PointStatistics] = (
+            swept.measured
+        )  # means over completed runs with 95 % confidence intervals
 
     def __repr__(self) -> str:
         return f"Sweep({len(self.points)} points, {len(self._swept.results)} runs)"
@@ -146,15 +151,27 @@ class Sweep:
             raise ArgumentError(f"kind: expected 'curves' or 'map', got {kind!r}")
         others = [name for name in names if name != along]
         if kind == "map":
-            if len(others) != 1 or any(isinstance(value, str) for point in points for value in point.labels.values()):
-                raise ArgumentError(f"kind: expected two settings with numbers for a map, got {', '.join(names)}")
+            if len(others) != 1 or any(
+                isinstance(value, str) for point in points for value in point.labels.values()
+            ):
+                raise ArgumentError(
+                    f"kind: expected two settings with numbers for a map, got {', '.join(names)}"
+                )
             return Experiment(name=_NAME, points=points, x=along, y=others[0]), self.points
         measured = []
         for m in self.points:  # the settings other than that along the axis tell the curve
-            curve = {_CURVE: ", ".join(axis(name).text(m.point.labels[name]) for name in others)} if others else {}
-            measured.append(replace(m, point=replace(m.point, labels={along: m.point.labels[along], **curve})))
+            curve = (
+                {_CURVE: ", ".join(axis(name).text(m.point.labels[name]) for name in others)}
+                if others
+                else {}
+            )
+            measured.append(
+                replace(m, point=replace(m.point, labels={along: m.point.labels[along], **curve}))
+            )
         shown = tuple(m.point for m in measured)
-        return Experiment(name=_NAME, points=shown, x=along, curves=_CURVE if others else None), measured
+        return Experiment(
+            name=_NAME, points=shown, x=along, curves=_CURVE if others else None
+        ), measured
 
 
 def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
@@ -165,10 +182,14 @@ def _checked_grid(grid: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
             raise ArgumentError(f"{name}: expected a list of values, got {values!r:.60}")
         found[name] = plain(list(values))
         if not found[name] or len(set(map(_label, found[name]))) < len(found[name]):
-            raise ArgumentError(f"{name}: expected different values, at least one, got {found[name]!r:.60}")
+            raise ArgumentError(
+                f"{name}: expected different values, at least one, got {found[name]!r:.60}"
+            )
     keys = [key_of(name) for name in found]
     if not keys or "seed" in keys or len(set(keys)) < len(keys):
-        raise ArgumentError(f"grid: expected settings other than the seed (seeds=...), each once, got {keys}")
+        raise ArgumentError(
+            f"grid: expected settings other than the seed (seeds=...), each once, got {keys}"
+        )
     return found
 
 
@@ -187,5 +208,7 @@ def _scenarios(base: "Base | Sequence[Base] | Mapping[str, Base]") -> dict[str, 
         named = [(scenario.name, scenario) for scenario in map(Scenario, several)]
     if len(dict(named)) < max(1, len(named)):
         got = [name for name, _ in named]
-        raise ArgumentError(f"base: expected scenarios with different names, or a dictionary with labels, got {got}")
+        raise ArgumentError(
+            f"base: expected scenarios with different names, or a dictionary with labels, got {got}"
+        )
     return dict(named)

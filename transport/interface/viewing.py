@@ -3,8 +3,8 @@
 import html
 import threading
 
-from protocol.scenario.setup import Setup
 from transport.log.run_log import RunLog
+from transport.protocol.scenario.setup import Setup
 from transport.scene.scene import SceneBuilder
 from transport.viewer.viewer import Viewer
 
@@ -15,7 +15,9 @@ class RunViewer(Viewer):
     def __init__(self, setup: Setup, log: RunLog, host: str, port: int) -> None:
         super().__init__(SceneBuilder.of(setup, log), host=host, port=port, notice=log.cut)
         self._closed = threading.Event()
-        self._thread = threading.Thread(target=self.show_until, args=(self._closed.is_set,), name="viewer", daemon=True)
+        self._thread = threading.Thread(
+            target=self.show_until, args=(self._closed.is_set,), name="viewer", daemon=True
+        )
         self._thread.start()
 
     def __repr__(self) -> str:

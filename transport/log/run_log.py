@@ -1,7 +1,7 @@
 """The log of a run in memory, read from its file or its run folder (`transport.log.writer` describes the file)."""
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,16 +12,16 @@ from typing import TypeVar, cast
 import msgspec
 from mcap.exceptions import McapError
 
-from protocol.admission.gate import Gate
-from protocol.scenario.file import ScenarioError, read_scenario, validate
-from protocol.scenario.setup import Setup
-from protocol.wire import messages as wire
-from protocol.wire.codec import VERSION, decode
-from protocol.wire.errors import MessageError, TransportError
-from protocol.wire.keys import RECORDER, Keys
-from protocol.wire.messages import LinkChange, Message, Plan, Target
-from protocol.wire.names import COORDINATOR
 from transport.log.parser import Parser
+from transport.protocol.admission.gate import Gate
+from transport.protocol.scenario.file import ScenarioError, read_scenario, validate
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire import messages as wire
+from transport.protocol.wire.codec import VERSION, decode
+from transport.protocol.wire.errors import MessageError, TransportError
+from transport.protocol.wire.keys import RECORDER, Keys
+from transport.protocol.wire.messages import LinkChange, Message, Plan, Target
+from transport.protocol.wire.names import COORDINATOR
 
 METADATA = "run"  # name of the metadata record that describes the run
 ENCODING = f"payload-transport/{VERSION}"  # of the bytes of messages; each version of the protocol has another
@@ -32,11 +32,18 @@ _KEYS = Keys("log")
 
 def channel_of(message: Message) -> str:
     """Return the channel in which a message is in the log if it came alone."""
-    return _OWN + message.kind if message.sender == RECORDER else _KEYS.of(message).removeprefix(_KEYS.prefix)
+    return (
+        _OWN + message.kind
+        if message.sender == RECORDER
+        else _KEYS.of(message).removeprefix(_KEYS.prefix)
+    )
 
 
 def topic_of(message: Message) -> str:
-    """Return the channel of a message in descriptions and exports; each kind has its own, in bundles or not."""
+    """Return the channel of a message in descriptions and exports.
+
+    Each kind has its own, in bundles or not.
+    """
     match message:
         case LinkChange() | Target():  # share the key of the rosters
             return f"/{message.kind}"
@@ -90,13 +97,16 @@ class RunLog:
 class LogTail:
     """Reader of one log, which may still be written or not exist yet.
 
-    Every message passes the gate of the run, whose setup is taken from the header unless given; refused ones are
-    reported in the name of the recorder.
+    Every message passes the gate of the run, whose setup is taken from the header unless given;
+    refused ones are reported in the name of the recorder.
     """
 
     def __init__(self, path: Path, setup: Setup | None = None) -> None:
-        self.parser, self.unknown = Parser(path), list[str]()  # descriptions of the entries of other versions
-        self._path, self._setup = path, setup
+        self.parser = Parser(path)
+        self.unknown = 0  # entries of other versions
+        self.first_unknown = ""  # description of the first of them
+        self._path = path
+        self._setup = setup
         self._gate: Gate | None = None
 
     @property
@@ -112,21 +122,33 @@ class LogTail:
         return found + self.last_notices() if self.ended else found
 
     def entries(self) -> Iterator[Recorded]:
-        """Yield the messages of the entries that are whole and were not read yet. Raises: LogError: no such file."""
+        """Yield the messages of the entries that are whole and were not read yet.
+
+        Raises: LogError: no such file.
+        """
         try:
             for channel, entry in self.parser.entries():
                 if channel.message_encoding != ENCODING:
-                    self.unknown.append(f"a channel {channel.topic!r} with encoding {channel.message_encoding!r}")
+                    self._pass_over(
+                        f"a channel {channel.topic!r} with encoding {channel.message_encoding!r}"
+                    )
                     continue
                 try:
                     for message in self._accepted(channel.topic, entry.data, entry.publish_time):
                         yield Recorded(message=message, received_ns=entry.publish_time)
                 except MessageError as error:
-                    self.unknown.append(f"{channel.topic}: {error}")
+                    self._pass_over(f"{channel.topic}: {error}")
         except OSError as error:
-            raise LogError(f"{self._path}: cannot read the log ({error.strerror or error})") from error
+            raise LogError(
+                f"{self._path}: cannot read the log ({error.strerror or error})"
+            ) from error
         except McapError as error:
             raise LogError(f"{self._path}: {error}") from error
+
+    def _pass_over(self, description: str) -> None:
+        """Count an entry of another version; the first one is described."""
+        self.unknown += 1
+        self.first_unknown = self.first_unknown or description
 
     def last_notices(self) -> list[Message]:
         """Return what is to be said at the end of the log."""
@@ -138,9 +160,13 @@ class LogTail:
             yield decode(data)
             return
         if self._gate is None:
-            setup = self._setup or setup_in(self.parser.metadata.get(METADATA, {}), self._path.parent)
+            setup = self._setup or setup_in(
+                self.parser.metadata.get(METADATA, {}), self._path.parent
+            )
             # The log of an in-memory run has no bundles.
-            self._gate = Gate(RECORDER, _KEYS, None if setup is None else replace(setup.shape, relayed=False))
+            self._gate = Gate(
+                RECORDER, _KEYS, None if setup is None else replace(setup.shape, relayed=False)
+            )
         for message in self._gate.accept(_KEYS.prefix + topic, data):
             if isinstance(message, Message):
                 yield message
@@ -152,40 +178,66 @@ def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:
     source = str(folder / "scenario.toml")
     try:
         return Setup.of(validate(tomllib.loads(header.get("scenario", "")), source), source)
-    except (ScenarioError, tomllib.TOMLDecodeError):
+    except (ScenarioError, tomllib.TOMLDecodeError, RecursionError):
         return None
 
 
 def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -> RunLog:
     """Read all that can be read of a log, also of one cut or damaged (`cut`), each message checked (`LogTail`).
 
-    Without `horizons` plans have their first step only and no corrections, which saves most of the memory.
+    Without `horizons` plans have their first step only and no corrections, which saves most of the
+    memory.
     Raises: LogError: no such file, not an MCAP file, or not the log of a run.
     """
     tail = LogTail(path, setup=setup)
-    messages: list[Recorded] = []
-    for entry in tail.entries():
-        plan = entry.message
-        if not horizons and isinstance(plan, Plan):
-            shortened = {"inputs": plan.inputs[:1].copy(), "corrections": plan.corrections[:0]}
-            entry = replace(entry, message=msgspec.structs.replace(plan, **shortened))
-        messages.append(entry)
+    messages = [entry if horizons else _first_step(entry) for entry in tail.entries()]
+
     last_ns = messages[-1].received_ns if messages else 0
     messages += [Recorded(message=notice, received_ns=last_ns) for notice in tail.last_notices()]
-    parser, unknown, is_whole = tail.parser, tail.unknown, tail.parser.is_whole()
-    header = parser.metadata.get(METADATA)
-    if header is None and is_whole and not parser.damaged:
-        raise LogError(f'{path}: an MCAP file, but not the log of a run (no metadata record "{METADATA}")')
-    problems = [] if is_whole else ["only its index is missing" if parser.ended else "it stops before its end"]
-    problems += [f"damaged parts left out: {parser.damaged}"] if parser.damaged else []
-    problems += [f"{len(unknown)} entries are not of this version, the first {unknown[0]}"] if unknown else []
+
+    problems = _problems(tail)
+    header = tail.parser.metadata.get(METADATA)
+    if header is None and tail.parser.is_whole() and not tail.parser.damaged:
+        raise LogError(
+            f'{path}: an MCAP file, but not the log of a run (no metadata record "{METADATA}")'
+        )
+
     last = f", up to tick {max(entry.message.tick for entry in messages)}" if messages else ""
     readable = f"{len(messages) or 'no'} messages are readable{last}"
     cut = f"the log is incomplete ({'; '.join(problems)}): {readable}" if problems else ""
     return RunLog(header=header or {}, messages=tuple(messages), cut=cut)
 
 
-_RUNS, LATEST = "runs", "latest"  # folder whose runs have a link to the most recent one, and the name of the link
+def _first_step(entry: Recorded) -> Recorded:
+    """Return an entry whose plan, if it is one, has its first step only and no corrections."""
+    plan = entry.message
+    if not isinstance(plan, Plan):
+        return entry
+
+    # A copy: a view would keep the whole horizon in memory.
+    inputs = plan.inputs[:1].copy()
+    shortened = msgspec.structs.replace(plan, inputs=inputs, corrections=plan.corrections[:0])
+    return replace(entry, message=shortened)
+
+
+def _problems(tail: LogTail) -> list[str]:
+    """Return a clause about each part that a log lacks after it was read."""
+    problems = []
+    if not tail.parser.is_whole():
+        missing_end = "only its index is missing" if tail.ended else "it stops before its end"
+        problems.append(missing_end)
+    if tail.parser.damaged:
+        problems.append(f"damaged parts left out: {tail.parser.damaged}")
+    if tail.unknown:
+        problems.append(
+            f"{tail.unknown} entries are not of this version, the first {tail.first_unknown}"
+        )
+    return problems
+
+
+# Folder whose runs have a link to the most recent one, and the name of the link.
+_RUNS = "runs"
+LATEST = "latest"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,26 +273,54 @@ def setup_of(folder: Path) -> Setup:
 def missing(log: RunLog) -> str:
     """Return a sentence with the ticks between which messages are missing; empty if none is.
 
-    Every process numbers its messages; ticks after the last plant state are known from other messages.
+    Every process numbers its messages; ticks after the last plant state are known from other
+    messages.
     """
-    # The recorder's own notes cannot get lost; rejections have numbers of their own.
-    messages = [entry.message for entry in log.messages if not isinstance(entry.message, wire.Rejected)]
-    ticks: dict[tuple[str, int], dict[int, int]] = {}  # by sender and incarnation, then by number
-    for message in (message for message in messages if message.sender != RECORDER):
-        ticks.setdefault((message.sender, message.incarnation), {-1: 0})[message.sequence] = message.tick
-    gaps = [
-        tick_of[number]
-        for tick_of in ticks.values()
-        for pair in pairwise(sorted(tick_of))
-        for number in pair
-        if pair[1] > pair[0] + 1
+    # Rejections have numbers of their own.
+    messages = [
+        entry.message for entry in log.messages if not isinstance(entry.message, wire.Rejected)
     ]
-    recorded = max((plant_state.tick for plant_state in log.of(wire.PlantState)), default=-1)
+    ticks = _ticks_around_gaps(messages)
+
+    last_recorded = max((state.tick for state in log.of(wire.PlantState)), default=-1)
+    last_simulated = _last_simulated(log, messages)
+    if last_simulated > last_recorded:
+        ticks += [last_recorded + 1, last_simulated]
+
+    if not ticks:
+        return ""
+    return f"some messages of ticks {min(ticks)} to {max(ticks)} did not reach the recorder"
+
+
+def _ticks_around_gaps(messages: Sequence[Message]) -> list[int]:
+    """Return the ticks of the messages before and behind each gap in the numbers of a process."""
+    # Ticks by sender and incarnation, then by number; each process begins before number 0.
+    ticks: dict[tuple[str, int], dict[int, int]] = {}
+    for message in messages:
+        if message.sender == RECORDER:  # its own notes cannot get lost
+            continue
+        of_process = ticks.setdefault((message.sender, message.incarnation), {-1: 0})
+        of_process[message.sequence] = message.tick
+
+    around: list[int] = []
+    for of_process in ticks.values():
+        for before, behind in pairwise(sorted(of_process)):
+            if behind > before + 1:
+                around += [of_process[before], of_process[behind]]
+    return around
+
+
+def _last_simulated(log: RunLog, messages: Iterable[Message]) -> int:
+    """Return the last tick that the plant has simulated, as the other messages tell; -1 for none."""
     # The plant measures at a tick after simulating the one before.
-    later = [message.tick - 1 for message in messages if isinstance(message, wire.Measurement | Plan | wire.StepReport)]
-    later += [end.tick for end in log.of(wire.Control) if end.outcome == "completed" and end.sender == COORDINATOR]
-    gaps += [recorded + 1, max(later)] if max(later, default=-1) > recorded else []
-    return f"some messages of ticks {min(gaps)} to {max(gaps)} did not reach the recorder" if gaps else ""
+    kinds = (wire.Measurement, Plan, wire.StepReport)
+    ticks = [message.tick - 1 for message in messages if isinstance(message, kinds)]
+    ticks += [
+        end.tick
+        for end in log.of(wire.Control)
+        if end.outcome in ("completed", "failed") and end.sender == COORDINATOR
+    ]
+    return max(ticks, default=-1)
 
 
 def point_latest(folder: Path) -> None:

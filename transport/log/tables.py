@@ -3,10 +3,20 @@
 from collections.abc import Iterator
 from typing import Any
 
-from model.arrays import Array
-from model.state import INPUTS, PAYLOAD, PER_UAV, SENSED
-from protocol.wire.messages import KINDS, STAGES, ActualInputs, Measurement, Message, Note, Plan, PlantState, StepReport
 from transport.log.run_log import RunLog
+from transport.model.arrays import Array
+from transport.model.state import INPUTS, PAYLOAD, PER_UAV, SENSED
+from transport.protocol.wire.messages import (
+    KINDS,
+    STAGES,
+    ActualInputs,
+    Measurement,
+    Message,
+    Note,
+    Plan,
+    PlantState,
+    StepReport,
+)
 
 Row = dict[str, Any]
 
@@ -34,18 +44,25 @@ RATE_NAMES = ("thrust_N", "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 
 # Fields that are spread over several columns or rows.
 _SPREAD = {
-    *("payload", "uavs", "uav_states", "inputs", "corrections", "x", "u", "plan_ticks", "cables", "tensions"),
-    *("peers", "plan_ages", "state_ages", "force", "times_ms", "names", "values"),
+    # of measurements, plans and actual inputs
+    *("payload", "uavs", "uav_states", "inputs", "corrections", "cables", "tensions"),
+    # of plant states, reports and notes
+    *("x", "u", "plan_ticks"),
+    *("peers", "plan_ages", "state_ages", "force", "times_ms"),
+    *("names", "values"),
 }
 
 
-def tables(log: RunLog, period_s: float | None, commands: tuple[str, ...] = INPUT_NAMES) -> dict[str, list[Row]]:
+def tables(
+    log: RunLog, period_s: float | None, commands: tuple[str, ...] = INPUT_NAMES
+) -> dict[str, list[Row]]:
     """Return the messages of a log by kind, each row as values by column (docs/log.md).
 
-    Measurements, plans and actual inputs have one row per UAV, other messages one row. Tuples of numbers become text
-    with blanks in between. An unknown sampling period, s, leaves `t_s` empty. Commands have the given names.
+    Measurements, plans and actual inputs have one row per UAV, other messages one row. Tuples of
+    numbers become text with blanks in between. An unknown sampling period, s, leaves `t_s` empty.
+    Commands have the given names.
     """
-    found: dict[str, list[Row]] = {kind: [] for kind in KINDS}
+    rows_by_kind: dict[str, list[Row]] = {kind: [] for kind in KINDS}
     for entry in log.messages:
         message = entry.message
         row: Row = {
@@ -56,11 +73,15 @@ def tables(log: RunLog, period_s: float | None, commands: tuple[str, ...] = INPU
             "incarnation": message.incarnation,
             "sequence": message.sequence,
         }
-        for name in (field for field in message.__struct_fields__ if field not in row.keys() | _SPREAD):
+
+        for name in message.__struct_fields__:
+            if name in row or name in _SPREAD:
+                continue
             value = getattr(message, name)
             row[name] = " ".join(map(str, value)) if isinstance(value, tuple) else value
-        found[message.kind] += [row | spread for spread in _spread(message, commands)]
-    return {kind: rows for kind, rows in found.items() if rows}
+
+        rows_by_kind[message.kind] += [row | spread for spread in _spread(message, commands)]
+    return {kind: rows for kind, rows in rows_by_kind.items() if rows}
 
 
 def columns(rows: list[Row]) -> list[str]:
@@ -72,42 +93,70 @@ def _spread(message: Message, commands: tuple[str, ...]) -> Iterator[Row]:
     """Yield the columns of the array fields: once, or once per UAV of the message."""
     match message:
         case Measurement():
-            payload = _named("payload_", PAYLOAD_NAMES[: len(message.payload)], message.payload)
-            for uav, states, inputs in zip(message.uavs, message.uav_states, message.inputs, strict=True):
-                yield {"uav": uav, **payload, **_of_uav(states), **_named("", commands, inputs)}
+            yield from _measured(message, commands)
         case Plan():
-            for i, (uav, states) in enumerate(zip(message.uavs, message.uav_states, strict=True)):
-                own = slice(INPUTS * i, INPUTS * (i + 1))
-                inputs = _over_horizon("", commands, message.inputs[:, own])
-                corrections = _over_horizon("correction_", commands, message.corrections[:, own])
-                yield {"uav": uav, **_of_uav(states), **inputs, **corrections}
+            yield from _planned(message, commands)
         case StepReport():
-            ages = zip(message.peers, message.plan_ages, message.state_ages, strict=True)
-            row = _named("force_", ("x_N", "y_N", "z_N"), message.force)
-            row |= _named("", tuple(f"{stage}_ms" for stage in STAGES), message.times_ms)
-            for peer, plan_age, state_age in ages:
-                row |= {f"plan_age_agent{peer}_ticks": plan_age, f"state_age_agent{peer}_ticks": state_age}
-            yield row
+            yield _reported(message)
         case Note():
             yield _named("", message.names, message.values)
         case PlantState():
-            row = _named("payload_", PAYLOAD_NAMES, message.x[:PAYLOAD])
-            for i, plan_tick in enumerate(message.plan_ticks):
-                begin = PAYLOAD + PER_UAV * i
-                row |= _named(f"uav{i + 1}_", UAV_STATE_NAMES, message.x[begin : begin + PER_UAV])
-                row |= _named(f"uav{i + 1}_", commands, message.u[INPUTS * i : INPUTS * (i + 1)])
-                row[f"uav{i + 1}_plan_tick"] = plan_tick
-            yield row
+            yield _simulated(message, commands)
         case ActualInputs():
-            for i, (uav, inputs) in enumerate(zip(message.uavs, message.inputs, strict=True)):
-                tension = {"tension_N": float(message.tensions[i])} if message.cables else {}
-                yield {"uav": uav, **_named("", INPUT_NAMES, inputs), **tension}
+            yield from _actual(message)
         case _:
             yield {}
 
 
+def _measured(message: Measurement, commands: tuple[str, ...]) -> Iterator[Row]:
+    """Yield the payload with states and inputs of each UAV."""
+    payload = _named("payload_", PAYLOAD_NAMES[: len(message.payload)], message.payload)
+    uavs = zip(message.uavs, message.uav_states, message.inputs, strict=True)
+    for uav, states, inputs in uavs:
+        yield {"uav": uav, **payload, **_of_uav(states), **_named("", commands, inputs)}
+
+
+def _planned(message: Plan, commands: tuple[str, ...]) -> Iterator[Row]:
+    """Yield states of each UAV with its inputs and corrections over the horizon."""
+    for i, (uav, states) in enumerate(zip(message.uavs, message.uav_states, strict=True)):
+        own = slice(INPUTS * i, INPUTS * (i + 1))
+        inputs = _over_horizon("", commands, message.inputs[:, own])
+        corrections = _over_horizon("correction_", commands, message.corrections[:, own])
+        yield {"uav": uav, **_of_uav(states), **inputs, **corrections}
+
+
+def _reported(message: StepReport) -> Row:
+    """Return force, times and ages of a step."""
+    row = _named("force_", ("x_N", "y_N", "z_N"), message.force)
+    row |= _named("", tuple(f"{stage}_ms" for stage in STAGES), message.times_ms)
+    ages = zip(message.peers, message.plan_ages, message.state_ages, strict=True)
+    for peer, plan_age, state_age in ages:
+        row[f"plan_age_agent{peer}_ticks"] = plan_age
+        row[f"state_age_agent{peer}_ticks"] = state_age
+    return row
+
+
+def _simulated(message: PlantState, commands: tuple[str, ...]) -> Row:
+    """Return the state of the payload, and state, inputs and plan of every UAV."""
+    row = _named("payload_", PAYLOAD_NAMES, message.x[:PAYLOAD])
+    for i, plan_tick in enumerate(message.plan_ticks):
+        prefix = f"uav{i + 1}_"
+        begin = PAYLOAD + PER_UAV * i
+        row |= _named(prefix, UAV_STATE_NAMES, message.x[begin : begin + PER_UAV])
+        row |= _named(prefix, commands, message.u[INPUTS * i : INPUTS * (i + 1)])
+        row[f"{prefix}plan_tick"] = plan_tick
+    return row
+
+
+def _actual(message: ActualInputs) -> Iterator[Row]:
+    """Yield the inputs of each UAV, with cables also their tension."""
+    for i, (uav, inputs) in enumerate(zip(message.uavs, message.inputs, strict=True)):
+        tension = {"tension_N": float(message.tensions[i])} if message.cables else {}
+        yield {"uav": uav, **_named("", INPUT_NAMES, inputs), **tension}
+
+
 def _of_uav(values: Array) -> Row:
-    """Return the states of a UAV, or what its sensors measured at the newest tick of a message, if that is known."""
+    """Return the states of a UAV, or the newest values of its sensors in a message, none without one."""
     if len(values) == PER_UAV:
         return _named("", UAV_STATE_NAMES, values)
     if len(values) != SENSED:
@@ -116,6 +165,7 @@ def _of_uav(values: Array) -> Row:
 
 
 def _named(prefix: str, names: tuple[str, ...], values: Array) -> Row:
+    """Return values by name, all with a prefix."""
     return {prefix + name: float(value) for name, value in zip(names, values, strict=True)}
 
 

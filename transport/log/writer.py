@@ -1,35 +1,51 @@
-"""Writer of the log of a run: one MCAP file in chunks, each of which can be read as soon as it is written.
+"""Writer of the log of a run.
 
-One record for each message or bundle that the recorder received, with its bytes, in a channel for each key. `log_time`
-is scenario time, `publish_time` is when the recorder received the message.
+One MCAP file in chunks, each of which can be read as soon as it is written.
+
+One record for each message or bundle that the recorder received, with its bytes, in a channel for
+each key. `log_time` is scenario time, `publish_time` is when the recorder received the message.
 """
 
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from errno import ENOENT
 from pathlib import Path
 
 from mcap.writer import CompressionType, IndexType, Writer
 
-from protocol.wire.codec import Header, encode
-from protocol.wire.messages import Control, FaultNote, Message
 from transport.log.run_log import ENCODING, METADATA, LogError, channel_of
+from transport.protocol.wire.codec import Header, encode
+from transport.protocol.wire.messages import Control, FaultNote, Message
 
-# A chunk ends at this size, before compression (about ten ticks of four agents), or at this age. A kill loses at most
-# one chunk; live readers wait for it.
+# A chunk ends at this size, before compression (about ten ticks of four agents), or at this age. A
+# kill loses at most one chunk; live readers wait for it.
 CHUNK_BYTES, _CHUNK_NS = 64 * 1024, 50_000_000
-_URGENT = (Control.kind, FaultNote.kind)  # kinds of messages that are in the file as soon as they are written
-# Largest time of an MCAP record, ns, and number of its sequence numbers; the message has the full number.
+_URGENT = (
+    Control.kind,
+    FaultNote.kind,
+)  # kinds of messages that are in the file as soon as they are written
+# Largest time of an MCAP record, ns, and number of its sequence numbers; the message has the full
+# number.
 LAST_TIME_NS, SEQUENCES = 2**63 - 1, 2**32
 
 
 class LogWriter:
-    """Writes the log of one run. The file can be read at any moment; a kill loses at most the unfinished chunk.
+    """Writes the log of one run.
 
-    A failed write closes the file. With `say` it is told, and further messages are dropped; without it raises LogError.
+    The file can be read at any moment; a kill loses at most the unfinished chunk.
+
+    A failed write closes the file. With `say` it is told, and further messages are dropped; without
+    it raises LogError.
     """
 
     def __init__(
-        self, path: Path, header: Mapping[str, str], *, period_ns: int, say: Callable[[str], None] | None = None
+        self,
+        path: Path,
+        header: Mapping[str, str],
+        *,
+        period_ns: int,
+        say: Callable[[str], None] | None = None,
     ) -> None:
         self.lost = ""  # why messages are dropped
         self.is_up_to_date = True  # whether all messages are in the file
@@ -38,7 +54,8 @@ class LogWriter:
         self._begun_ns = self._bytes = 0  # of the unfinished chunk
         try:
             self._file = path.open("wb")
-            # Without an index of messages, which would grow in memory; LZ4 is the cheapest, see docs/decisions.md.
+            # Without an index of messages, which would grow in memory; LZ4 is the cheapest, see
+            # docs/decisions.md.
             self._writer = Writer(
                 self._file,
                 chunk_size=2 * CHUNK_BYTES,
@@ -67,7 +84,10 @@ class LogWriter:
                 self._begun_ns = received_ns
             if topic not in self._channels:
                 self._channels[topic] = self._writer.register_channel(topic, ENCODING, 0)
-            log_ns, sequence = min(max(header.tick * self._period_ns, 0), LAST_TIME_NS), header.sequence % SEQUENCES
+            log_ns, sequence = (
+                min(max(header.tick * self._period_ns, 0), LAST_TIME_NS),
+                header.sequence % SEQUENCES,
+            )
             self._writer.add_message(self._channels[topic], log_ns, data, received_ns, sequence)
             self._bytes += len(data)
             self.is_up_to_date = False
@@ -81,15 +101,23 @@ class LogWriter:
             with self._guarded():
                 self._writer.flush()  # type: ignore[no-untyped-call]
                 self._file.flush()
-                self._bytes, self.is_up_to_date = 0, True
+                self._check_kept()
+                self._bytes = 0
+                self.is_up_to_date = True
 
     def close(self) -> None:
         """Write the summary and close the file; a second time, or after a failure, does nothing."""
         if not self._file.closed:
             with self._guarded():
                 self._writer.finish()  # type: ignore[no-untyped-call]
+                self._check_kept()
                 self._file.close()
             self.is_up_to_date = True
+
+    def _check_kept(self) -> None:
+        """Raise OSError if the file, or its folder, has been removed: what is written would be lost."""
+        if os.fstat(self._file.fileno()).st_nlink == 0:
+            raise FileNotFoundError(ENOENT, "the file has been removed")
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:

@@ -12,9 +12,9 @@ from matplotlib.ticker import MaxNLocator
 from rich.console import Console
 from rich.progress import track
 
-from protocol.wire.errors import TransportError
 from transport.analysis.series import Series, series_of
 from transport.log.run_log import open_run
+from transport.protocol.wire.errors import TransportError
 from transport.report.figures_3d import UP, draw_parts, frame, line
 from transport.report.style import COMPONENTS, RC, REFERENCE, scale_cost, shade_phases
 from transport.scene.drawing import Drawing
@@ -56,7 +56,11 @@ def animate_run(folder: Path, out: Path, *, speed: float | None = None) -> Path:
     ticks = np.arange(series.ticks[0], series.ticks[-1] + 1, speed / FPS / period_s)
     shown = list(dict.fromkeys(builder.history.nearest(round(tick)) for tick in ticks))
 
-    writer: Any = PillowWriter(FPS) if out.suffix == ".gif" else FFMpegWriter(FPS, "libx264", extra_args=_PIXELS)
+    writer: Any = (
+        PillowWriter(FPS)
+        if out.suffix == ".gif"
+        else FFMpegWriter(FPS, "libx264", extra_args=_PIXELS)
+    )
     with mpl.rc_context(RC):
         page = AnimationPage(builder, series)
         with writer.saving(page.figure, str(out), _DPI):
@@ -76,7 +80,9 @@ class AnimationPage:
         space: Any = self.figure.add_axes((-0.04, 0.0, 0.58, 0.95), projection="3d")
         self._space, self._above = space, self.figure.add_axes((0.54, 0.42, 0.44, 0.47))
         line(space, series.payload_reference_I, color=REFERENCE, linewidth=0.8, linestyle="--")
-        frame(space, np.concatenate([series.uavs_I.reshape(-1, 3), series.x[:, :3]]) * UP, zoom=0.85)
+        frame(
+            space, np.concatenate([series.uavs_I.reshape(-1, 3), series.x[:, :3]]) * UP, zoom=0.85
+        )
         space.view_init(elev=20.0, azim=-62.0)
         space.tick_params(pad=-2.0)
         space.set(xlabel="", ylabel="", zlabel="")
@@ -84,7 +90,9 @@ class AnimationPage:
         self.figure.text(0.03, 0.03, "x, y, altitude in m")
         self._above.set(aspect="equal", xticks=[], yticks=[])
         self._above.spines[["top", "right"]].set_visible(True)
-        self._above.set_title("from above, with predicted paths\nlinks grey: fresh, orange: delayed, black: no plan")
+        self._above.set_title(
+            "from above, with predicted paths\nlinks grey: fresh, orange: delayed, black: no plan"
+        )
         self._over_time = [self.figure.add_axes((0.62, y, 0.36, 0.11)) for y in (0.25, 0.10)]
         cost, attitude = self._over_time
         cost.set_ylabel("cost")
@@ -94,7 +102,9 @@ class AnimationPage:
         attitude.set(xlabel="time (s)", ylabel="attitude\n(deg)")
         for k, name in enumerate(("roll", "pitch", "yaw")):
             attitude.plot(series.times_s, series.attitude_deg[:, k], color=COMPONENTS[k])
-            attitude.text(0.11 * k, 1.0, name, color=COMPONENTS[k], va="bottom", transform=attitude.transAxes)
+            attitude.text(
+                0.11 * k, 1.0, name, color=COMPONENTS[k], va="bottom", transform=attitude.transAxes
+            )
         shade_phases(builder.setup, self._over_time, float(series.times_s[-1]) + 1e-9, named=False)
 
     def show(self, scene: Scene) -> None:
@@ -104,7 +114,9 @@ class AnimationPage:
         poses, drawing = self._drawing.poses(scene), self._drawing
         parts = [*drawing.fixed, *drawing.moving(scene), drawing.flown(scene)]
         in_space = [part for part in parts if part.layer not in ("reference", "links")]
-        from_above = [part for part in parts if part.layer not in ("reference", "actual paths", "thrust")]
+        from_above = [
+            part for part in parts if part.layer not in ("reference", "actual paths", "thrust")
+        ]
         self._moving = draw_parts(self._space, in_space, poses, above=False, width=0.45)
         self._moving += draw_parts(self._above, from_above, poses, above=True, width=0.45)
         x, y = scene.uavs_I[:, :2].mean(axis=0)
@@ -113,4 +125,6 @@ class AnimationPage:
         self._above.set_ylim(y + self._reach_m, y - self._reach_m)
         self._moving += [axes.axvline(scene.time_s, color=_NOW) for axes in self._over_time]
         text = f"{scene.time_s:5.2f} s   {scene.phase}"
-        self._moving.append(self.figure.text(0.03, 0.94, text, fontsize=10.0, family="monospace", weight="bold"))
+        self._moving.append(
+            self.figure.text(0.03, 0.94, text, fontsize=10.0, family="monospace", weight="bold")
+        )

@@ -12,9 +12,9 @@ from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 from matplotlib.transforms import ScaledTranslation
 
-from protocol.scenario.links import change_in_words
-from protocol.scenario.setup import Setup
 from transport.log.run_log import RunLog
+from transport.protocol.scenario.links import change_in_words
+from transport.protocol.scenario.setup import Setup
 from transport.report.style import COLUMN_IN, SMALL, TEXT, shade_phases
 from transport.scene.scene import RunHistory
 
@@ -28,7 +28,8 @@ _MOST = 5
 
 _LIMIT, _FAULT, _LINK = "#B2182B", "#B2182B", "#E69F00"
 _LINE_IN, _APART_IN = 0.105, 0.06
-# Characters in a line of the caption; most marks in it; the first of marks nearer than this share has a number.
+# Characters in a line of the caption; most marks in it; the first of marks nearer than this share
+# has a number.
 _WRAP, _MOST_MARKS, _NEAR = 72, 12, 0.035
 
 
@@ -53,10 +54,12 @@ def column_panels(
     gap_in: float = 0.2,
     bottom_in: float = 0.28,
 ) -> list[Axes]:
-    """Return stacked panels of an empty figure, which gets its size: below a legend, above the caption of marks.
+    """Return stacked panels of an empty figure, which gets its size.
 
-    Margins and gaps are fixed, as a layout engine takes as long as drawing. Only the lowest panel has numbers and a
-    label below it.
+    Below a legend, above the caption of marks.
+
+    Margins and gaps are fixed, as a layout engine takes as long as drawing. Only the lowest panel
+    has numbers and a label below it.
     """
     top_in += legend_height_in(legend)
     below_in = bottom_in + _LINE_IN * len(caption_of(marks)) + (_APART_IN if marks else 0.0)
@@ -68,7 +71,9 @@ def column_panels(
     panels: list[Axes] = []
     upper_in = total_in - top_in
     for height_in in heights_in:
-        panel = figure.add_axes((left_in / COLUMN_IN, (upper_in - height_in) / total_in, width, height_in / total_in))
+        panel = figure.add_axes(
+            (left_in / COLUMN_IN, (upper_in - height_in) / total_in, width, height_in / total_in)
+        )
         panel.tick_params(labelbottom=False)
         panel.locator_params(axis="y", nbins=5)
         panels.append(panel)
@@ -81,7 +86,9 @@ def column_panels(
 def head(panel: Axes, title: str, *, legend: bool = True) -> None:
     """Write the title above a panel, and at its right the legend of labelled curves, if it fits."""
     up = ScaledTranslation(0.0, 2.0 / 72.0, panel.figure.dpi_scale_trans)
-    panel.text(0.0, 1.0, title, transform=panel.transAxes + up, ha="left", va="bottom", fontsize=TEXT)
+    panel.text(
+        0.0, 1.0, title, transform=panel.transAxes + up, ha="left", va="bottom", fontsize=TEXT
+    )
     handles, labels = panel.get_legend_handles_labels()
     if legend and 1 < len(handles) <= _MOST:
         where: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": len(handles)}
@@ -97,7 +104,13 @@ def draw_legend(figure: Figure, handles: Sequence[Line2D]) -> None:
     """Draw the legend of labelled handles at the top of a figure, in as many columns as fit."""
     if handles:
         place = (0.015, 1.0 - 0.02 / figure.get_figheight())
-        figure.legend(handles=handles, loc="upper left", bbox_to_anchor=place, ncols=_columns(handles), **CLOSE)
+        figure.legend(
+            handles=handles,
+            loc="upper left",
+            bbox_to_anchor=place,
+            ncols=_columns(handles),
+            **CLOSE,
+        )
 
 
 def _columns(handles: Sequence[Line2D]) -> int:
@@ -113,7 +126,10 @@ def text_width_in(text: str) -> float:
 
 
 def limits(panel: Axes, *values: float) -> None:
-    """Draw limits as dashed lines where they are near the curves; elsewhere the title alone names them."""
+    """Draw limits as dashed lines where they are near the curves.
+
+    Elsewhere the title alone names them.
+    """
     low, high = panel.get_ylim()
     span = high - low
     for value in values:
@@ -134,12 +150,19 @@ def marks_of(setup: Setup, log: RunLog) -> list[Mark]:
 
 def caption_of(marks: Sequence[Mark]) -> list[str]:
     """Return the lines that explain the numbers of the marks."""
-    texts = [f"{number}: {mark.text} ({mark.time_s:g} s)" for number, mark in enumerate(marks, start=1)]
+    texts = [
+        f"{number}: {mark.text} ({mark.time_s:g} s)" for number, mark in enumerate(marks, start=1)
+    ]
     return textwrap.wrap("; ".join(texts), _WRAP)
 
 
-def finish(figure: Figure, panels: Sequence[Axes], setup: Setup, until_s: float, marks: Sequence[Mark]) -> None:
-    """Shade and name the phases; draw the marks, their numbers into the first panel, and the caption below all."""
+def finish(
+    figure: Figure, panels: Sequence[Axes], setup: Setup, until_s: float, marks: Sequence[Mark]
+) -> None:
+    """Shade and name the phases.
+
+    Draw the marks, their numbers into the first panel, and the caption below all.
+    """
     shade_phases(setup, list(panels), until_s)
     labelled_s = -np.inf
     for number, mark in enumerate(marks, start=1):
@@ -148,18 +171,36 @@ def finish(figure: Figure, panels: Sequence[Axes], setup: Setup, until_s: float,
             panel.axvline(mark.time_s, linewidth=0.8, zorder=1.5, color=colour, linestyle=dashes)
         if mark.time_s - labelled_s > _NEAR * until_s:
             labelled_s = mark.time_s
-            side, right_pt = ("right", -1.5) if mark.time_s > (1.0 - _NEAR) * until_s else ("left", 1.5)
-            place: Any = {"xycoords": panels[0].get_xaxis_transform(), "textcoords": "offset points", "va": "top"}
-            panels[0].annotate(f"{number}", (mark.time_s, 1.0), (right_pt, -1.0), ha=side, fontsize=SMALL, **place)
+            side, right_pt = (
+                ("right", -1.5) if mark.time_s > (1.0 - _NEAR) * until_s else ("left", 1.5)
+            )
+            place: Any = {
+                "xycoords": panels[0].get_xaxis_transform(),
+                "textcoords": "offset points",
+                "va": "top",
+            }
+            panels[0].annotate(
+                f"{number}", (mark.time_s, 1.0), (right_pt, -1.0), ha=side, fontsize=SMALL, **place
+            )
     if marks:
-        figure.text(0.02, 0.04 / figure.get_figheight(), "\n".join(caption_of(marks)), fontsize=SMALL, va="bottom")
+        figure.text(
+            0.02,
+            0.04 / figure.get_figheight(),
+            "\n".join(caption_of(marks)),
+            fontsize=SMALL,
+            va="bottom",
+        )
 
 
 def _marks(setup: Setup, log: RunLog) -> Iterator[Mark]:
     period_s, links = setup.settings.sampling_period_s, setup.scenario.links
     end_s = (setup.ticks if log.messages else 0) * period_s
     for change in links.change:
-        yield Mark(change.at_s, change_in_words(change.from_ or "", change.to or "", change.settings()), True)
+        yield Mark(
+            change.at_s,
+            change_in_words(change.from_ or "", change.to or "", change.settings()),
+            True,
+        )
     for partition in links.partition:
         names = ", ".join(partition.between)
         yield Mark(partition.start_s, f"{names} cut off", True)
@@ -168,4 +209,6 @@ def _marks(setup: Setup, log: RunLog) -> Iterator[Mark]:
     history = RunHistory(setup)
     history.add(entry.message for entry in log.messages)
     for tick, text in history.events:
-        yield Mark(tick * period_s, text.partition(" at t =")[0], text.startswith(("links", "target")))
+        yield Mark(
+            tick * period_s, text.partition(" at t =")[0], text.startswith(("links", "target"))
+        )

@@ -1,4 +1,7 @@
-"""Comparison of recorded runs: table of quantities, differences from the first run, caveats, and figure."""
+"""Comparison of recorded runs.
+
+Table of quantities, differences from the first run, caveats, and figure.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial, reduce
@@ -11,10 +14,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from protocol.scenario.setup import Setup
 from transport.analysis.metrics import summarise
 from transport.analysis.series import SWING_S, Series, counted, series_of
 from transport.log.run_log import RecordedRun
+from transport.protocol.scenario.setup import Setup
 from transport.report.column import column_panels, head
 from transport.report.report import HELD
 from transport.report.style import CURVES, RC, line_width, save, scale_cost, shade_phases
@@ -22,12 +25,23 @@ from transport.report.style import CURVES, RC, line_width, save, scale_cost, sha
 Summary = dict[str, Any]
 
 _COST_DECADES = 5  # that are shown
-_PANELS = ("UAV error, largest (m)", "payload error (m)", "payload attitude, largest angle (deg)", "stage cost")
-_HEIGHT_IN, _ABOVE_IN = 0.9, 0.3  # of a panel, and room above the first for its title and the names of the phases
+_PANELS = (
+    "UAV error, largest (m)",
+    "payload error (m)",
+    "payload attitude, largest angle (deg)",
+    "stage cost",
+)
+_HEIGHT_IN, _ABOVE_IN = (
+    0.9,
+    0.3,
+)  # of a panel, and room above the first for its title and the names of the phases
 
 
 class Compared(NamedTuple):
-    """One of the compared runs: its label in tables and figures, its summary (docs/summary.md) and its series."""
+    """One of the compared runs.
+
+    Its label in tables and figures, its summary (docs/summary.md) and its series.
+    """
 
     label: str
     run: RecordedRun
@@ -60,7 +74,8 @@ def _exceeded(summary: Summary) -> float | None:
     return None if share is None else share * (share >= HELD)
 
 
-# Compared quantities: name, unit, dotted key or function of a summary (docs/summary.md); percentages of shares.
+# Compared quantities: name, unit, dotted key or function of a summary (docs/summary.md);
+# percentages of shares.
 _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     ("scenario", "", "scenario"),
     ("outcome", "", "outcome"),
@@ -93,7 +108,11 @@ _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
 
 # What compared runs should share, and why.
 _SHARED: tuple[tuple[str, Callable[[Compared], Any], str], ...] = (
-    ("maneuver", lambda one: one.run.setup.scenario.maneuver, "cost and errors do not show which controller is better"),
+    (
+        "maneuver",
+        lambda one: one.run.setup.scenario.maneuver,
+        "cost and errors do not show which controller is better",
+    ),
     ("system", lambda one: one.run.setup.scenario.system, "costs are not comparable"),
     ("set of weights", lambda one: one.run.setup.settings.weights, "costs are not comparable"),
     ("cost function", lambda one: one.run.setup.settings.cost, "costs are not comparable"),
@@ -110,7 +129,14 @@ def rows(runs: Sequence[Compared]) -> list[Row]:
         if unit == "%":
             values = tuple(None if value is None else 100.0 * value for value in values)
         if any(value is not None for value in values):
-            table.append(Row(name, unit, values, tuple(_difference_percent(value, values[0]) for value in values)))
+            table.append(
+                Row(
+                    name,
+                    unit,
+                    values,
+                    tuple(_difference_percent(value, values[0]) for value in values),
+                )
+            )
     return table
 
 
@@ -132,14 +158,20 @@ def doubts(runs: Sequence[Compared]) -> Iterator[str]:
 
 
 def _difference_percent(value: Any, first: Any) -> float | None:
-    """Return the difference from the first value, %; None for texts, missing values and a first value of 0."""
+    """Return the difference from the first value, %.
+
+    None for texts, missing values and a first value of 0.
+    """
     if isinstance(value, str) or isinstance(first, str) or value is None or not first:
         return None
     return float(100.0 * (value - first) / abs(first))
 
 
 def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
-    """Draw compare.png and compare.svg of runs, at least one of them with a tick, in a folder; return the files."""
+    """Draw compare.png and compare.svg of runs, at least one of them with a tick, in a folder.
+
+    Return the files.
+    """
     shown = [(one.label, one.run.setup, one.series) for one in runs if len(one.series.ticks)]
     maneuvers = [setup.scenario.maneuver for _, setup, _ in shown]
     with mpl.rc_context(RC):
@@ -148,8 +180,13 @@ def draw_compared(runs: Sequence[Compared], folder: Path) -> list[Path]:
         return save(figure, folder / "compare.png")
 
 
-def fill_overlaid(figure: Figure, runs: Sequence[tuple[str, Setup, Series]], *, shaded: bool) -> None:
-    """Draw runs over one another into an empty figure: label, setup and series; perhaps with phases of the first."""
+def fill_overlaid(
+    figure: Figure, runs: Sequence[tuple[str, Setup, Series]], *, shaded: bool
+) -> None:
+    """Draw runs over one another into an empty figure.
+
+    Label, setup and series; perhaps with phases of the first.
+    """
     styles: list[dict[str, Any]] = []
     for i, (label, _, _) in enumerate(runs):
         colour, _, dashes = CURVES[i % len(CURVES)]
@@ -167,11 +204,15 @@ def fill_overlaid(figure: Figure, runs: Sequence[tuple[str, Setup, Series]], *, 
         )
         for panel, values in zip(panels, curves, strict=True):
             panel.plot(series.times_s, values, **style)
-    until_s = max(float(series.times_s[-1]) + setup.settings.sampling_period_s for _, setup, series in runs)
+    until_s = max(
+        float(series.times_s[-1]) + setup.settings.sampling_period_s for _, setup, series in runs
+    )
     for panel, title in zip(panels, _PANELS, strict=True):
         head(panel, title, legend=False)
         panel.set_xlim(0.0, until_s)
         panel.set_ylim(bottom=0.0)
-    scale_cost(panels[-1], max(float(np.nanmax(series.cost)) for _, _, series in runs), _COST_DECADES)
+    scale_cost(
+        panels[-1], max(float(np.nanmax(series.cost)) for _, _, series in runs), _COST_DECADES
+    )
     if shaded:
         shade_phases(runs[0][1], panels, until_s)

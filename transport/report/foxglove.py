@@ -1,8 +1,11 @@
-"""Copy of a log for Foxglove: messages as JSON, and additional channels for transforms, 3D scene and numbers.
+"""Copy of a log for Foxglove.
 
-Transforms and scenes are Foxglove's own messages in protobuf. A matrix in JSON is written row by row with its shape in
-a second field (`inputs`, `inputs_shape`): viewers plot `inputs[0]`, but few plot a list of lists. A float64 is written
-with the fewest digits that read back as the same bits.
+Messages as JSON, and additional channels for transforms, 3D scene and numbers.
+
+Transforms and scenes are Foxglove's own messages in protobuf. A matrix in JSON is written row by
+row with its shape in
+a second field (`inputs`, `inputs_shape`): viewers plot `inputs[0]`, but few plot a list of lists. A
+float64 is written with the fewest digits that read back as the same bits.
 """
 
 from pathlib import Path
@@ -15,11 +18,18 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap_protobuf.schema import build_file_descriptor_set
 from pydantic import TypeAdapter
 
-from model.arrays import Array
-from protocol.wire.messages import KINDS, Message
 from transport.log.run_log import RunLog, topic_of
 from transport.log.writer import LAST_TIME_NS, SEQUENCES
-from transport.report.mcap_copy import Fields, Schema, colour_fields, mcap_copy, point_fields, pose_fields
+from transport.model.arrays import Array
+from transport.protocol.wire.messages import KINDS, Message
+from transport.report.mcap_copy import (
+    Fields,
+    Schema,
+    colour_fields,
+    mcap_copy,
+    point_fields,
+    pose_fields,
+)
 from transport.scene.drawing import Drawing, Label, Lines, Mesh, Part, tree
 from transport.scene.drawing import Pose as FramePose
 from transport.scene.scene import Scene, SceneBuilder
@@ -32,9 +42,15 @@ _FIXED: Fields = {"scale_invariant": True}  # on the screen
 
 
 def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
-    """Write the copy of a log, complete or cut, into a new file; return the number of ticks with a scene."""
+    """Write the copy of a log, complete or cut, into a new file.
+
+    Return the number of ticks with a scene.
+    """
     period_ns = builder.setup.period_ns
-    schemas = {kind: _json(f"transport.{cls.__name__}", orjson.dumps(json_schema(kind))) for kind, cls in KINDS.items()}
+    schemas = {
+        kind: _json(f"transport.{cls.__name__}", orjson.dumps(json_schema(kind)))
+        for kind, cls in KINDS.items()
+    }
     numbers = _json(NUMBERS, Path(__file__).with_name("numbers.schema.json").read_bytes())
     with mcap_copy(out, log.header) as put:
         for entry in log.messages:
@@ -46,15 +62,28 @@ def write_foxglove(builder: SceneBuilder, log: RunLog, out: Path) -> int:
             scene, at_ns = builder.at(tick), tick * period_ns
             poses = drawing.poses(scene)
             transforms: Any = [_transform(*link, at_ns) for link in tree(poses)]
-            put("/tf", _TRANSFORMS, FrameTransforms(transforms=transforms).SerializeToString(), at_ns)
-            entities: dict[str, Any] = {"now": [_entity(part, at_ns) for part in drawing.moving(scene)]}
+            put(
+                "/tf",
+                _TRANSFORMS,
+                FrameTransforms(transforms=transforms).SerializeToString(),
+                at_ns,
+            )
+            entities: dict[str, Any] = {
+                "now": [_entity(part, at_ns) for part in drawing.moving(scene)]
+            }
             if tick == ticks[0]:
                 entities["paths"] = [_entity(drawing.flown(builder.at(ticks[-1])), at_ns)]
-            if shown != poses.keys():  # at the start, and when a UAV leaves or the payload touches the ground
+            if (
+                shown != poses.keys()
+            ):  # at the start, and when a UAV leaves or the payload touches the ground
                 shown = set(poses)
-                entities["bodies"] = [_entity(part, at_ns, empty=part.frame not in shown) for part in drawing.fixed]
+                entities["bodies"] = [
+                    _entity(part, at_ns, empty=part.frame not in shown) for part in drawing.fixed
+                ]
             for name, parts in entities.items():
-                put(f"/scene/{name}", _SCENE, SceneUpdate(entities=parts).SerializeToString(), at_ns)
+                put(
+                    f"/scene/{name}", _SCENE, SceneUpdate(entities=parts).SerializeToString(), at_ns
+                )
             put("/numbers", numbers, orjson.dumps(_numbers(scene)), at_ns)
     return len(ticks)
 
@@ -73,27 +102,45 @@ _TRANSFORMS, _SCENE = _protobuf(FrameTransforms), _protobuf(SceneUpdate)
 
 def _entity(part: Part, at_ns: int, *, empty: bool = False) -> Fields:
     """Return a part of the drawing, which moves with its frame and is replaced by the next of its name."""
-    entity = _at(at_ns) | {"frame_id": part.frame, "id": f"{part.frame}/{part.name}", "frame_locked": True}
+    entity = _at(at_ns) | {
+        "frame_id": part.frame,
+        "id": f"{part.frame}/{part.name}",
+        "frame_locked": True,
+    }
     match part:
         case _ if empty:
             return entity
         case Lines():
             colours = [colour_fields(colour) for colour in np.repeat(part.colours, 2, axis=0)]
-            shape = {"type": _LINE_LIST, "points": _points(part.segments.reshape(-1, 3)), "colors": colours}
-            return entity | {"lines": [_FIXED | shape | {"thickness": part.width, "pose": pose_fields()}]}
+            shape = {
+                "type": _LINE_LIST,
+                "points": _points(part.segments.reshape(-1, 3)),
+                "colors": colours,
+            }
+            return entity | {
+                "lines": [_FIXED | shape | {"thickness": part.width, "pose": pose_fields()}]
+            }
         case Mesh():
             shape = {"points": _points(part.vertices), "indices": part.faces.reshape(-1).tolist()}
             colour = colour_fields(part.colour, part.opacity)
             return entity | {"triangles": [shape | {"color": colour, "pose": pose_fields()}]}
         case Label():
-            style: Fields = {"color": colour_fields(part.colour), "billboard": True, "font_size": 14.0}
-            return entity | {"texts": [_FIXED | style | {"text": part.text, "pose": pose_fields(part.position)}]}
+            style: Fields = {
+                "color": colour_fields(part.colour),
+                "billboard": True,
+                "font_size": 14.0,
+            }
+            return entity | {
+                "texts": [_FIXED | style | {"text": part.text, "pose": pose_fields(part.position)}]
+            }
 
 
 def _transform(parent: str, child: str, pose: FramePose, at_ns: int) -> Fields:
     place = pose_fields(*pose)
     frames = {"parent_frame_id": parent, "child_frame_id": child}
-    return _at(at_ns) | frames | {"translation": place["position"], "rotation": place["orientation"]}
+    return (
+        _at(at_ns) | frames | {"translation": place["position"], "rotation": place["orientation"]}
+    )
 
 
 def _points(points: Array) -> list[Fields]:
@@ -107,11 +154,17 @@ def _at(at_ns: int) -> Fields:
 def _numbers(scene: Scene) -> Fields:
     return {
         "cost": scene.cost,
-        "attitude_deg": dict(zip(("roll", "pitch", "yaw"), scene.attitude_deg.tolist(), strict=True)),
+        "attitude_deg": dict(
+            zip(("roll", "pitch", "yaw"), scene.attitude_deg.tolist(), strict=True)
+        ),
         "payload_error_m": scene.error_m,
         "phase": scene.phase,
-        "step_ms": [None if report is None else float(report.times_ms[-1]) for report in scene.reports],
-        "oldest_plan_s": max((age_s for *_, age_s in scene.links if age_s is not None), default=None),
+        "step_ms": [
+            None if report is None else float(report.times_ms[-1]) for report in scene.reports
+        ],
+        "oldest_plan_s": max(
+            (age_s for *_, age_s in scene.links if age_s is not None), default=None
+        ),
     }
 
 
@@ -133,5 +186,9 @@ def json_schema(kind: str) -> Fields:
             properties[name] = TypeAdapter(list[float] if hint == Array else hint).json_schema()
         if name in _MATRICES:
             properties[f"{name}_shape"] = TypeAdapter(list[int]).json_schema()
-    about = {"title": cls.__name__, "description": (cls.__doc__ or "").split("\n", 1)[0], "type": "object"}
+    about = {
+        "title": cls.__name__,
+        "description": (cls.__doc__ or "").split("\n", 1)[0],
+        "type": "object",
+    }
     return about | {"properties": properties, "required": list(properties)}

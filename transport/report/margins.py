@@ -1,4 +1,7 @@
-"""Margins of a scenario's hover: how far the plant may differ from the controllers' model; table and figure."""
+"""Margins of a scenario's hover.
+
+How far the plant may differ from the controllers' model; table and figure.
+"""
 
 import math
 from collections.abc import Collection, Iterator, Mapping
@@ -8,14 +11,16 @@ import numpy as np
 import threadpoolctl
 from matplotlib.figure import Figure
 
-from mpc.alone_margins import AloneLoop
-from mpc.controller import Controller
-from mpc.margins import FARTHEST, FARTHEST_S, Loop, Margin, Mismatch, SampledLoop, margins
-from protocol.scenario.errors import ScenarioError
-from protocol.scenario.setup import Setup
+from transport.mpc.alone_margins import AloneLoop
+from transport.mpc.controller import Controller
+from transport.mpc.margins import FARTHEST, FARTHEST_S, Loop, Margin, Mismatch, SampledLoop, margins
+from transport.mpc.reference import Sampled
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.setup import Setup
 from transport.report.style import COLUMN_IN, CURVES
 
-# Label and unit of each property of the plant; factors are relative to the value that the controllers know.
+# Label and unit of each property of the plant; factors are relative to the value that the
+# controllers know.
 LABELS = {
     "lag_s": "motor lag, ms",
     "delay_s": "actuator delay, ms",
@@ -36,41 +41,60 @@ class HoverMargins:
 
     scenario: str
     without: tuple[int, ...]  # agents that are gone, 1-based, whose UAVs follow the fail-safe
-    settling_s: dict[str, float | None]  # in which the slowest deviation decays by e; None: the payload is not held
+    settling_s: dict[
+        str, float | None
+    ]  # in which the slowest deviation decays by e; None: the payload is not held
     growth_per_s: dict[str, float]  # of the fastest growing mode
-    margins: dict[str, dict[str, Margin]]  # of the properties of `mpc.margins.Mismatch`; none where it is unstable
+    margins: dict[
+        str, dict[str, Margin]
+    ]  # of the properties of `mpc.margins.Mismatch`; none where it is unstable
 
 
 def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
     """Return the margins of a scenario about hover, with the fixed delay of its links, some agents, 1-based, gone.
 
-    Agents know each other's state one sampling period late, or as late as `links.delay_s`. Limits, constraints, packet
+    Agents know each other's state one sampling period late, or as late as `links.delay_s`. Limits,
+    constraints, packet
     loss and the disturbance estimate are not part of the analysis. Source: docs/equations.md (58).
 
-    Raises: ScenarioError: plans are not the shared control law, or the agents that are gone not some of several.
+    Raises: ScenarioError: plans are not the shared control law, or the agents that are gone not
+        some of several.
     """
     absent, name, settings = tuple(sorted(set(without))), setup.scenario.name, setup.settings
     if setup.scenario.agents.controller == "alone" and not absent:
         return _alone(setup)
     if setup.scenario.agents.controller != "mpc":
-        raise ScenarioError(name, "agents.controller", "expected 'mpc', whose feedback is known, got a class")
+        raise ScenarioError(
+            name, "agents.controller", "expected 'mpc', whose feedback is known, got a class"
+        )
     if absent and not set(absent) < set(setup.agents):
-        raise ScenarioError(name, "agents", f"expected some of {list(setup.agents)} gone, got {list(absent)}")
+        raise ScenarioError(
+            name, "agents", f"expected some of {list(setup.agents)} gone, got {list(absent)}"
+        )
     got = f"{settings.prediction}, {settings.terminal}, {settings.discretisation}"
     if got != _FEEDBACK:
-        raise ScenarioError(name, "controller", f"expected {_FEEDBACK}, whose plans are a feedback, got {got}")
+        raise ScenarioError(
+            name, "controller", f"expected {_FEEDBACK}, whose plans are a feedback, got {got}"
+        )
     gone = [uav for agent in absent for uav in setup.owned[agent - 1]]
     age = max(1, math.ceil(setup.scenario.links.delay_s / settings.sampling_period_s - 1e-9))
     # Several threads are slower than one with matrices of this size.
     with threadpoolctl.threadpool_limits(1):
-        settings = settings.model_copy(update={"linearisation": "present"})  # about hover both are the same
+        settings = settings.model_copy(
+            update={"linearisation": "present"}
+        )  # about hover both are the same
         present = [setup.owned[agent - 1] for agent in setup.agents if agent not in absent]
-        team = [Controller(setup.model, setup.hover, settings, owned, setup.X_ref) for owned in present]
+        team = [
+            Controller(setup.model, setup.hover, settings, owned, Sampled(X=setup.X_ref))
+            for owned in present
+        ]
         for controller in team if gone else ():
             controller.without(gone)
         fail_safe = {uav: setup.fail_safe.gain(uav) for uav in gone}
         loops = {
-            actuation: Loop(team, next_tick=actuation == "next_tick", age=age, uncontrolled=fail_safe)
+            actuation: Loop(
+                team, next_tick=actuation == "next_tick", age=age, uncontrolled=fail_safe
+            )
             for actuation in ACTUATIONS
         }
         return _of(name, absent, loops)
@@ -78,34 +102,46 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
 
 def _alone(setup: Setup) -> HoverMargins:
     """Return the margins of UAVs that all follow the reference alone."""
+    period_s = setup.settings.sampling_period_s
     with threadpoolctl.threadpool_limits(1):
-        period_s = setup.settings.sampling_period_s
-        loops = {of: AloneLoop(setup.system, period_s, next_tick=of == "next_tick") for of in ACTUATIONS}
+        loops = {
+            actuation: AloneLoop(setup.system, period_s, next_tick=actuation == "next_tick")
+            for actuation in ACTUATIONS
+        }
         return _of(setup.scenario.name, (), loops)
 
 
 def _of(name: str, absent: tuple[int, ...], loops: Mapping[str, SampledLoop]) -> HoverMargins:
+    """Return the margins of a loop for each actuation."""
     known = {actuation: Mismatch(lag_s=loop.known_lag_s) for actuation, loop in loops.items()}
     return HoverMargins(
         scenario=name,
         without=absent,
-        settling_s={actuation: loop.settling_s(known[actuation]) for actuation, loop in loops.items()},
-        growth_per_s={actuation: loop.growth(known[actuation]) for actuation, loop in loops.items()},
-        margins={actuation: margins(loop) for actuation, loop in loops.items()},
+        settling_s={of: loop.settling_s(known[of]) for of, loop in loops.items()},
+        growth_per_s={of: loop.growth(known[of]) for of, loop in loops.items()},
+        margins={of: margins(loop) for of, loop in loops.items()},
     )
 
 
 def rows(found: HoverMargins) -> Iterator[tuple[str, ...]]:
     """Yield property and range for each actuation, as text, and first in which time deviations decay."""
     settling = (found.settling_s[actuation] for actuation in ACTUATIONS)
-    yield ("deviations decay in", *("never" if time_s is None else f"{time_s:.2g} s" for time_s in settling))
+    yield (
+        "deviations decay in",
+        *("never" if time_s is None else f"{time_s:.2g} s" for time_s in settling),
+    )
     for name, label in LABELS.items():
-        yield (label, *(_range(name, found.margins[actuation].get(name)) for actuation in ACTUATIONS))
+        yield (
+            label,
+            *(_range(name, found.margins[actuation].get(name)) for actuation in ACTUATIONS),
+        )
 
 
 def _ends(name: str, margin: Margin) -> tuple[float, float]:
     """Return the ends of a range that is drawn and printed, in ms or as factors."""
-    unit, least, most = (1e3, 0.0, FARTHEST_S) if name.endswith("_s") else (1.0, 1.0 / FARTHEST, FARTHEST)
+    unit, least, most = (
+        (1e3, 0.0, FARTHEST_S) if name.endswith("_s") else (1.0, 1.0 / FARTHEST, FARTHEST)
+    )
     return unit * (margin.lower or least), unit * (margin.upper or most)
 
 
@@ -127,7 +163,9 @@ def draw(found: HoverMargins, figure: Figure) -> None:
         names = [name for name in LABELS if name.endswith("_s") == is_time]
         for i, actuation in enumerate(ACTUATIONS):
             of = found.margins[actuation]  # all or none
-            lower, upper = np.array([_ends(name, of[name]) for name in names if name in of]).reshape(-1, 2).T
+            lower, upper = (
+                np.array([_ends(name, of[name]) for name in names if name in of]).reshape(-1, 2).T
+            )
             places = np.arange(len(lower)) + 0.36 * (i - 0.5)
             axes.barh(places, upper - lower, 0.32, lower, color=CURVES[i][0], label=actuation)
         axes.set_yticks(np.arange(len(names)), [LABELS[name].split(",")[0] for name in names])

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from model.arrays import Array
+from transport.model.arrays import Array
 from transport.report.report import atomic_file
 from transport.scene.drawing import quaternion
 
@@ -30,10 +30,15 @@ class Schema(NamedTuple):
 
 
 @contextmanager
-def mcap_copy(out: Path, header: Mapping[str, str], profile: str = "") -> Iterator[Callable[..., None]]:
-    """Open a copy of the log with a header, which gets its name once it is complete; give the function that writes.
+def mcap_copy(
+    out: Path, header: Mapping[str, str], profile: str = ""
+) -> Iterator[Callable[..., None]]:
+    """Open a copy of the log with a header, which gets its name once it is complete.
 
-    It takes topic, schema, bytes and time, ns, of a message, and time of publication and number if they are others.
+    Give the function that writes.
+
+    It takes topic, schema, bytes and time, ns, of a message, and time of publication and number if
+    they are others.
     """
     channels: dict[str, int] = {}
     with atomic_file(out) as file:
@@ -41,10 +46,16 @@ def mcap_copy(out: Path, header: Mapping[str, str], profile: str = "") -> Iterat
         writer.start(profile=profile, library="payload-transport")
         writer.add_metadata(METADATA, dict(header))
 
-        def put(topic: str, schema: Schema, data: bytes, at_ns: int, published_ns: int = 0, n: int = 0) -> None:
+        def put(
+            topic: str, schema: Schema, data: bytes, at_ns: int, published_ns: int = 0, n: int = 0
+        ) -> None:
             if topic not in channels:
-                channels[topic] = writer.register_channel(topic, schema.messages, writer.register_schema(*schema[:3]))
-            writer.add_message(channels[topic], at_ns, data, publish_time=published_ns or at_ns, sequence=n)
+                channels[topic] = writer.register_channel(
+                    topic, schema.messages, writer.register_schema(*schema[:3])
+                )
+            writer.add_message(
+                channels[topic], at_ns, data, publish_time=published_ns or at_ns, sequence=n
+            )
 
         yield put
         writer.finish()  # type: ignore[no-untyped-call]
@@ -63,4 +74,6 @@ def pose_fields(position: Array = _ORIGIN, R: Array = _LEVEL) -> Fields:
 
 def colour_fields(colour: Iterable[float], opacity: float = 1.0) -> Fields:
     """Return a colour, 0..255, as Foxglove and ROS 2 have it."""
-    return dict(zip("rgba", (*(float(channel) / 255.0 for channel in colour), float(opacity)), strict=True))
+    return dict(
+        zip("rgba", (*(float(channel) / 255.0 for channel in colour), float(opacity)), strict=True)
+    )

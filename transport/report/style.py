@@ -1,4 +1,7 @@
-"""Style of all figures: size, fonts, colours for colour-blind readers, and the phases of the maneuver."""
+"""Style of all figures.
+
+Size, fonts, colours for colour-blind readers, and the phases of the maneuver.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -11,23 +14,26 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 from matplotlib.transforms import ScaledTranslation
 
-from protocol.scenario.setup import Setup
+from transport.protocol.scenario.setup import Setup
 
 # Width of every figure: a column of a paper (8.5 cm), inches.
 COLUMN_IN = 3.35
 # Settings of matplotlib; the type depends on its version.
-RC: Any = rc_params_from_file(Path(__file__).with_name("figures.mplstyle"), use_default_template=False)
+RC: Any = rc_params_from_file(
+    Path(__file__).with_name("figures.mplstyle"), use_default_template=False
+)
 # Sizes of text in print, points: titles and labels, numbers at axes and legends.
 TEXT, SMALL = RC["font.size"], RC["legend.fontsize"]
 
-# Colours of components (x, y, z; roll, pitch, yaw), different from those of UAVs, and in grey from each other.
+# Colours of components (x, y, z; roll, pitch, yaw), different from those of UAVs, and in grey from
+# each other.
 COMPONENTS = ("#000000", "#E69F00", "#7B52AB")
 PAYLOAD = "#000000"
 REFERENCE = "#8c8c8c"
 _BAND = "#f1f1f1"
 
-# Colour, marker and line style of each curve. Colours differ for colour-blind readers (after Okabe and Ito 2008) and in
-# grey: lightness L* 29, 54, 70, 0, 61.
+# Colour, marker and line style of each curve. Colours differ for colour-blind readers (after Okabe
+# and Ito 2008) and in grey: lightness L* 29, 54, 70, 0, 61.
 CURVES = (
     ("#004488", "o", "-"),
     ("#D55E00", "s", "--"),
@@ -40,7 +46,11 @@ MARKER = 3.2  # size, points
 DIVERGED: Any = {"markerfacecolor": "#ffffff", "linestyle": "none"}
 
 # Fields of files that name program and date.
-_UNNAMED = {".png": ("Software",), ".svg": ("Date", "Creator"), ".pdf": ("CreationDate", "Creator", "Producer")}
+_UNNAMED = {
+    ".png": ("Software",),
+    ".svg": ("Date", "Creator"),
+    ".pdf": ("CreationDate", "Creator", "Producer"),
+}
 # Names of phases: distance from the panel, points; width of a letter, in font sizes.
 _ABOVE_PT, _LETTER = 11.0, 0.62
 
@@ -64,7 +74,13 @@ def shade_phases(setup: Setup, panels: list[Axes], until_s: float, *, named: boo
         # Neighbouring names must not touch: one without room is left out.
         if named and len(phase) * _LETTER * SMALL <= points_per_s * (end - begin):
             style: Any = {"ha": "center", "va": "bottom", "color": "#555555", "fontsize": SMALL}
-            panels[0].text((begin + end) / 2.0, 1.0, phase, transform=panels[0].get_xaxis_transform() + up, **style)
+            panels[0].text(
+                (begin + end) / 2.0,
+                1.0,
+                phase,
+                transform=panels[0].get_xaxis_transform() + up,
+                **style,
+            )
     for axes in panels:
         axes.set_xlim(0.0, until_s)
 
@@ -77,7 +93,10 @@ def label_decades(axis: Axis) -> None:
 
 
 def scale_cost(axes: Axes, top: float, decades: int) -> None:
-    """Set a logarithmic axis that shows so many decades of costs up to `top`; a run without cost keeps its axis."""
+    """Set a logarithmic axis that shows so many decades of costs up to `top`.
+
+    A run without cost keeps its axis.
+    """
     if 0.0 < top < np.inf:
         axes.set_yscale("log")
         axes.set_ylim(top * 10.0**-decades, top * 2.0)

@@ -1,7 +1,8 @@
 """Drawing of a run: lines, meshes and labels in moving frames, which browser, Foxglove and figures show alike.
 
-Bodies are fixed in their frames; lines that change lie in frames that move with the team or the payload, as a browser
-draws their points later than poses. All frames are relative to the inertial one, z down; lengths in m.
+Bodies are fixed in their frames; lines that change lie in frames that move with the team or the
+payload, as a browser draws their points later than poses. All frames are relative to the inertial
+one, z down; lengths in m.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,18 +15,20 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
-from model.arrays import Array
-from model.parameters import System, payload_half_size
-from protocol.scenario.setup import Setup
+from transport.model.arrays import Array
+from transport.model.parameters import System, payload_half_size
+from transport.protocol.scenario.setup import Setup
 from transport.scene.scene import Scene, SceneBuilder
 
 Colour = tuple[int, int, int]
 Pose = tuple[Array, Array]  # position, (3,), and rotation to the inertial frame, (3, 3)
 
-# For colour-blind readers and print in grey (after Okabe and Ito 2008), repeated with other line styles.
+# For colour-blind readers and print in grey (after Okabe and Ito 2008), repeated with other line
+# styles.
 UAV_COLOURS = ("#004488", "#C24E00", "#009E73", "#E08BBC", "#7F5F00")
 _LINE_STYLES = ("-", "--", ":", "-.")
-# Ages of plans and their colours (docs/viewer.md), that of a fresh one first; dark if older, or without any plan.
+# Ages of plans and their colours (docs/viewer.md), that of a fresh one first; dark if older, or
+# without any plan.
 _FRESH_S, _AGES_S, _OLDEST_S = 0.1, (0.2, 0.5), 1.0
 _AGE_COLOURS = ((154, 154, 154), (230, 159, 0), (178, 24, 43))
 DARK: Colour = (17, 17, 17)
@@ -39,16 +42,26 @@ UPSIDE_DOWN: Pose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 
 _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150), (0, 0, 0)
 _OBSTACLE = (196, 120, 60)
-# Arm length, rotor radius, beam and body thickness of a drawn quadrotor, in parts of its span (rotor tip to rotor tip).
+# Arm length, rotor radius, beam and body thickness of a drawn quadrotor, in parts of its span
+# (rotor tip to rotor tip).
 _ARM, _ROTOR, _BEAM, _BODY = 0.31, 0.17, 0.02, 0.06
-_SPAN_M, _SPAN_OF_GAP = 0.9, 0.7  # its span, m, and at most this part of the smallest gap between UAVs
+_SPAN_M, _SPAN_OF_GAP = (
+    0.9,
+    0.7,
+)  # its span, m, and at most this part of the smallest gap between UAVs
 _PLATE_M, _CORE_M = 0.12, 0.15  # thickness of the drawn payload, and its least half width, m
 ARROW_M, _HEAD_M = 0.6, 0.05  # length of a thrust arrow at hover, and of its head, m
 _GOAL_M, _THIN_M = 0.07, 0.02  # radius of the reference, and least size of an obstacle, m
 _BELOW_M = 0.5  # distance of the plane below everything where there is no ground, m
-_ENDLESS_M, _BEYOND_M = 1e4, 1.0  # half size of an endless obstacle, and how far beyond the maneuver it is drawn, m
+_ENDLESS_M, _BEYOND_M = (
+    1e4,
+    1.0,
+)  # half size of an endless obstacle, and how far beyond the maneuver it is drawn, m
 _POINTS, _POINTS_REFERENCE = 160, 120  # of a flown and of a reference path
-_POINTS_TARGET, _DRAWN_TARGETS = 30, 20  # points of the reference to a target, and targets drawn with them
+_POINTS_TARGET, _DRAWN_TARGETS = (
+    30,
+    20,
+)  # points of the reference to a target, and targets drawn with them
 _SQUARE = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
 
 
@@ -96,9 +109,12 @@ class Drawing:
         self._builder, self._setup = builder, builder.setup
         self._N = self._setup.system.N
         payload_I, uavs_I = self._reference()
-        # Start of payload and of the middle of the UAVs, (3,); box around the maneuver and arrows; its diagonal.
+        # Start of payload and of the middle of the UAVs, (3,); box around the maneuver and arrows;
+        # its diagonal.
         self.start_I, self.team_I = payload_I[0], uavs_I[0].mean(axis=0)
-        everything = np.vstack([payload_I, uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * ARROW_M])])
+        everything = np.vstack(
+            [payload_I, uavs_I.reshape(-1, 3) - np.array([0.0, 0.0, 2.0 * ARROW_M])]
+        )
         self.low, self.high = everything.min(axis=0), everything.max(axis=0)
         self.size = float(np.linalg.norm(self.high - self.low))
         ground_m = self._setup.scenario.plant.ground_m
@@ -112,21 +128,34 @@ class Drawing:
     def _reference(self) -> tuple[Array, Array]:
         """Return the reference paths of payload, (k, 3), and UAVs, (k, N, 3), inertial frame, m."""
         setup = self._builder.setup
-        times_s = [np.linspace(0.0, setup.ticks * setup.settings.sampling_period_s, _POINTS_REFERENCE)]
+        times_s = [
+            np.linspace(0.0, setup.ticks * setup.settings.sampling_period_s, _POINTS_REFERENCE)
+        ]
         for target in setup.maneuver.targets[-_DRAWN_TARGETS:]:
             times_s.append(np.linspace(target.since_s, target.ends_s, _POINTS_TARGET))
         t = np.unique(np.concatenate(times_s))
-        return setup.maneuver.path(t)[0], setup.reference.outputs(t)[:, : 3 * self._N].reshape(-1, self._N, 3)
+        return setup.maneuver.path(t)[0], setup.reference.outputs(t)[:, : 3 * self._N].reshape(
+            -1, self._N, 3
+        )
 
     def _reference_lines(self) -> Iterator[Lines]:
         payload_I, uavs_I = self._reference()
         paths = {"payload": payload_I, **{f"uav{i + 1}": uavs_I[:, i] for i in range(self._N)}}
         for name, path in paths.items():
             dashes = [(_REFERENCE, _segments(path)[::2])]
-            yield _lines(f"reference of {name}", INERTIAL, "reference", 1.5 if name == PAYLOAD else 1.0, dashes)
+            yield _lines(
+                f"reference of {name}",
+                INERTIAL,
+                "reference",
+                1.5 if name == PAYLOAD else 1.0,
+                dashes,
+            )
 
     def poses(self, scene: Scene) -> dict[str, Pose]:
-        """Return the pose of every frame in a scene; parts in other frames are not to be seen in it."""
+        """Return the pose of every frame in a scene.
+
+        Parts in other frames are not to be seen in it.
+        """
         level = np.eye(3)
         poses: dict[str, Pose] = {
             INERTIAL: (np.zeros(3), level),
@@ -155,7 +184,10 @@ class Drawing:
         uavs, payload = [], []
         for found in scene.predictions:
             own = owned[found.agent - 1]
-            uavs += [(uav_colour(uav), _segments(found.uavs_I[:, k] - team_I)) for k, uav in enumerate(own)]
+            uavs += [
+                (uav_colour(uav), _segments(found.uavs_I[:, k] - team_I))
+                for k, uav in enumerate(own)
+            ]
             payload.append((uav_colour(own[0]), _segments(found.payload_I - scene.payload_I)))
         yield _lines("predicted UAVs", TEAM, "predictions", 4.0, uavs)
         yield _lines("predicted payload", LOAD, "predictions", 4.0, payload)
@@ -170,10 +202,14 @@ class Drawing:
     def _arrows(self, scene: Scene) -> Iterator[tuple[Colour, Array]]:
         """Yield the thrust of each UAV as an arrow, whose head has four strokes, in the frame of the team."""
         places = scene.uavs_I - scene.uavs_I.mean(axis=0)
-        for i, (place, thrust_I, R) in enumerate(zip(places, scene.thrusts_I, scene.R_uavs, strict=True)):
+        for i, (place, thrust_I, R) in enumerate(
+            zip(places, scene.thrusts_I, scene.R_uavs, strict=True)
+        ):
             if i + 1 not in scene.released:
                 tip = place + thrust_I * (ARROW_M / self._builder.hover_N)
-                barbs = tip + _HEAD_M * np.array([[1, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 2]]) @ R.T
+                barbs = (
+                    tip + _HEAD_M * np.array([[1, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 2]]) @ R.T
+                )
                 yield uav_colour(i), np.array([(place, tip), *((tip, barb) for barb in barbs)])
 
     def _links(self, scene: Scene) -> Iterator[tuple[Colour, Array]]:
@@ -208,7 +244,9 @@ class Drawing:
         yield _solid("hub", frame, s * _disc(2.0 * _BODY, -_BODY / 2.0, _BODY / 2.0), colour)
         for k in range(2):
             beam = (_SQUARE * (_ARM, _BEAM)) @ arms[k : k + 2]
-            yield _solid(f"beam{k}", frame, s * _prism(beam, -_BODY / 2.0, -_BODY / 2.0 - _BEAM), _ROD)
+            yield _solid(
+                f"beam{k}", frame, s * _prism(beam, -_BODY / 2.0, -_BODY / 2.0 - _BEAM), _ROD
+            )
         for k, (x, y) in enumerate(_ARM * arms):
             rotor = s * (_disc(_ROTOR, -0.01, 0.01) + np.array([x, y, -_BODY]))
             yield _solid(f"rotor{k}", frame, rotor, _PAYLOAD if x > 0.0 else colour, opacity=0.6)
@@ -227,11 +265,17 @@ def uav_colour(i: int) -> Colour:
 
 
 def age_colour(age_s: float | None, period_s: float) -> Colour:
-    """Return the colour of a link by the age of the newest plan, s, fresh until one period; None for no plan."""
+    """Return the colour of a link by the age of the newest plan, s, fresh until one period.
+
+    None for no plan.
+    """
     if age_s is None or age_s > _OLDEST_S:
         return DARK
     ages_s = min(period_s, _FRESH_S), *_AGES_S
-    r, g, b = (round(float(np.interp(age_s, ages_s, channel))) for channel in zip(*_AGE_COLOURS, strict=True))
+    r, g, b = (
+        round(float(np.interp(age_s, ages_s, channel)))
+        for channel in zip(*_AGE_COLOURS, strict=True)
+    )
     return r, g, b
 
 
@@ -242,7 +286,11 @@ def obstacles(setup: Setup, low: Array, high: Array) -> Iterator[Mesh]:
     for k, solid in enumerate(solid for obstacle in setup.obstacles for solid in obstacle.solids):
         seen, endless = (corners - solid.centre_I) @ solid.R, solid.half > _ENDLESS_M
         near = np.where(endless, np.maximum(seen.min(axis=0), -solid.half), -solid.half)
-        far = np.where(endless, np.maximum(np.minimum(seen.max(axis=0), solid.half), near + _THIN_M), solid.half)
+        far = np.where(
+            endless,
+            np.maximum(np.minimum(seen.max(axis=0), solid.half), near + _THIN_M),
+            solid.half,
+        )
         ends = np.array(list(product(*zip(near, far, strict=True))))
         around = _disc(solid.radius, 0.0) if endless[2] else _ball(solid.radius)
         points = ends[:, None] + (around if solid.radius else np.zeros((1, 3)))
@@ -251,10 +299,15 @@ def obstacles(setup: Setup, low: Array, high: Array) -> Iterator[Mesh]:
 
 
 def payload_points(system: System, *, grounded: bool = False) -> Array:
-    """Return the corners of a plate below all attachments, (V, 3), payload frame; on a ground it is the box there."""
+    """Return the corners of a plate below all attachments, (V, 3), payload frame.
+
+    On a ground it is the box there.
+    """
     flat = np.vstack([[uav.rho[:2] for uav in system.uavs], _CORE_M * _SQUARE])
     height = float(np.mean([uav.rho[2] for uav in system.uavs]))
-    return _prism(flat, height, float(payload_half_size(system)[2]) if grounded else height + _PLATE_M)
+    return _prism(
+        flat, height, float(payload_half_size(system)[2]) if grounded else height + _PLATE_M
+    )
 
 
 def tree(poses: Mapping[str, Pose]) -> Iterator[tuple[str, str, Pose]]:
@@ -273,15 +326,21 @@ def _segments(path: Array) -> Array:
     return np.stack([path[:-1], path[1:]], axis=1)
 
 
-def _lines(name: str, frame: str, layer: str, width: float, coloured: Iterable[tuple[Colour, Array]]) -> Lines:
+def _lines(
+    name: str, frame: str, layer: str, width: float, coloured: Iterable[tuple[Colour, Array]]
+) -> Lines:
     """Return segments, (k, 2, 3) each, in their colours."""
     parts = list(coloured)
     segments = np.concatenate([np.zeros((0, 2, 3)), *(piece for _, piece in parts)])
-    colours = np.concatenate([np.zeros((0, 3)), *(np.tile(colour, (len(piece), 1)) for colour, piece in parts)])
+    colours = np.concatenate(
+        [np.zeros((0, 3)), *(np.tile(colour, (len(piece), 1)) for colour, piece in parts)]
+    )
     return Lines(name, frame, layer, width, segments, colours)
 
 
-def _solid(name: str, frame: str, points: Array, colour: Colour, *, layer: str = "", opacity: float = 1.0) -> Mesh:
+def _solid(
+    name: str, frame: str, points: Array, colour: Colour, *, layer: str = "", opacity: float = 1.0
+) -> Mesh:
     """Return the convex hull of points, (V, 3), with triangles that face outwards."""
     hull = ConvexHull(points)
     a, b, c = points[hull.simplices].transpose(1, 0, 2)
@@ -297,7 +356,15 @@ def _prism(flat: Array, *heights: float) -> Array:
 
 def _ball(radius: float) -> Array:
     """Return points of a sphere, (18, 3)."""
-    grid = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if abs(x) + abs(y) + abs(z)])
+    grid = np.array(
+        [
+            (x, y, z)
+            for x in (-1, 0, 1)
+            for y in (-1, 0, 1)
+            for z in (-1, 0, 1)
+            if abs(x) + abs(y) + abs(z)
+        ]
+    )
     points: Array = radius * grid / np.linalg.norm(grid, axis=1, keepdims=True)
     return points
 

@@ -1,4 +1,7 @@
-"""A run by tick, as far as its log has been read: messages, poses, predicted paths, links; no drawing, no clock."""
+"""A run by tick, as far as its log has been read.
+
+Messages, poses, predicted paths, links; no drawing, no clock.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -7,23 +10,37 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.announced import AnnouncedInputs
-from model.arrays import Array
-from model.rotations import rotation
-from model.state import INPUTS, StateView
-from mpc.feedback import FeedbackLaw
-from mpc.regulation import Ahead, Regulation
-from mpc.tracking import rollout
-from plant.actuators import FAIL_SAFE
-from protocol.scenario.links import words_of
-from protocol.scenario.setup import Setup
-from protocol.scenario.stage_cost import StageCost
-from protocol.scenario.targets import target_in_words, with_targets
-from protocol.wire.messages import Control, FaultNote, LinkChange, Message, Plan, PlantState, Roster, StepReport, Target
+from transport.agent.announced import AnnouncedInputs
 from transport.log.run_log import LogError, RunLog
+from transport.model.arrays import Array
+from transport.model.rotations import rotation
+from transport.model.state import INPUTS, StateView
+from transport.mpc.feedback import FeedbackLaw
+from transport.mpc.reference import Sampled
+from transport.mpc.regulation import Regulation
+from transport.mpc.rollout import rollout
+from transport.plant.actuators import FAIL_SAFE
+from transport.protocol.scenario.links import words_of
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.scenario.stage_cost import StageCost
+from transport.protocol.scenario.targets import target_in_words
+from transport.protocol.wire.messages import (
+    Control,
+    FaultNote,
+    LinkChange,
+    Message,
+    Plan,
+    PlantState,
+    Roster,
+    StepReport,
+    Target,
+)
 
 # Kinds of messages that a history keeps.
-KINDS = frozenset(kind.kind for kind in (PlantState, Plan, StepReport, LinkChange, Target, Roster, FaultNote, Control))
+KINDS = frozenset(
+    kind.kind
+    for kind in (PlantState, Plan, StepReport, LinkChange, Target, Roster, FaultNote, Control)
+)
 
 
 class RunHistory:
@@ -31,13 +48,17 @@ class RunHistory:
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup  # with the targets so far
-        self.plant_states: dict[int, PlantState] = {}  # by tick, which can be shown once its plant state is here
+        self.plant_states: dict[
+            int, PlantState
+        ] = {}  # by tick, which can be shown once its plant state is here
         self.first, self.last = 0, -1  # ticks from and until which can be shown
         self.plans: dict[tuple[int, int], Plan] = {}  # by agent and tick, as the reports of steps
         self.reports: dict[tuple[int, int], StepReport] = {}
         self._changes = 0  # number of changes of links
         self.control: Control | None = None  # the coordinator's message about the end
-        self.events: list[tuple[int, str]] = []  # ticks and sentences about faults, links and roster
+        self.events: list[
+            tuple[int, str]
+        ] = []  # ticks and sentences about faults, links and roster
         self._rosters: list[Roster] = []
 
     def add(self, messages: Iterable[Message]) -> None:
@@ -45,7 +66,9 @@ class RunHistory:
         for message in messages:
             match message:
                 case PlantState() if message.x.shape == self.setup.hover.x.shape:
-                    self.first = min(self.first, message.tick) if self.plant_states else message.tick
+                    self.first = (
+                        min(self.first, message.tick) if self.plant_states else message.tick
+                    )
                     self.last = max(self.last, message.tick)
                     self.plant_states[message.tick] = message
                 case Plan(negotiation=0):
@@ -56,11 +79,13 @@ class RunHistory:
                     self._changes += 1
                     self.events.append((message.tick, words_of(message)))
                 case Target() if message.number == len(self.setup.maneuver.targets) + 1:
-                    self.setup = with_targets(self.setup, [message])
+                    self.setup = self.setup.after([message])
                     self.events.append((message.tick, target_in_words(message)))
                 case Roster():
                     self._rosters.append(message)
-                    if message.version > 1 and not message.reason.startswith(("links ", "target (")):
+                    if message.version > 1 and not message.reason.startswith(
+                        ("links ", "target (")
+                    ):
                         self.events.append((message.tick, message.reason))
                 case FaultNote():
                     self.events.append((message.tick, f"{message.target} {message.what}"))
@@ -68,10 +93,15 @@ class RunHistory:
                     self.control = message
 
     def nearest(self, tick: int) -> int:
-        """Return the newest recorded tick up to `tick`, or the first one; at least one must be recorded."""
+        """Return the newest recorded tick up to `tick`, or the first one.
+
+        At least one must be recorded.
+        """
         if tick in self.plant_states:
             return tick
-        return max((recorded for recorded in self.plant_states if recorded < tick), default=self.first)
+        return max(
+            (recorded for recorded in self.plant_states if recorded < tick), default=self.first
+        )
 
     def roster(self, tick: int) -> Roster | None:
         """Return the roster at a tick; None while none is known."""
@@ -89,7 +119,10 @@ class PredictedPaths(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Everything to show at one tick; N UAVs, inertial frame with z down, SI; agents and UAVs are 1-based."""
+    """Everything to show at one tick.
+
+    N UAVs, inertial frame with z down, SI; agents and UAVs are 1-based.
+    """
 
     tick: int
     time_s: float
@@ -102,7 +135,8 @@ class Scene:
     attachments_I: Array  # of the rods to the payload, (N, 3)
     thrusts_I: Array  # forces, (N, 3), N
     predictions: tuple[PredictedPaths, ...]  # of the agents that made a plan at this tick
-    # Sender, receiver and age, s, of the sender's newest plan that the receiver used; None if it used none.
+    # Sender, receiver and age, s, of the sender's newest plan that the receiver used; None if it
+    # used none.
     links: tuple[tuple[int, int, float | None], ...]
     members: frozenset[int]  # agents on the roster
     reports: tuple[StepReport | None, ...]  # of all agents
@@ -118,12 +152,13 @@ class SceneBuilder:
 
     def __init__(self, setup: Setup, history: RunHistory) -> None:
         self.history = history
-        # Positions of the UAVs at the start of the reference, (N, 3), m, and mean thrust of a UAV at hover, N.
+        # Positions of the UAVs at the start of the reference, (N, 3), m, and mean thrust of a UAV
+        # at hover, N.
         self.start_I = setup.reference.outputs(np.zeros(1))[0, : 3 * setup.system.N].reshape(-1, 3)
         self.hover_N = float(np.mean(setup.hover.u[::INPUTS]))
         self._cost = StageCost(setup)
         self._regulation: Regulation | None = None
-        self._ahead: Ahead | None = None  # of the newest target that it follows
+        self._followed: Sampled | None = None  # the reference that it follows
         self._positions: dict[int, Array] = {}
 
     @property
@@ -133,7 +168,10 @@ class SceneBuilder:
 
     @classmethod
     def of(cls, setup: Setup, log: RunLog) -> "SceneBuilder":
-        """Return the builder for a recorded run. Raises: LogError: the log holds no readable plant state."""
+        """Return the builder for a recorded run.
+
+        Raises: LogError: the log holds no readable plant state.
+        """
         history = RunHistory(setup)
         history.add(entry.message for entry in log.messages)
         if history.last < 0:
@@ -141,12 +179,18 @@ class SceneBuilder:
         return cls(setup, history)
 
     def at(self, tick: int) -> Scene:
-        """Return the scene at a tick, or at the nearest recorded one; at least one must be recorded."""
+        """Return the scene at a tick, or at the nearest recorded one.
+
+        At least one must be recorded.
+        """
         setup, history, tick = self.setup, self.history, self.history.nearest(tick)
         plant_state, roster = history.plant_states[tick], history.roster(tick)
         time_s = tick * setup.settings.sampling_period_s
         view, positions_I = StateView(plant_state.x), self._position(tick)
-        R_payload, R_uavs = rotation(view.Theta0), np.array([rotation(Theta) for Theta in view.Theta])
+        R_payload, R_uavs = (
+            rotation(view.Theta0),
+            np.array([rotation(Theta) for Theta in view.Theta]),
+        )
         error_m, cost = self.error_and_cost(tick)
         return Scene(
             tick=tick,
@@ -166,7 +210,9 @@ class SceneBuilder:
             error_m=error_m,
             cost=cost,
             attitude_deg=np.degrees(view.Theta0),
-            fail_safe=tuple(i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE),
+            fail_safe=tuple(
+                i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE
+            ),
             released=() if roster is None else tuple(roster.released),
         )
 
@@ -191,7 +237,9 @@ class SceneBuilder:
     def paths(self, tick: int, points: int) -> tuple[Array, Array]:
         """Return the flown paths of payload, (k, 3), and UAVs, (k, N, 3), m, until a tick, by some points."""
         ticks = sorted(k for k in self.history.plant_states if k < tick)
-        positions = np.array([self._position(k) for k in [*ticks[:: max(1, len(ticks) // points)], tick]])
+        positions = np.array(
+            [self._position(k) for k in [*ticks[:: max(1, len(ticks) // points)], tick]]
+        )
         return positions[:, 0], positions[:, 1:]
 
     def _position(self, tick: int) -> Array:
@@ -207,19 +255,29 @@ class SceneBuilder:
         for agent, owned in zip(self.setup.agents, self.setup.owned, strict=True):
             states = self._predicted_states(agent, tick)
             if states is not None and np.isfinite(states).all():
-                y = np.array([self.setup.model.outputs(x) for x in states])[:, : 3 * self.setup.system.N]
+                y = np.array([self.setup.model.outputs(x) for x in states])[
+                    :, : 3 * self.setup.system.N
+                ]
                 uavs_I = y.reshape(len(y), -1, 3)[:, list(owned)]
                 predictions.append(PredictedPaths(agent, uavs_I, StateView(states).r0_I))
         return tuple(predictions)
 
     def _predicted_states(self, agent: int, tick: int) -> Array | None:
-        """Return the states that an agent predicted with its plan of a tick, (N_p + 1, n): equations.md (32), (35).
+        """Return the states that an agent predicted with its plan of a tick, (N_p + 1, n).
+
+        Equations.md (32), (35).
 
         None without a plan of that tick, and while an agent or UAV is off the roster.
         """
         history, setup = self.history, self.setup
-        own, plant_state, roster = history.plans.get((agent, tick)), history.plant_states[tick], history.roster(tick)
-        if own is None or (roster is not None and (set(roster.agents) != set(setup.agents) or roster.off)):
+        own, plant_state, roster = (
+            history.plans.get((agent, tick)),
+            history.plant_states[tick],
+            history.roster(tick),
+        )
+        if own is None or (
+            roster is not None and (set(roster.agents) != set(setup.agents) or roster.off)
+        ):
             return None
         report, steps = history.reports.get((agent, tick)), setup.settings.horizon
         alignment = setup.scenario.controller.received_plans
@@ -243,17 +301,27 @@ class SceneBuilder:
             U = np.tile(plant_state.u, (steps, 1))
             U[first:] = announced.sequence(own.start_tick, steps - first, tick + 1)
             none = np.zeros((steps, len(z0)))
-            law = FeedbackLaw(K=np.zeros((U.shape[1], len(z0))), u_rest=U, error=none, feedforward=0.0 * U, c=0.0 * U)
+            law = FeedbackLaw(
+                K=np.zeros((U.shape[1], len(z0))),
+                u_rest=U,
+                error=none,
+                feedforward=0.0 * U,
+                c=0.0 * U,
+            )
         return rollout(setup.model, setup.settings, z0, law, forces)[0][:, : len(x)]
 
     def _law(self) -> Regulation | None:
-        """Return the shared control law of the team; None with open-loop prediction or a controller of the user."""
+        """Return the shared control law of the team.
+
+        None with open-loop prediction or a controller of the user.
+        """
         setup = self.setup
         if setup.settings.prediction != "closed_loop" or setup.scenario.agents.controller != "mpc":
             return None
+        reference = setup.reference.sampled
         if self._regulation is None:
-            self._regulation = Regulation(setup.model, setup.hover, setup.settings, setup.X_ref, setup.track)
-        elif setup.ahead is not None and setup.ahead is not self._ahead:
-            self._regulation.head(setup.X_ref, setup.ahead)
-        self._ahead = setup.ahead
+            self._regulation = Regulation(setup.model, setup.hover, setup.settings, reference)
+        elif reference is not self._followed:
+            self._regulation.follow(reference)
+        self._followed = reference
         return self._regulation

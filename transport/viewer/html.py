@@ -5,7 +5,7 @@ from html import escape
 
 import numpy as np
 
-from model.arrays import Array
+from transport.model.arrays import Array
 from transport.scene.drawing import DARK, Colour, age_colour, uav_colour
 from transport.scene.scene import Scene
 
@@ -40,13 +40,23 @@ def flight(scene: Scene, duration_s: float) -> str:
 
 def target(place_I: Array, arrives_s: float, scene: Scene) -> str:
     """Return where the payload of a scene is sent, (3,), m, when its reference arrives, s, and how far it is."""
-    place, away_m = "({:g}, {:g}, {:g}) m".format(*place_I.tolist()), float(np.linalg.norm(scene.payload_I - place_I))
-    when = f"arrives at t = {arrives_s:.1f} s" if arrives_s > scene.time_s else f"since t = {arrives_s:.1f} s"
+    place, away_m = (
+        "({:g}, {:g}, {:g}) m".format(*place_I.tolist()),
+        float(np.linalg.norm(scene.payload_I - place_I)),
+    )
+    when = (
+        f"arrives at t = {arrives_s:.1f} s"
+        if arrives_s > scene.time_s
+        else f"since t = {arrives_s:.1f} s"
+    )
     return _small(f"target {place}: {when}; {away_m:.2f} m away")
 
 
 def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str:
-    """Return a table with a row per agent: step time, ages of the measurement and of each plan it used."""
+    """Return a table with a row per agent.
+
+    Step time, ages of the measurement and of each plan it used.
+    """
     numbers = range(1, len(owned) + 1)
     rows = [["agent", "step", "measured", *(f"from {peer}" for peer in numbers)]]
     for agent, uavs, report in zip(numbers, owned, scene.reports, strict=True):
@@ -59,14 +69,19 @@ def agents(scene: Scene, owned: Sequence[Sequence[int]], period_s: float) -> str
         ages = dict(zip(report.peers, report.plan_ages, strict=True))
         used = (_age(ages.get(peer, -1), period_s, usual=1) for peer in numbers)
         rows.append([name, step, _age(report.measurement_age, period_s, usual=0), *used])
-    units = _small("step time in ms; age of the measurement and of each plan used, in s; off: not on the roster")
+    units = _small(
+        "step time in ms; age of the measurement and of each plan used, in s; off: not on the roster"
+    )
     return f'<div style="overflow-x:auto">{_table(rows)}</div>{units}'
 
 
 def events(entries: Sequence[tuple[int, str]], tick: int, period_s: float) -> str:
     """Return the last events until a tick."""
     past = [(when, text) for when, text in entries if when <= tick][-_SHOWN_EVENTS:]
-    return _small("".join(f"<div>{when * period_s:.2f} s: {escape(text)}</div>" for when, text in past) or "none yet")
+    return _small(
+        "".join(f"<div>{when * period_s:.2f} s: {escape(text)}</div>" for when, text in past)
+        or "none yet"
+    )
 
 
 def legend() -> str:
@@ -86,7 +101,11 @@ def _age(ticks: int, period_s: float, usual: int) -> str:
     if ticks < 0:
         return "-"
     text = f"{ticks * period_s:.2f}"
-    return text if ticks <= usual else _coloured(f"<b>{text}</b>", age_colour(ticks * period_s, period_s))
+    return (
+        text
+        if ticks <= usual
+        else _coloured(f"<b>{text}</b>", age_colour(ticks * period_s, period_s))
+    )
 
 
 def _table(rows: Iterable[Iterable[str]]) -> str:

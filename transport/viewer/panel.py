@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from model.arrays import Array
-from model.state import INPUTS
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import agent_name
 from transport.flight.live import Commands
+from transport.model.arrays import Array
+from transport.model.state import INPUTS
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import agent_name
 from transport.scene.drawing import LAYERS, uav_style
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
@@ -19,7 +19,8 @@ from transport.viewer.view3d import View3D
 
 _SPAN_S, _POINTS, _HEIGHT_PX = 30.0, 200, 120  # of a plot: time axis, points of a curve, height
 _LEAST_COST = 1e-8  # smaller ones are rounding errors
-# Steps of the target in the inertial frame by the keys for them, with Shift: alone, arrows move sliders.
+# Steps of the target in the inertial frame by the keys for them, with Shift: alone, arrows move
+# sliders.
 _STEPS = {
     "arrowleft": (-1.0, 0.0, 0.0),
     "arrowright": (1.0, 0.0, 0.0),
@@ -33,7 +34,10 @@ _TYPED_S = 0.3  # a page sends what is typed later than a click, by less
 
 
 class Playback:
-    """The tick to show: of the run that it follows, or of a playback; widgets change it on other threads."""
+    """The tick to show: of the run that it follows, or of a playback.
+
+    Widgets change it on other threads.
+    """
 
     def __init__(self, period_s: float, *, follows: bool) -> None:
         self._period_s, self._tick, self._last = period_s, 0.0, 0
@@ -67,7 +71,10 @@ class Playback:
 
 
 class Plots:
-    """Four plots of the seconds before the shown tick, by the time before it: a browser moves no axis with its data."""
+    """Four plots of the seconds before the shown tick, by the time before it.
+
+    A browser moves no axis with its data.
+    """
 
     def __init__(self, gui: Any, builder: SceneBuilder) -> None:
         setup = builder.setup
@@ -80,7 +87,9 @@ class Plots:
             _plot(gui, "payload error (m)", ["#000000"], (0.0, 0.01)),
             _plot(gui, "stage cost (power of ten)", ["#000000"], (-6.0, -3.0)),
             _plot(gui, "oldest plan in use, by agent (s)", agents, (0.0, 2.0 * self._period_s)),
-            _plot(gui, "thrust, by UAV (N)", uavs, (0.98 * builder.hover_N, 1.02 * builder.hover_N)),
+            _plot(
+                gui, "thrust, by UAV (N)", uavs, (0.98 * builder.hover_N, 1.02 * builder.hover_N)
+            ),
         ]
 
     def show(self, tick: int) -> None:
@@ -106,22 +115,44 @@ class Plots:
 
 def _plot(gui: Any, title: str, colours: list[str], least: tuple[float, float]) -> Any:
     # A range in uPlot's words: wider where the curves are.
-    range_y = {end: {"pad": 0.1, "soft": soft, "mode": 1} for end, soft in zip(("min", "max"), least, strict=True)}
-    scales = {"x": {"time": False, "auto": False, "range": [-_SPAN_S, 0.0]}, "y": {"range": range_y}}
+    range_y = {
+        end: {"pad": 0.1, "soft": soft, "mode": 1}
+        for end, soft in zip(("min", "max"), least, strict=True)
+    }
+    scales = {
+        "x": {"time": False, "auto": False, "range": [-_SPAN_S, 0.0]},
+        "y": {"range": range_y},
+    }
     axes = tuple({"size": size, "font": "10px sans-serif"} for size in (26, 46))
     data = (np.array([-_SPAN_S, 0.0]), *(np.full(2, np.nan) for _ in colours))
-    lines = ({"label": "time before the shown tick (s)"}, *({"stroke": colour, "width": 1.5} for colour in colours))
+    lines = (
+        {"label": "time before the shown tick (s)"},
+        *({"stroke": colour, "width": 1.5} for colour in colours),
+    )
     look = {"legend": {"show": False}, "cursor": {"show": False}, "height": _HEIGHT_PX}
     return gui.add_uplot(data, lines, title=title, scales=scales, axes=axes, **look)
 
 
 class Panel:
-    """Widgets of one viewer, which change playback and view; with commands to the run if it is live."""
+    """Widgets of one viewer, which change playback and view.
+
+    With commands to the run if it is live.
+    """
 
     def __init__(
-        self, server: Any, builder: SceneBuilder, playback: Playback, view3d: View3D, commands: Commands | None
+        self,
+        server: Any,
+        builder: SceneBuilder,
+        playback: Playback,
+        view3d: View3D,
+        commands: Commands | None,
     ) -> None:
-        self._builder, self._playback, self._setup, gui = builder, playback, builder.setup, server.gui
+        self._builder, self._playback, self._setup, gui = (
+            builder,
+            playback,
+            builder.setup,
+            server.gui,
+        )
         self._period_s, is_live = self._setup.settings.sampling_period_s, commands is not None
         self._duration_s = self._setup.ticks * self._period_s
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
@@ -149,11 +180,15 @@ class Panel:
             self._events = gui.add_html("")
         with gui.add_folder("Show", expand_by_default=not is_live):
             for name in LAYERS:
-                gui.add_checkbox(name, True).on_update(from_browser(partial(view3d.show_layer, name)))
+                gui.add_checkbox(name, True).on_update(
+                    from_browser(partial(view3d.show_layer, name))
+                )
             gui.add_html(html.legend())
 
         camera.on_click(from_browser(lambda value: view3d.look_at(team=value == "team")))
-        self._time.on_update(from_browser(lambda time_s: playback.seek(round(time_s / self._period_s))))
+        self._time.on_update(
+            from_browser(lambda time_s: playback.seek(round(time_s / self._period_s)))
+        )
         self._play.on_click(lambda _: playback.toggle())
         speed.on_update(from_browser(partial(setattr, playback, "speed")))
         self._follow.on_update(from_browser(playback.follow))
@@ -200,23 +235,37 @@ class TargetControls:
         with self.folder:
             self._state = gui.add_html("")
             # Three number fields would lose the sign of -0.5 while it is typed: they show -0 as 0.
-            self._typed = gui.add_text("x, y, z (m)", _in_text(start_I), hint="inertial frame: z points down")
-            there = gui.add_button("Go there", hint="as transport target X Y Z; or drag the arrows in the scene")
+            self._typed = gui.add_text(
+                "x, y, z (m)", _in_text(start_I), hint="inertial frame: z points down"
+            )
+            there = gui.add_button(
+                "Go there", hint="as transport target X Y Z; or drag the arrows in the scene"
+            )
         self.handle = server.scene.add_transform_controls(
-            "/target", scale=0.6, disable_rotations=True, disable_sliders=True, position=tuple(start_I)
+            "/target",
+            scale=0.6,
+            disable_rotations=True,
+            disable_sliders=True,
+            position=tuple(start_I),
         )
         there.on_click(self._typed_place)
         self.handle.on_update(self._dragged)
         self._dragged_from = start_I
         self._keys = []
         for key, step in _STEPS.items():
-            command = gui.add_command(f"target: {_STEP_M:g} m, shift {key}", hotkey=key, modifier="shift")
+            command = gui.add_command(
+                f"target: {_STEP_M:g} m, shift {key}", hotkey=key, modifier="shift"
+            )
             command.on_trigger(partial(self._step, _STEP_M * np.array(step)))
             self._keys.append(command)
 
     def show(self, scene: Scene) -> None:
         """Show the target of a scene."""
-        known = [target for target in self._builder.setup.maneuver.targets if target.since_s <= scene.time_s]
+        known = [
+            target
+            for target in self._builder.setup.maneuver.targets
+            if target.since_s <= scene.time_s
+        ]
         self._state.content = html.target(known[-1].end_I, known[-1].ends_s, scene) if known else ""
 
     def close(self) -> None:
@@ -238,7 +287,9 @@ class TargetControls:
         try:
             x, y, z = map(float, self._typed.value.replace(",", " ").split())
         except ValueError:
-            event.client.add_notification("Target", f"expected three numbers, got {self._typed.value[:40]!r}")
+            event.client.add_notification(
+                "Target", f"expected three numbers, got {self._typed.value[:40]!r}"
+            )
             return
         self._send(np.array([x, y, z]))
 
@@ -263,7 +314,9 @@ def add_links(gui: Any, setup: Setup, commands: Commands) -> Any:
         change, clear = gui.add_button("Set"), gui.add_button("Clear all links")
 
     def set_links(_: Any) -> None:
-        commands.link(ends.get(link.value), {"delay_s": round(delay.value, 3), "loss": loss.value / 100.0})
+        commands.link(
+            ends.get(link.value), {"delay_s": round(delay.value, 3), "loss": loss.value / 100.0}
+        )
 
     change.on_click(set_links)
     clear.on_click(lambda _: commands.clear())

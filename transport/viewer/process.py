@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-from protocol.network.parent import PARENT_PIPE, python
+from transport.protocol.network.parent import PARENT_PIPE, python
 
 _EXIT_S = 5.0
 
@@ -21,7 +21,16 @@ class ViewerBeside:
     """
 
     def __init__(self, folder: Path, host: str, port: int, wait_s: float) -> None:
-        arguments = ["view", str(folder), "--host", host, "--port", str(port), "--wait", str(wait_s)]
+        arguments = [
+            "view",
+            str(folder),
+            "--host",
+            host,
+            "--port",
+            str(port),
+            "--wait",
+            str(wait_s),
+        ]
         self._process = subprocess.Popen(
             [*python("transport"), *arguments],
             stdin=subprocess.PIPE,
@@ -56,7 +65,10 @@ class ViewerBeside:
 
 
 def parent_ended() -> Callable[[], bool]:
-    """Return a function that tells whether the parent run has ended; always False without such a parent."""
+    """Return a function that tells whether the parent run has ended.
+
+    Always False without such a parent.
+    """
     if not os.environ.get(PARENT_PIPE):
         return lambda: False
     # Its end of the pipe is closed with it; it never sends anything.

@@ -1,7 +1,7 @@
 """Web server of the viewer: viser on a checked address, below a secret path.
 
-A page of another site can send requests to every port of this machine, and a name of its own may lead here (DNS
-rebinding). So the server answers only below a path that no other page knows.
+A page of another site can send requests to every port of this machine, and a name of its own may
+lead here (DNS rebinding). So the server answers only below a path that no other page knows.
 """
 
 import errno
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
 
-from protocol.wire.errors import TransportError
+from transport.protocol.wire.errors import TransportError
 
 # websockets reports every refused and broken connection with a traceback.
 _SILENT = logging.getLogger("transport.viewer.websockets")
@@ -47,7 +47,10 @@ class Page:
 
 
 class Guard:
-    """Check of the requests to one server: all are below its path; pages, by connection, tell the frames they show."""
+    """Check of the requests to one server.
+
+    All are below its path; pages, by connection, tell the frames they show.
+    """
 
     def __init__(self) -> None:
         self.path = f"/{secrets.token_urlsafe(24)}"
@@ -67,7 +70,9 @@ class Guard:
             def checked(connection: Any, request: Any) -> Any:
                 token = "/" + request.path.partition("?")[0].lstrip("/").partition("/")[0]
                 if not hmac.compare_digest(token.encode(), self.path.encode()):
-                    return connection.respond(403, "expected the link that the command has printed\n")
+                    return connection.respond(
+                        403, "expected the link that the command has printed\n"
+                    )
                 request.path = request.path.removeprefix(self.path) or "/"
                 if receipt := _RECEIPT.fullmatch(request.path):
                     number, frame = map(int, receipt.groups())
@@ -86,7 +91,9 @@ class Guard:
 
 
 def start_server(host: str, port: int) -> tuple[Any, Guard, str]:
-    """Start a viser server on the first free port from `port` on, or on any for 0; return it, its guard and its URL.
+    """Start a viser server on the first free port from `port` on, or on any for 0.
+
+    Return it, its guard and its URL.
 
     Raises: ViewerError: viser is not installed, the address is not usable, or no port is free.
     """
@@ -95,18 +102,27 @@ def start_server(host: str, port: int) -> tuple[Any, Guard, str]:
 
     # A page may go, or the viewer end, at any moment; what is sent to it then is not needed.
     warnings.filterwarnings("ignore", _CLOSED, UserWarning)
-    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM) as probe:
+    with socket.socket(
+        socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM
+    ) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))  # viser would wait for an address that cannot be used forever
         except (OSError, OverflowError) as error:
             if getattr(error, "errno", None) != errno.EADDRINUSE:  # viser takes the next free one
-                raise ViewerError(f"--host, --port: cannot listen on {host}:{port} ({error})") from error
+                raise ViewerError(
+                    f"--host, --port: cannot listen on {host}:{port} ({error})"
+                ) from error
     guard = Guard()
-    with guard.installed(), redirect_stdout(io.StringIO()):  # viser prints its address to stdout, which is for results
+    with (
+        guard.installed(),
+        redirect_stdout(io.StringIO()),
+    ):  # viser prints its address to stdout, which is for results
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if not guard.serves:
         server.stop()
-        raise ViewerError(f"the viewer cannot check connections with viser {viser.__version__}; install viser 1.1")
+        raise ViewerError(
+            f"the viewer cannot check connections with viser {viser.__version__}; install viser 1.1"
+        )
     name = f"[{host}]" if ":" in host else host
     return server, guard, f"http://{name}:{server.get_port()}{guard.path}"

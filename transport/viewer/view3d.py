@@ -4,12 +4,13 @@ from typing import Any
 
 import numpy as np
 
-from model.arrays import Array
+from transport.model.arrays import Array
 from transport.scene.drawing import INERTIAL, LAYERS, Drawing, Label, Lines, Mesh, Part, quaternion
 from transport.scene.scene import Scene
 
-# Camera offsets in parts of the size of the maneuver, and of the team; vertical field of view, rad. Links and predicted
-# paths lie in the plane of the UAVs, so both look from well above; from +y, x is to the right as in the figures.
+# Camera offsets in parts of the size of the maneuver, and of the team; vertical field of view, rad.
+# Links and predicted paths lie in the plane of the UAVs, so both look from well above; from +y, x
+# is to the right as in the figures.
 _VIEW, _VIEW_TEAM, _FOV = np.array([0.5, 1.1, -0.6]), np.array([0.9, 1.9, -2.2]), 0.75
 # A camera that has been turned by this part of its distance since the last frame is being turned.
 _TURNED = 1e-3
@@ -28,7 +29,8 @@ class View3D:
         self._add_surroundings()
         for part in drawing.fixed:
             self._add(part)
-        # Whether cameras move with the team, where it was in the frame before, and from where each camera saw it.
+        # Whether cameras move with the team, where it was in the frame before, and from where each
+        # camera saw it.
         self._follows, self._team_I, self._offset = follows, drawing.team_I, dict[int, Array]()
 
     def show_layer(self, name: str, shown: bool) -> None:
@@ -74,7 +76,9 @@ class View3D:
     def _frame(self, name: str) -> Any:
         """Return the node of a frame, hidden until it has a pose."""
         if name not in self._frames:
-            self._frames[name] = self._server.scene.add_frame(f"/{name}", show_axes=False, visible=name == INERTIAL)
+            self._frames[name] = self._server.scene.add_frame(
+                f"/{name}", show_axes=False, visible=name == INERTIAL
+            )
         return self._frames[name]
 
     def _add(self, part: Part) -> None:
@@ -82,13 +86,19 @@ class View3D:
         scene, name = self._server.scene, f"/{part.frame}/{part.name}"
         match part:
             case Lines():
-                # A colour per point from the start: viser draws lines white that get them after their first drawing.
+                # A colour per point from the start: viser draws lines white that get them after
+                # their first drawing.
                 none = np.zeros((1, 2, 3))
                 width: Any = {"thickness": part.width, "thickness_units": "screen"}
-                node = self._nodes[part.name] = scene.add_line_segments(name, none, none.astype(np.uint8), **width)
+                node = self._nodes[part.name] = scene.add_line_segments(
+                    name, none, none.astype(np.uint8), **width
+                )
                 _set_lines(node, part)
             case Mesh():
-                look: Any = {"color": part.colour, "opacity": None if part.opacity == 1.0 else part.opacity}
+                look: Any = {
+                    "color": part.colour,
+                    "opacity": None if part.opacity == 1.0 else part.opacity,
+                }
                 look |= {"flat_shading": True, "side": "double"}
                 node = scene.add_mesh_simple(name, part.vertices, part.faces, **look)
             case Label():
@@ -101,12 +111,18 @@ class View3D:
         drawing, scene = self._drawing, self._server.scene
         middle = (drawing.low + drawing.high) / 2.0
         width = 2.0 * np.ceil(0.7 * drawing.size)
-        place, size = (round(middle[0]), round(middle[1]), drawing.floor), {"width": width, "height": width}
+        place, size = (
+            (round(middle[0]), round(middle[1]), drawing.floor),
+            {"width": width, "height": width},
+        )
         greys = {"cell_color": (235, 235, 235), "section_color": (210, 210, 210)}
-        scene.add_grid("/grid", position=place, infinite_grid=False, fade_distance=100.0, **size, **greys)
+        scene.add_grid(
+            "/grid", position=place, infinite_grid=False, fade_distance=100.0, **size, **greys
+        )
         start = (*drawing.start_I[:2], drawing.floor)
         scene.add_frame("/axes", axes_length=0.5, axes_radius=0.015, position=start)
-        # No reflections or shadows: colours are those of the figures, and drawing without a graphics processor is fast.
+        # No reflections or shadows: colours are those of the figures, and drawing without a
+        # graphics processor is fast.
         scene.configure_environment_map(None)
         scene.add_light_ambient("/light", intensity=1.5)
         scene.configure_default_lights(enabled=True, cast_shadow=False)
@@ -125,6 +141,8 @@ def _turn(client: Any, look_at: Array, position: Array) -> None:
 def _set_lines(node: Any, lines: Lines) -> None:
     """Set points and colours, of which viser takes those of one segment at least, and linear ones, unlike meshes."""
     some = len(lines.segments) > 0
-    colours = np.round(255.0 * ((lines.colours if some else np.zeros((1, 3))) / 255.0) ** 2.2).astype(np.uint8)
+    colours = np.round(
+        255.0 * ((lines.colours if some else np.zeros((1, 3))) / 255.0) ** 2.2
+    ).astype(np.uint8)
     node.points = (lines.segments if some else np.zeros((1, 2, 3))).astype(np.float32)
     node.colors = np.repeat(colours[:, None], 2, axis=1)

@@ -1,7 +1,7 @@
 """The viewer: a web server that shows one run, recorded or live, to any number of browsers.
 
-It only reads the run's log; a live run neither knows of it nor waits for it. Commands to a live run are the requests of
-the command line.
+It only reads the run's log; a live run neither knows of it nor waits for it. Commands to a live run
+are the requests of the command line.
 """
 
 import asyncio
@@ -24,17 +24,23 @@ from transport.viewer.server import Page, start_server
 from transport.viewer.view3d import View3D
 
 LOG = "run.mcap"
-_FRAME_S, _FRAME_UNPACED_S = 0.1, 0.5  # shortest time between frames; a run without pacing needs the processors itself
-# A page shows a frame before it gets the next, so that it is never behind by more than one; one that has shown none for
-# this long, such as that of a hidden tab, is no longer waited for, s.
+_FRAME_S, _FRAME_UNPACED_S = (
+    0.1,
+    0.5,
+)  # shortest time between frames; a run without pacing needs the processors itself
+# A page shows a frame before it gets the next, so that it is never behind by more than one; one
+# that has shown none for this long, such as that of a hidden tab, is no longer waited for, s.
 _PATIENCE_S = 2.0
 _NICE = 10  # of the viewer of a live run: the run gets the processors first, but requests are still sent in time
 
 
 class Viewer:
-    """Viewer of one run, on the first free port from `port` on, or on any for 0; its URL for browsers is `address`.
+    """Viewer of one run, on the first free port from `port` on, or on any for 0.
 
-    A live run has a log that is read as it grows, and takes requests. A notice, such as what a log lacks, is on top of
+    Its URL for browsers is `address`.
+
+    A live run has a log that is read as it grows, and takes requests. A notice, such as what a log
+    lacks, is on top of
     the panel. Raises: ViewerError: viser is not installed, or no port is free.
     """
 
@@ -52,7 +58,9 @@ class Viewer:
         self._paced = builder.setup.scenario.clock.speed > 0.0
         self._set_notice(notice or ("" if live is None else "live"), warning=bool(notice))
         self._server.on_client_connect(self._add_page)
-        self._server.on_client_disconnect(lambda client: self._guard.pages.pop(client.client_id, None))
+        self._server.on_client_disconnect(
+            lambda client: self._guard.pages.pop(client.client_id, None)
+        )
         self._updated_s = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -87,8 +95,14 @@ class Viewer:
         self._panel.show_playback()
         if any(page.since_s is not None and now_s - page.since_s < _PATIENCE_S for page in pages):
             return
-        if any(not page.sent for page in pages) or self.shown is None or history.nearest(tick) != self.shown.tick:
-            asyncio.run_coroutine_threadsafe(self._send(self._builder.at(tick)), self._server.get_event_loop()).result()
+        if (
+            any(not page.sent for page in pages)
+            or self.shown is None
+            or history.nearest(tick) != self.shown.tick
+        ):
+            asyncio.run_coroutine_threadsafe(
+                self._send(self._builder.at(tick)), self._server.get_event_loop()
+            ).result()
 
     def show_until(self, ended: Callable[[], bool]) -> None:
         """Show the run until `ended()`."""
@@ -104,7 +118,8 @@ class Viewer:
     async def _send(self, scene: Scene) -> None:
         """Send one frame as a whole, and ask the pages to tell when they show it.
 
-        viser sends updates from its event loop. Queued in that loop, inside an atomic block, they cannot be cut in two.
+        viser sends updates from its event loop. Queued in that loop, inside an atomic block, they
+        cannot be cut in two.
         """
         with self._server.atomic():
             self.view3d.show(scene)
@@ -129,17 +144,23 @@ class Viewer:
 
 
 def open_viewer(folder: Path, host: str, port: int) -> Viewer:
-    """Return the viewer of the run in a folder, live or recorded. Raises: ViewerError, LogError, ScenarioError."""
+    """Return the viewer of the run in a folder, live or recorded.
+
+    Raises: ViewerError, LogError, ScenarioError.
+    """
     running = read_live_run(folder)
     if running is not None:
         os.nice(_NICE)
         if os.getsid(0) == os.getpid():
-            # Linux may share processors among sessions first; then only the session's priority counts (sched(7)).
+            # Linux may share processors among sessions first; then only the session's priority
+            # counts (sched(7)).
             with suppress(OSError):
                 Path("/proc/self/autogroup").write_text(str(_NICE), encoding="ascii")
         setup = setup_of(folder)
         tail = LogTail(folder / LOG, setup)
-        return Viewer(SceneBuilder(setup, RunHistory(setup)), host=host, port=port, tail=tail, live=running)
+        return Viewer(
+            SceneBuilder(setup, RunHistory(setup)), host=host, port=port, tail=tail, live=running
+        )
     run = open_run(folder)
     builder = SceneBuilder.of(run.setup, run.log)
     if run.log.cut:

@@ -6,48 +6,85 @@ from pathlib import Path
 import orjson
 import pytest
 
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Control
 from tests.support.results import here, kept, tables
 from tests.support.runs import ticks
 from transport.cli.experiment import EXPERIMENTS
 from transport.experiments.cases import NUMBERS
 from transport.experiments.statistics import WIDTH
 from transport.flight import memory
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Control
 
 DONE, USAGE, SCENARIO, LOST, CASES = 0, 2, 3, 4, 7
 
 REFUSED = [
-    (("latency", "--delay", "-0.1"), SCENARIO, "links.delay_s=-0.1: expected greater than or equal to 0, got -0.1"),
+    (
+        ("latency", "--delay", "-0.1"),
+        SCENARIO,
+        "links.delay_s=-0.1: expected greater than or equal to 0, got -0.1",
+    ),
     (("latency", "--jobs", "0"), USAGE, "--jobs"),
     (("latency", "--seeds", "0"), USAGE, "--seeds"),
-    (("kill", "--scenario", "paper", "--scenario", "paper"), USAGE, "--scenario: expected each value once"),
-    (("loss", "--burst", "0.5"), USAGE, "invalid value for '--burst': expected greater than or equal to 1, got '0.5'"),
+    (
+        ("kill", "--scenario", "paper", "--scenario", "paper"),
+        USAGE,
+        "--scenario: expected each value once",
+    ),
+    (
+        ("loss", "--burst", "0.5"),
+        USAGE,
+        "invalid value for '--burst': expected greater than or equal to 1, got '0.5'",
+    ),
     (("paper", "--gust", "-1"), USAGE, "--gust: expected a speed >= 0 m/s, got -1"),
     (
         ("paper", "--set", "agents.owned=[[1],[2,3,4]]"),
         SCENARIO,
         "agents.owned=[[1],[2,3,4]]: expected one agent that owns all, got 2",
     ),
-    (("paper", "--set", "controller.horizon=0"), SCENARIO, "controller.horizon=0: expected greater than or equal to 1"),
+    (
+        ("paper", "--set", "controller.horizon=0"),
+        SCENARIO,
+        "controller.horizon=0: expected greater than or equal to 1",
+    ),
     (("ablation", "--set", "clock.mode=realtime"), SCENARIO, "clock."),
     (("latency", "--scenario", "papr"), SCENARIO, "did you mean 'paper'?"),
-    (("latency", "--set", "links.los=1"), SCENARIO, "links.los=1: unknown key; did you mean 'loss'?"),
+    (
+        ("latency", "--set", "links.los=1"),
+        SCENARIO,
+        "links.los=1: unknown key; did you mean 'loss'?",
+    ),
     (
         ("latency", "--set", "clock={mode='realtime',speed=1.0}"),
         SCENARIO,
         "clock.mode: expected lockstep, got realtime",
     ),
-    (("latency", "--dask", "tcp://host:8786", "--jobs", "2"), USAGE, "--dask: expected only one of --dask and --jobs"),
-    (("latency", "--dask", "nowhere"), USAGE, "--dask: expected an address such as tcp://host:8786, got 'nowhere'"),
+    (
+        ("latency", "--dask", "tcp://host:8786", "--jobs", "2"),
+        USAGE,
+        "--dask: expected only one of --dask and --jobs",
+    ),
+    (
+        ("latency", "--dask", "nowhere"),
+        USAGE,
+        "--dask: expected an address such as tcp://host:8786, got 'nowhere'",
+    ),
 ]
 
 
-@pytest.mark.parametrize(("arguments", "code", "expected"), REFUSED, ids=[" ".join(row[0]) for row in REFUSED])
+@pytest.mark.parametrize(
+    ("arguments", "code", "expected"), REFUSED, ids=[" ".join(row[0]) for row in REFUSED]
+)
 def test_what_cannot_be_is_refused(
-    arguments: tuple[str, ...], code: int, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arguments: tuple[str, ...],
+    code: int,
+    expected: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A bad option ends with its exit code and option, expected and got; nothing is flown and nothing appears."""
+    """A bad option ends with its exit code and option, expected and got.
+
+    Nothing is flown and nothing appears.
+    """
     monkeypatch.chdir(tmp_path)
     result = here("experiment", *arguments)
     assert result.exit_code == code, result.output
@@ -65,7 +102,18 @@ def test_a_missing_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.Mon
     assert kept(tmp_path / "out") == 0
 
 
-LATE = ("experiment", "latency", "--scenario", "resilient", "--delay", "0.1", "--set", ticks(4), "--jobs", "1")
+LATE = (
+    "experiment",
+    "latency",
+    "--scenario",
+    "resilient",
+    "--delay",
+    "0.1",
+    "--set",
+    ticks(4),
+    "--jobs",
+    "1",
+)
 
 
 def failing(when: Callable[[Setup], bool], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,7 +129,10 @@ def failing(when: Callable[[Setup], bool], monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_case_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The others are simulated, the row gives the reason, the exit code is 7; resuming repeats that case only."""
+    """The others are simulated, the row gives the reason, the exit code is 7.
+
+    Resuming repeats that case only.
+    """
     with monkeypatch.context() as patch:
         failing(lambda setup: setup.scenario.links.delay_s == 0.0, patch)
         result = here(*LATE, "--out", tmp_path / "out")
@@ -90,7 +141,10 @@ def test_a_case_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert "0/0 1!" in result.stdout
     assert "1 run could not be simulated" in result.stdout
     points, cases = tables(tmp_path / "out")
-    assert b"resilient,0.0,0,error,RuntimeError: the wing fell off" + b"," * len(NUMBERS) + b"\n" in cases
+    assert (
+        b"resilient,0.0,0,error,RuntimeError: the wing fell off" + b"," * len(NUMBERS) + b"\n"
+        in cases
+    )
     assert b"resilient,0.0,0,0,1,,," in points
     result = here(*LATE, "--out", tmp_path / "out")
     assert result.exit_code == DONE, result.output
@@ -102,7 +156,9 @@ def test_a_case_that_raises_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize("name", sorted(EXPERIMENTS.keys() - {"latency", "scaling"}))
 def test_a_trial_says_so(name: str, tmp_path: Path) -> None:
     """`--quick` of every experiment runs, is called a trial, and its table fits its width."""
-    quick = "maneuver.phase=[{name='way',kind='spline',points_m=[[0.1,0,0]],speed_mps=1.0,ramp_s=0.1}]"
+    quick = (
+        "maneuver.phase=[{name='way',kind='spline',points_m=[[0.1,0,0]],speed_mps=1.0,ramp_s=0.1}]"
+    )
     settings = (
         "--set",
         quick if name == "agile" else ticks(4),

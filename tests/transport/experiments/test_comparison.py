@@ -1,4 +1,7 @@
-"""The paper's comparison: periods of equal computation, cost curves seed by seed, and the whole command."""
+"""The paper's comparison.
+
+Periods of equal computation, cost curves seed by seed, and the whole command.
+"""
 
 import csv
 import math
@@ -39,7 +42,9 @@ def test_equal_computation(exponent: float, agents: int) -> None:
     """The period at which a power law passes the reference's computation is found exactly, whatever the grid."""
     periods_s = np.array(PERIODS_S)
     exact_s = LONGEST_S * (0.2 * agents) ** (1.0 / exponent)
-    low_s, high_s = equal_periods(periods_s, agents * 0.2 * (periods_s[:, np.newaxis] / LONGEST_S) ** -exponent)
+    low_s, high_s = equal_periods(
+        periods_s, agents * 0.2 * (periods_s[:, np.newaxis] / LONGEST_S) ** -exponent
+    )
     assert low_s == high_s == pytest.approx(exact_s, rel=1e-12)
 
 
@@ -54,7 +59,9 @@ COSTS = {
 
 def paper_curve(outcome: Callable[[Case], str] = lambda _: "completed", seeds: int = 3) -> Curve:
     """The cost curve of the paper's algorithm in gusts, with made-up costs."""
-    cells = [Cell(controller=controller, period_s=period_s, horizon=20) for controller, period_s in COSTS]
+    cells = [
+        Cell(controller=controller, period_s=period_s, horizon=20) for controller, period_s in COSTS
+    ]
     experiment = comparison.experiment(cells, 0.5)
     points = [point for point in experiment.points if point.labels["weather"] == GUSTS]
     cases = cases_of(points, [MANEUVER], seeds)
@@ -62,13 +69,15 @@ def paper_curve(outcome: Callable[[Case], str] = lambda _: "completed", seeds: i
     for case in cases:
         numbers: dict[str, float | None] = dict.fromkeys(NUMBERS)
         labels = points[case.point].labels
-        numbers["cost_mean"] = numbers["cost_max"] = COSTS[str(labels["controller"]), float(labels["period_s"])][
-            case.scenario.seed
-        ]
+        numbers["cost_mean"] = numbers["cost_max"] = COSTS[
+            str(labels["controller"]), float(labels["period_s"])
+        ][case.scenario.seed]
         numbers["lost_s"] = None if outcome(case) == "completed" else 3.5
         results.append(Result(key=case.key, outcome=outcome(case), reason="", numbers=numbers))
     curves = {(CENTRALIZED, STEPS): cells[:1], (PAPER, STEPS): cells[1:]}
-    swept = Swept(experiment=replace(experiment, points=tuple(points)), cases=cases, results=results)
+    swept = Swept(
+        experiment=replace(experiment, points=tuple(points)), cases=cases, results=results
+    )
     measurement = replace(experiment, points=experiment.points[: len(cells)])
     times = [replace(result, numbers={"cpu_step_p50_ms": 1.0}) for result in results]
     timed = Swept(experiment=measurement, cases=cases, results=times)
@@ -79,7 +88,10 @@ def paper_curve(outcome: Callable[[Case], str] = lambda _: "completed", seeds: i
 def at(case: Case, controller: str, period_s: float) -> bool:
     """Return whether a case is of a controller at a period."""
     scenario = case.scenario
-    return scenario.name == comparison.SCENARIOS[controller] and scenario.controller.sampling_period_s == period_s
+    return (
+        scenario.name == comparison.SCENARIOS[controller]
+        and scenario.controller.sampling_period_s == period_s
+    )
 
 
 def test_ratios_are_taken_seed_by_seed() -> None:
@@ -100,8 +112,14 @@ def test_between_periods_the_cost_is_a_power_of_the_period() -> None:
 
 def test_diverged_runs_are_not_compared() -> None:
     """Next to a period with a diverged run the cost is infinite; elsewhere the curve is unchanged."""
-    curve = paper_curve(lambda case: "diverged" if at(case, PAPER, 0.1) and case.scenario.seed == 0 else "completed")
-    assert [next(curve.rows())[name] for name in ("flights", "completed", "first_lost_s")] == [3, 2, 3.5]
+    curve = paper_curve(
+        lambda case: "diverged" if at(case, PAPER, 0.1) and case.scenario.seed == 0 else "completed"
+    )
+    assert [next(curve.rows())[name] for name in ("flights", "completed", "first_lost_s")] == [
+        3,
+        2,
+        3.5,
+    ]
     assert curve.cost_range(0.07, 0.08) == (math.inf, math.inf)
     assert (curve.cost_range(0.04, 0.06) or (0.0, 0.0))[1] == math.inf
     assert curve.cost_ratios(0.05) == pytest.approx([1.2, 1.1, 1.2])
@@ -126,7 +144,9 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         verdicts = list(csv.DictReader(file))
     assert (verdicts[0]["at"], verdicts[0]["claim"]) == ("the same rate", "slightly worse")
     text = (out / "report.md").read_text()
-    assert all(line.removeprefix("- ") in result.stdout for line in text.partition("\n\n")[0].splitlines())
+    assert all(
+        line.removeprefix("- ") in result.stdout for line in text.partition("\n\n")[0].splitlines()
+    )
     assert '("slightly worse" ' in text
 
     def never(*_: object, **__: object) -> None:

@@ -1,4 +1,7 @@
-"""Declared experiments: points that can be simulated, impairments with the stated statistics, refused options."""
+"""Declared experiments.
+
+Points that can be simulated, impairments with the stated statistics, refused options.
+"""
 
 import csv
 import math
@@ -8,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.scenario.file import ScenarioError, find_scenario, read_scenario
-from protocol.scenario.links import Link
-from protocol.scenario.schema import Scenario
 from tests.support.results import here
 from tests.support.runs import ticks
 from transport.cli.experiment import EXPERIMENTS
 from transport.experiments.cases import ExperimentError, Point, cases_of, is_random
 from transport.experiments.declaration import Experiment
 from transport.experiments.network_experiments import JITTER, NETWORKS
+from transport.protocol.scenario.file import ScenarioError, find_scenario, read_scenario
+from transport.protocol.scenario.links import Link
+from transport.protocol.scenario.schema import Scenario
 
 TICKS = 3_000
 BOTH = ("paper", "resilient")
@@ -39,10 +42,17 @@ def delays(point: Point) -> list[list[float]]:
     return [path.delays(tick) for tick in range(TICKS)]
 
 
-@pytest.mark.parametrize("name", ["latency", "loss", "jitter", "kill", "matrix", "horizon", "deaths", "sharing"])
+@pytest.mark.parametrize(
+    "name", ["latency", "loss", "jitter", "kill", "matrix", "horizon", "deaths", "sharing"]
+)
 def test_every_point_is_valid(name: str) -> None:
-    """All points are valid scenarios with distinct fingerprints; each scenario, and network, has one baseline."""
-    flown = {"loss": BOTH, "jitter": ("paper",), "matrix": ("paper",), "horizon": ("paper",)}.get(name, ("resilient",))
+    """All points are valid scenarios with distinct fingerprints.
+
+    Each scenario, and network, has one baseline.
+    """
+    flown = {"loss": BOTH, "jitter": ("paper",), "matrix": ("paper",), "horizon": ("paper",)}.get(
+        name, ("resilient",)
+    )
     experiment = built(name, of=flown, **({"count": 4} if name == "deaths" else {}))
     cases = cases_of(experiment.points, [], 2)
     assert len({case.key for case in cases}) == len(cases)
@@ -88,7 +98,10 @@ def test_fingerprints_tell_results_apart() -> None:
 
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.6])
 def test_losses_are_comparable(share: float) -> None:
-    """Independent and bursty losses have the same share in the long run; bursts last as long as asked for."""
+    """Independent and bursty losses have the same share in the long run.
+
+    Bursts last as long as asked for.
+    """
     _, independent, bursts = built("loss", of=("paper",), loss=[share], burst=5.0).points
     for point, correlated in ((independent, 1.0), (bursts, 10.0)):
         lost = np.array([not found for found in delays(point)])
@@ -103,19 +116,26 @@ def test_losses_are_comparable(share: float) -> None:
 @pytest.mark.parametrize("distribution", list(JITTER))
 def test_jitters_are_comparable(distribution: str) -> None:
     """Every distribution has the mean and the standard deviation asked for, beside a constant delay with that mean."""
-    perfect, constant, point = built("jitter", of=("paper",), distribution=[distribution], std=[0.04], mean=0.16).points
+    perfect, constant, point = built(
+        "jitter", of=("paper",), distribution=[distribution], std=[0.04], mean=0.16
+    ).points
     assert (delays(perfect)[0], delays(constant)[0]) == ([0.0], [0.16])
     found_s = np.array([delay for found in delays(point) for delay in found])
     assert len(found_s) == TICKS
     assert abs(found_s.mean() - 0.16) < 4.0 * 0.04 / math.sqrt(TICKS)
-    # Four standard deviations of it: by the kurtosis, at most 9 but for the lognormal distribution with its 114.
+    # Four standard deviations of it: by the kurtosis, at most 9 but for the lognormal distribution
+    # with its 114.
     kurtosis = 114.0 if distribution == "lognormal" else 9.0
     assert abs(found_s.std() - 0.04) < 4.0 * 0.04 * math.sqrt((kurtosis - 1.0) / (4.0 * TICKS))
 
 
 REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("latency", {"delay": [math.nan]}, "links.delay_s=nan: expected"),
-    ("loss", {"loss": [1.0]}, "--loss: expected at most 0.833 with bursts of 5 ticks on average, got 1"),
+    (
+        "loss",
+        {"loss": [1.0]},
+        "--loss: expected at most 0.833 with bursts of 5 ticks on average, got 1",
+    ),
     (
         "loss",
         {"loss": [0.9], "burst": 2.0},
@@ -135,7 +155,9 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "given", "expected"), REFUSED, ids=[expected for *_, expected in REFUSED])
+@pytest.mark.parametrize(
+    ("name", "given", "expected"), REFUSED, ids=[expected for *_, expected in REFUSED]
+)
 def test_bad_values_are_refused(name: str, given: dict[str, Any], expected: str) -> None:
     """A value that cannot be is refused with option, expected and got."""
     with pytest.raises((ExperimentError, ScenarioError)) as refusal:
@@ -144,8 +166,22 @@ def test_bad_values_are_refused(name: str, given: dict[str, Any], expected: str)
 
 
 def test_sharing_on_the_command_line(tmp_path: Path) -> None:
-    """The table has the share of plans sent, which falls with the threshold; the figure a curve for each network."""
-    arguments = ("--threshold", "1000", "--heartbeat", "0.2", "--seeds", "1", "--jobs", "1", "--set", ticks(9))
+    """The table has the share of plans sent, which falls with the threshold.
+
+    The figure a curve for each network.
+    """
+    arguments = (
+        "--threshold",
+        "1000",
+        "--heartbeat",
+        "0.2",
+        "--seeds",
+        "1",
+        "--jobs",
+        "1",
+        "--set",
+        ticks(9),
+    )
     result = here("experiment", "sharing", *arguments, "--out", tmp_path)
     assert result.exit_code == 0, result.output
     assert "sent (%)" in result.stdout.partition("\n\n")[0]
@@ -158,15 +194,22 @@ def test_sharing_on_the_command_line(tmp_path: Path) -> None:
 
 
 def test_agile_flies_every_case_at_every_speed() -> None:
-    """Each speed is set where the maneuver has one, and each has a baseline of its own; the fastest is feasible."""
+    """Each speed is set where the maneuver has one, and each has a baseline of its own.
+
+    The fastest is feasible.
+    """
     experiment = built("agile", of=("eight",))
     speeds = {point.labels["speed_mps"] for point in experiment.points}
     assert speeds == {3.0, 4.0, 5.0, 6.0}
-    assert len(experiment.points) == len(speeds) * len({point.labels["case"] for point in experiment.points})
+    assert len(experiment.points) == len(speeds) * len(
+        {point.labels["case"] for point in experiment.points}
+    )
     assert [point.group for point in experiment.points if point.baseline] == [
         f"{speed:g} m/s" for speed in sorted(speeds)
     ]
     (case,) = cases_of([point for point in experiment.points if point.baseline][-1:], (), 1)
     assert case.scenario.maneuver.phase[1].speed_mps == 6.0
-    with pytest.raises(ExperimentError, match="expected a maneuver with speed_mps in a phase, got resilient"):
+    with pytest.raises(
+        ExperimentError, match="expected a maneuver with speed_mps in a phase, got resilient"
+    ):
         built("agile", of=("resilient",))

@@ -10,7 +10,6 @@ import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from protocol.scenario.file import find_scenario, read_scenario
 from tests.support.figure_texts import problems
 from transport.cli.experiment import EXPERIMENTS
 from transport.experiments.cases import ERROR, NUMBERS, Point, Result
@@ -22,6 +21,7 @@ from transport.experiments.statistics import (
     statistics_of,
     table_of,
 )
+from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.report.style import COLUMN_IN, RC, SMALL
 
 BOTH = ("paper", "resilient")
@@ -63,12 +63,18 @@ def diverged(at_s: float) -> Result:
 
 def made(experiment: Experiment, results: Callable[[Point], list[Result]]) -> list[PointStatistics]:
     """Statistics of an experiment's points, with invented results."""
-    return statistics_of(experiment.points, [results(point) for point in experiment.points], NUMBERS[1:])
+    return statistics_of(
+        experiment.points, [results(point) for point in experiment.points], NUMBERS[1:]
+    )
 
 
 MIXES: dict[str, Callable[[Point], list[Result]]] = {
     "completed": lambda _: [completed(0.002, 1.0)],
-    "repeated": lambda _: [completed(0.00123, 12.34), completed(0.00987, 1.0), completed(0.02, 3.0)],
+    "repeated": lambda _: [
+        completed(0.00123, 12.34),
+        completed(0.00987, 1.0),
+        completed(0.02, 3.0),
+    ],
     "all diverged": lambda _: [diverged(14.35), diverged(20.0)],
     "some diverged": lambda point: [
         diverged(14.35) if point.scenario == "paper" else completed(0.002, 1.0),
@@ -96,7 +102,9 @@ def test_anything_can_be_reported(experiment: Experiment, mix: str, tmp_path: Pa
         fill(figure, experiment, measured)
         assert problems(figure, SMALL) == []
     assert figure.get_figwidth() == COLUMN_IN
-    assert all(axes.lines or axes.patches or axes.collections or axes.images for axes in figure.axes)
+    assert all(
+        axes.lines or axes.patches or axes.collections or axes.images for axes in figure.axes
+    )
     first = [path.read_bytes() for path in draw(experiment, measured, tmp_path)]
     assert first[0].startswith(b"\x89PNG\r\n\x1a\n")
     assert b"<svg" in first[1]

@@ -1,12 +1,15 @@
-"""The folder of an experiment: kept results survive, damage is told, other people's folders are left alone."""
+"""The folder of an experiment.
+
+Kept results survive, damage is told, other people's folders are left alone.
+"""
 
 from pathlib import Path
 
 import pytest
 
-from protocol.wire.exit_codes import EXIT_USAGE
 from transport.experiments.cases import ERROR, NUMBERS, ExperimentError, Result
 from transport.experiments.sweep import Results
+from transport.protocol.wire.exit_codes import EXIT_USAGE
 
 
 def result(key: str, outcome: str = "completed", cost: float = 0.1 + 0.2) -> Result:
@@ -41,7 +44,11 @@ def test_an_incomplete_line_is_ignored(tmp_path: Path, left: int) -> None:
     path.write_bytes(first + second[:left])
     for added in ("c", "d"):
         with opened(tmp_path) as results:
-            assert (results.done("a"), results.done("b"), results.done("c")) == (True, False, added == "d")
+            assert (results.done("a"), results.done("b"), results.done("c")) == (
+                True,
+                False,
+                added == "d",
+            )
             results.add(result(added))
 
 

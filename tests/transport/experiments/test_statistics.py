@@ -1,4 +1,7 @@
-"""Repetitions into numbers: the confidence interval against theory and scipy.stats, and what counts for a point."""
+"""Repetitions into numbers.
+
+The confidence interval against theory and scipy.stats, and what counts for a point.
+"""
 
 import numpy as np
 import pytest
@@ -32,8 +35,16 @@ def test_interval_is_students(n: int) -> None:
 
 
 def test_diverged_runs_count_but_are_not_averaged() -> None:
-    """Cost is averaged over completed runs; a diverged run counts, with its time; errors are separate."""
-    results = [result(cost=2.0), result("diverged", cost=9.0, lost_s=14.3), result(cost=4.0), result(ERROR)]
+    """Cost is averaged over completed runs.
+
+    A diverged run counts, with its time; errors are separate.
+    """
+    results = [
+        result(cost=2.0),
+        result("diverged", cost=9.0, lost_s=14.3),
+        result(cost=4.0),
+        result(ERROR),
+    ]
     base, late = statistics_of([BASELINE, LATE], [[result(cost=1.5)], results], NUMBERS[1:])
     assert (late.runs, late.completed, late.errors, late.diverged_s) == (3, 2, 1, (14.3,))
     cost = late.numbers["cost_mean"]

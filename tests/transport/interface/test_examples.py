@@ -9,7 +9,9 @@ import pytest
 import transport
 
 FOLDER = Path(transport.__file__).parent / "interface"
-MODULES = sorted(path.stem for path in FOLDER.glob("*.py") if ">>> " in path.read_text(encoding="utf-8"))
+MODULES = sorted(
+    path.stem for path in FOLDER.glob("*.py") if ">>> " in path.read_text(encoding="utf-8")
+)
 PUBLIC = ("fly", "load", "sweep", "Scenario", "Run", "RunSeries")
 
 

@@ -18,13 +18,13 @@ import pytest
 import threadpoolctl
 
 import transport
-from protocol.scenario.file import find_scenario, read_scenario
-from protocol.scenario.setup import Setup
-from protocol.wire.messages import Message, Plan, PlantState
 from tests.support.runs import recorded, reproducible
 from transport.interface.scenario import path_phase
 from transport.interface.series import QUANTITIES
 from transport.interface.settings import ArgumentError
+from transport.protocol.scenario.file import find_scenario, read_scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, Plan, PlantState
 from transport.report.style import RC, save
 
 # A maneuver of 30 ticks.
@@ -42,7 +42,9 @@ SHORT = (
 )
 
 
-def short(name: str = "resilient", settings: dict[str, Any] | None = None, **arguments: Any) -> transport.Run:
+def short(
+    name: str = "resilient", settings: dict[str, Any] | None = None, **arguments: Any
+) -> transport.Run:
     """Return a short run."""
     return transport.fly(name, settings, phases=PHASES, progress=False, **arguments)
 
@@ -62,24 +64,33 @@ def test_it_is_the_run_of_the_command_line(run: transport.Run) -> None:
         str(reproducible(message)) for message in expected
     ]
     states = [entry.message for entry in run.log.messages if isinstance(entry.message, PlantState)]
-    assert [state.x.tobytes() for state in states] == [m.x.tobytes() for m in expected if isinstance(m, PlantState)]
+    assert [state.x.tobytes() for state in states] == [
+        m.x.tobytes() for m in expected if isinstance(m, PlantState)
+    ]
 
 
 @pytest.mark.slow
 def test_a_saved_run_is_the_same_run(run: transport.Run, tmp_path: Path) -> None:
-    """A run folder holds what the run held: messages, series, summary; figures are files with the same pixels."""
+    """A run folder holds what the run held.
+
+    Messages, series, summary; figures are files with the same pixels.
+    """
     folder = run.save(tmp_path / "run")
     loaded = transport.load(folder)
     assert loaded.summary == run.summary
     assert loaded.scenario.digest() == run.scenario.digest()
-    assert [e.message.kind for e in loaded.log.messages] == [e.message.kind for e in run.log.messages]
+    assert [e.message.kind for e in loaded.log.messages] == [
+        e.message.kind for e in run.log.messages
+    ]
     for name in QUANTITIES:
         np.testing.assert_array_equal(loaded.series[name], run.series[name])
     for name in ("performance", "trajectories", "timing"):
         figure = run.plot(name)  # type: ignore[arg-type]
         with mpl.rc_context(RC):
             save(figure, tmp_path / "own.png")
-        assert (tmp_path / "own.png").read_bytes() == (folder / "figures" / f"{name}.png").read_bytes(), name
+        assert (tmp_path / "own.png").read_bytes() == (
+            folder / "figures" / f"{name}.png"
+        ).read_bytes(), name
     with pytest.raises(FileExistsError):
         run.save(folder)
     copied = loaded.save(tmp_path / "copy")
@@ -103,10 +114,15 @@ def test_series_have_names_units_and_shapes(run: transport.Run) -> None:
 
 
 def test_series_agree_with_each_other(run: transport.Run) -> None:
-    """Errors are positions minus references; summary numbers are those of the series; delays show in the plan ages."""
+    """Errors are positions minus references.
+
+    Summary numbers are those of the series; delays show in the plan ages.
+    """
     series = run.series
     np.testing.assert_allclose(
-        series["payload_position_m"] - series["payload_reference_m"], series["payload_error_m"], atol=1e-15
+        series["payload_position_m"] - series["payload_reference_m"],
+        series["payload_error_m"],
+        atol=1e-15,
     )
     assert run.summary["cost"]["mean"] == pytest.approx(series["cost"].mean(), rel=1e-12)
     assert run.summary["separation_min_m"] == series["separation_m"].min()
@@ -127,11 +143,16 @@ def test_tables(run: transport.Run) -> None:
 
 
 def test_a_run_is_shown_by_notebooks(run: transport.Run) -> None:
-    """A figure has a picture for notebooks; `print(run)` is the table of `transport run`, its representation a line."""
+    """A figure has a picture for notebooks.
+
+    `print(run)` is the table of `transport run`, its representation a line.
+    """
     figure = run.plot()
     assert figure._repr_png_().startswith(b"\x89PNG")
     assert len(figure.axes) == 4
-    with pytest.raises(transport.ArgumentError, match="expected one of performance, inputs, trajectories, timing"):
+    with pytest.raises(
+        transport.ArgumentError, match="expected one of performance, inputs, trajectories, timing"
+    ):
         run.plot("cost")  # type: ignore[arg-type]
     assert str(run).splitlines()[0] == "resilient completed"
     assert "payload attitude" in str(run)
@@ -157,7 +178,9 @@ def test_nothing_is_printed_to_standard_output(tmp_path: Path) -> None:
 
 def test_real_time_needs_processes() -> None:
     """In memory no time passes: a scenario in real time is refused, not simulated as another."""
-    with pytest.raises(transport.ScenarioError, match=r"clock.mode: expected lockstep in memory.*got realtime"):
+    with pytest.raises(
+        transport.ScenarioError, match=r"clock.mode: expected lockstep in memory.*got realtime"
+    ):
         short("paper", {"clock.mode": "realtime", "clock.speed": 1.0})
 
 
@@ -181,7 +204,10 @@ def test_threads() -> None:
 
 
 def test_an_interrupt_ends_a_simulation() -> None:
-    """Ctrl-C raises KeyboardInterrupt in the middle of a run; the next run has the same bits as ever."""
+    """Ctrl-C raises KeyboardInterrupt in the middle of a run.
+
+    The next run has the same bits as ever.
+    """
     expected, threads = digest(short()), threading.active_count()
     timer = threading.Timer(0.4, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
@@ -197,7 +223,11 @@ def test_runs_leave_nothing_behind() -> None:
     references: list[Callable[[], object]] = []
     for _ in range(3):
         found = short("paper")
-        references += [weakref.ref(found), weakref.ref(found.series), weakref.ref(found.scenario.setup)]
+        references += [
+            weakref.ref(found),
+            weakref.ref(found.series),
+            weakref.ref(found.scenario.setup),
+        ]
         found.plot()
         del found
     gc.collect()
@@ -205,16 +235,23 @@ def test_runs_leave_nothing_behind() -> None:
 
 
 def test_a_team_flies_a_path() -> None:
-    """The team is that of `resized`; the payload's reference is the path, from its first row on, flat or not."""
+    """The team is that of `resized`.
+
+    The payload's reference is the path, from its first row on, flat or not.
+    """
     made = transport.team(3, vehicle="x500", load_kg=2, horizon=10)
     resized = transport.Scenario("resilient").resized(3, vehicle="x500", load_kg=2)
     assert made.digest() == resized.copy(horizon=10).digest()
     path = [[5.0, 1.0, 0.0, 0.0], [6.5, 1.15, 0.0, 0.0], [8.0, 1.3, 0.0, 0.0]]
     run = transport.fly(made, path=path, progress=False)
     assert run.completed
-    np.testing.assert_allclose(run.series["payload_reference_m"][[0, 30], 0], [0.0, 0.15], atol=1e-9)
+    np.testing.assert_allclose(
+        run.series["payload_reference_m"][[0, 30], 0], [0.0, 0.15], atol=1e-9
+    )
     flat = transport.Scenario("eight", phases=[path_phase(path, flat=True)])
     along, _ = flat.setup.maneuver.path(np.array([0.0, 1.5, 3.0]))
     np.testing.assert_allclose(along[:, 0], [0.0, 0.15, 0.3], atol=1e-9)
-    with pytest.raises(ArgumentError, match="path: expected two or more rows of t_s, x_m, y_m, z_m"):
+    with pytest.raises(
+        ArgumentError, match="path: expected two or more rows of t_s, x_m, y_m, z_m"
+    ):
         transport.fly(made, path=[[0.0, 1.0, 2.0]])

@@ -16,7 +16,11 @@ SOURCE = Path(transport.__file__).read_text(encoding="utf-8")
 
 def typed() -> dict[str, str]:
     """Return the names that type checkers see, with their modules."""
-    block = next(node for node in ast.parse(SOURCE).body if isinstance(node, ast.If) and "TYPE" in ast.dump(node.test))
+    block = next(
+        node
+        for node in ast.parse(SOURCE).body
+        if isinstance(node, ast.If) and "TYPE" in ast.dump(node.test)
+    )
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
     return {alias.name: str(node.module) for node in imports for alias in node.names}
 
@@ -32,12 +36,20 @@ def test_type_checkers_see_what_there_is() -> None:
 
 @pytest.mark.parametrize(
     ("use", "unused"),
-    [("transport", "{'numpy', 'pydantic', 'transport.interface'}"), ("transport.fly", "{'matplotlib'}")],
+    [
+        ("transport", "{'numpy', 'pydantic', 'transport.interface'}"),
+        ("transport.fly", "{'matplotlib'}"),
+    ],
 )
 def test_imports_wait_for_their_use(use: str, unused: set[str]) -> None:
-    """`import transport`, as the command line does first, loads no library of the interface; a run loads no figures."""
+    """`import transport`, as the command line does first, loads no library of the interface.
+
+    A run loads no figures.
+    """
     program = f"import sys, transport; {use}; print(sorted({unused} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     assert done.stdout.strip() == "[]"
 
 

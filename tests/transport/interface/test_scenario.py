@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import transport
-from protocol.scenario.file import find_scenario, read_scenario
 from transport.interface.settings import settings_of
+from transport.protocol.scenario.file import find_scenario, read_scenario
 
 READY = sorted(path.stem for path in find_scenario("paper").parent.glob("*.toml"))
 
@@ -65,7 +65,10 @@ REFUSED = [
 
 @pytest.mark.parametrize(("settings", "text"), REFUSED)
 def test_a_refused_change_leaves_it_as_it_was(settings: dict[str, Any], text: str) -> None:
-    """A value out of range, a mistyped key, an impossible hover, a broken relation: one line, and nothing changes."""
+    """A value out of range, a mistyped key, an impossible hover, a broken relation.
+
+    One line, and nothing changes.
+    """
     scenario = transport.Scenario("resilient")
     with pytest.raises(transport.ScenarioError) as caught:
         scenario.set(settings)
@@ -84,7 +87,10 @@ def test_changes_that_are_valid_only_together() -> None:
 
 
 def test_sections_are_attributes() -> None:
-    """Sections read and write; list entries count from 0, in dotted keys from 1; lists cannot be changed unnoticed."""
+    """Sections read and write.
+
+    List entries count from 0, in dotted keys from 1; lists cannot be changed unnoticed.
+    """
     scenario = transport.Scenario("resilient")
     links = scenario.links
     links.delay_s = 0.3
@@ -102,13 +108,22 @@ def test_sections_are_attributes() -> None:
 
 
 WRONG: list[tuple[dict[str, Any], str]] = [
-    ({"settings": {"links.delay_s": None}}, "links.delay_s=None: expected a valid number, got None"),
+    (
+        {"settings": {"links.delay_s": None}},
+        "links.delay_s=None: expected a valid number, got None",
+    ),
     ({"source": "resilent"}, "did you mean 'resilient'"),
     ({"source": "missing.toml"}, "no such file"),
     ({"settings": {"faults.event": [{1: 2}]}}, "faults.event.1.1: unknown key"),
     ({"settings": {"delay": 1}}, "did you mean 'delay_s'"),
-    ({"settings": {"links.delay_s": 0.1}, "delay_s": 0.1}, "delay_s: expected each key once, got links.delay_s twice"),
-    ({"horizn": 3}, "horizn: expected a dotted key such as 'links.delay_s' or a short name; did you mean 'horizon'"),
+    (
+        {"settings": {"links.delay_s": 0.1}, "delay_s": 0.1},
+        "delay_s: expected each key once, got links.delay_s twice",
+    ),
+    (
+        {"horizn": 3},
+        "horizn: expected a dotted key such as 'links.delay_s' or a short name; did you mean 'horizon'",
+    ),
 ]
 
 

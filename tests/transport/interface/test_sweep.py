@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import transport
-from model.compiled import compile_functions
+from transport.model.compiled import compile_functions
 
 PHASES = (
     {"name": "hover", "duration_s": 0.5, "displacement_m": [0.0, 0.0, 0.0]},
@@ -31,9 +31,14 @@ def table() -> transport.Sweep:
 
 
 def test_points_and_runs(table: transport.Sweep) -> None:
-    """The points are the combinations in order; random ones are repeated with each seed, others not."""
+    """The points are the combinations in order.
+
+    Random ones are repeated with each seed, others not.
+    """
     points = table.rows()
-    assert [(row["scenario"], row["links.delay_s"], row["loss"], row["flights"]) for row in points] == [
+    assert [
+        (row["scenario"], row["links.delay_s"], row["loss"], row["flights"]) for row in points
+    ] == [
         ("mine", 0.0, 0.0, 1),
         ("mine", 0.0, 0.3, 2),
         ("mine", 0.1, 0.0, 1),
@@ -50,20 +55,31 @@ def test_points_and_runs(table: transport.Sweep) -> None:
 def test_a_point_is_the_run_of_fly(table: transport.Sweep) -> None:
     """A run of a sweep has the numbers of the same run alone."""
     alone = transport.fly(base(), delay_s=0.1, loss=0.3, seed=1, progress=False)
-    (row,) = (r for r in table.rows("runs") if (r["links.delay_s"], r["loss"], r["seed"]) == (0.1, 0.3, 1))
+    (row,) = (
+        r for r in table.rows("runs") if (r["links.delay_s"], r["loss"], r["seed"]) == (0.1, 0.3, 1)
+    )
     assert row["cost_mean"] == alone.summary["cost"]["mean"]
     assert row["attitude_max_deg"] == alone.summary["attitude_max_deg"]
 
 
 @pytest.mark.slow
 def test_workers_do_not_change_results(table: transport.Sweep, tmp_path: Path) -> None:
-    """Two processes give the bits of one; a folder has tables and figure, and is resumed without a run."""
+    """Two processes give the bits of one.
+
+    A folder has tables and figure, and is resumed without a run.
+    """
     folder = tmp_path / "sweep"
-    parallel = transport.sweep({"mine": base()}, GRID, seeds=2, workers=2, folder=folder, progress=False)
+    parallel = transport.sweep(
+        {"mine": base()}, GRID, seeds=2, workers=2, folder=folder, progress=False
+    )
     assert parallel.rows("runs") == table.rows("runs")
     with (folder / "cases.csv").open(encoding="utf-8") as file:
-        assert [row["cost_mean"] for row in csv.DictReader(file)] == [str(r["cost_mean"]) for r in table.rows("runs")]
-    assert {"points.csv", "cases.csv", "figure.png", "figure.svg"} <= {path.name for path in folder.iterdir()}
+        assert [row["cost_mean"] for row in csv.DictReader(file)] == [
+            str(r["cost_mean"]) for r in table.rows("runs")
+        ]
+    assert {"points.csv", "cases.csv", "figure.png", "figure.svg"} <= {
+        path.name for path in folder.iterdir()
+    }
     lines = (folder / "results.jsonl").read_text(encoding="utf-8")
     transport.sweep({"mine": base()}, GRID, seeds=2, workers=1, folder=folder, progress=False)
     assert (folder / "results.jsonl").read_text(encoding="utf-8") == lines
@@ -74,10 +90,15 @@ def test_figures(table: transport.Sweep) -> None:
     first = table.plot()
     assert first.axes[-1].get_xlabel() == "delay of plans (ms)"
     assert [label.get_text() for label in first.axes[-1].get_xticklabels()] == ["0", "100"]
-    assert [text.get_text() for text in first.legends[0].get_texts()] == ["loss of plans 0 %", "loss of plans 30 %"]
+    assert [text.get_text() for text in first.legends[0].get_texts()] == [
+        "loss of plans 0 %",
+        "loss of plans 30 %",
+    ]
     assert table.plot("loss").axes[-1].get_xlabel() == "loss of plans (%)"
     assert table.plot(kind="map").axes[0].get_ylabel() == "loss of plans (%)"
-    with pytest.raises(transport.ArgumentError, match=r"x: expected one of links.delay_s, loss, got 'delay'"):
+    with pytest.raises(
+        transport.ArgumentError, match=r"x: expected one of links.delay_s, loss, got 'delay'"
+    ):
         table.plot("delay")
 
 
@@ -86,7 +107,10 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"grid": {"delay_s": 0.1}}, "delay_s: expected a list of values, got 0.1"),
     ({"grid": {"delay_s": []}}, "delay_s: expected different values, at least one, got"),
     ({"grid": {"delay_s": [0.1, 0.1]}}, "delay_s: expected different values"),
-    ({"grid": {"delay_s": [0.1], "links.delay_s": [0.2]}}, "each once, got ['links.delay_s', 'links.delay_s']"),
+    (
+        {"grid": {"delay_s": [0.1], "links.delay_s": [0.2]}},
+        "each once, got ['links.delay_s', 'links.delay_s']",
+    ),
     ({"grid": {"seed": [1, 2]}}, "grid: expected settings other than the seed"),
     ({"grid": GRID, "seeds": 0}, "seeds: expected a number >= 1, got 0"),
     (
@@ -111,8 +135,12 @@ def test_refused_before_the_first_run(tmp_path: Path) -> None:
     folder = tmp_path / "sweep"
     with pytest.raises(transport.ScenarioError, match="expected greater than or equal to 0"):
         transport.sweep("paper", {"delay_s": [0.0, -1.0]}, folder=folder, progress=False)
-    with pytest.raises(transport.ExperimentError, match="expected an address such as tcp://host:8786"):
-        transport.sweep("paper", {"delay_s": [0.0]}, workers="nowhere", folder=folder, progress=False)
+    with pytest.raises(
+        transport.ExperimentError, match="expected an address such as tcp://host:8786"
+    ):
+        transport.sweep(
+            "paper", {"delay_s": [0.0]}, workers="nowhere", folder=folder, progress=False
+        )
     assert not folder.exists()
 
 
@@ -125,7 +153,9 @@ def test_an_interrupt_ends_a_sweep(tmp_path: Path) -> None:
     for timer in timers:
         timer.start()
     with pytest.raises(KeyboardInterrupt):
-        transport.sweep(long, {"delay_s": [0.0]}, workers=1, folder=tmp_path / "sweep", progress=False)
+        transport.sweep(
+            long, {"delay_s": [0.0]}, workers=1, folder=tmp_path / "sweep", progress=False
+        )
     for timer in timers:
         timer.cancel()
     assert (tmp_path / "sweep" / "results.jsonl").exists()

@@ -1,0 +1,456 @@
+"""Error-state Kalman filter over the whole team, from the measurements of the UAVs' own sensors.
+
+No sensor sees the payload or the rods: they follow from where all UAVs are and how they move. The
+error of an estimate lives on the manifold of states, in 12 + 10 N coordinates about the estimate.
+
+The other agents act by the shared control law from their own estimates. Where an input of theirs is
+not told, the error of the estimate acts on it through the gain of that law, and so do the errors of
+their own estimates.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import product
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from transport.agent.announced import Silent, Untold
+from transport.agent.estimation import forces, kalman
+from transport.agent.estimation.belief import Belief, Covariance, Postponed, SavedGain
+from transport.agent.estimation.forces import Situation, UnknownForces
+from transport.agent.estimation.kalman import Correction, Observation
+from transport.agent.estimation.level import EXACT, WIND, Level, LevelRule, followed
+from transport.agent.estimation.manifold import Manifold
+from transport.agent.estimation.noise import FirstErrors, ForceNoise, LeastSensorNoise, ModelNoise
+from transport.agent.estimation.silent_team import SilentTeam
+from transport.model import motors, state
+from transport.model.arrays import Array
+from transport.model.discretisation import Discrete, zero_order_hold
+from transport.model.linearisation import Model
+from transport.protocol.scenario.setup import Setup
+
+# Roll and pitch beyond which an estimate is that of no team in flight, rad: Euler angles become
+# singular. A variance that no measurement of a UAV's own sensors leaves, SI.
+_STEEPEST = 1.4
+_LARGEST_VARIANCE = 1e4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Period:
+    """A sampling period of the team, as it is understood when its end is predicted."""
+
+    model: Model  # equations of motion
+    end: Array  # state predicted at its end, (n,), with motor lag (n + m,)
+    u: Array  # commanded inputs, (m,)
+    untold: Untold  # which of them follow the control law or the fail-safe
+    # Derivative of these inputs by the state, (m, n), with motor lag (m, n + m); None if all
+    # inputs have been told.
+    K: Array | None
+    correlation: float  # c, of the errors of the other agents' estimates with the own ones
+    # Where news of the others are overdue: how much they act alone, and c by input; else None.
+    silent: Silent | None = None
+
+    @property
+    def is_alone(self) -> bool:
+        """Return whether an untold input is partly that of a UAV alone."""
+        return self.silent is not None and bool(self.silent.alone[self.untold.by_law].any())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensed:
+    """Measurements of some sensors of a UAV."""
+
+    uav: int  # 0-based
+    sensors: tuple[int, ...]  # 0 position, 1 velocity, 2 attitude, 3 body rates, 4 specific force
+    values: Array  # of all its sensors, (15,), SI; those of other sensors are ignored
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entries:
+    """Places of measurements, (k,) each."""
+
+    within: npt.NDArray[np.intp]  # in the measurements of one UAV, 0 .. 14
+    all: npt.NDArray[np.intp]  # in those of all UAVs, 0 .. 15 N - 1
+    source: npt.NDArray[np.intp]  # index of the `Sensed` with the measurement
+    angles: npt.NDArray[np.intp]  # indices of attitudes among the k measurements
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Innovation:
+    """Measurements of a tick against their prediction by an estimate."""
+
+    place: Situation
+    entries: Entries
+    uavs: tuple[int, ...]  # sources of the measurements, 0-based
+    error: Array  # z - h(x), (k,)
+    R: Array  # variances of the sensors, (k,)
+
+
+class Filter(Protocol):
+    """Kalman filter of the team: a pure function from belief to belief."""
+
+    def first(self, x: Array) -> Belief:
+        """Return the belief without any measurement, about a state."""
+
+    def predict(self, belief: Belief, period: Period) -> Belief:
+        """Return the belief at the end of a sampling period."""
+
+    def correct(self, belief: Belief, model: Model, sensed: Sequence[Sensed]) -> Belief:
+        """Return the belief with measurements of its tick."""
+
+    def certain(self, belief: Belief, entries: npt.NDArray[np.intp]) -> Belief:
+        """Return the belief with some entries of the state certain."""
+
+    def forces(self, belief: Belief) -> Array | None:
+        """Return the estimated forces and mass error; None where they are not estimated."""
+
+    def is_plausible(self, belief: Belief) -> bool:
+        """Return whether a belief can be that of a team in flight."""
+
+
+class TeamFilter:
+    """The filter as in a textbook: `predict` (63) and `correct` (64).
+
+    Attributes:
+        N: Number of UAVs.
+        manifold: Coordinates of errors.
+        Q: Largest covariance of the model's errors per period, in the coordinates of a belief.
+    """
+
+    def __init__(self, setup: Setup, noise: ModelNoise | None = None) -> None:
+        system = setup.system
+        self.N = system.N
+        is_estimating = setup.scenario.controller.disturbance.estimate
+        self._system = system
+        self._u_hover = setup.hover.u
+        self._period_s = setup.settings.sampling_period_s
+        self._lag_s = setup.settings.motor_lag_s
+        self._noise = ModelNoise() if noise is None else noise
+        self._R = LeastSensorNoise().variances(setup.sensors)
+
+        # Coordinates: of the state, of the actual inputs with motor lag, of unknown forces.
+        self._lagging = system.m if self._lag_s > 0.0 else 0
+        self._unknowns = forces.COUNT if is_estimating else 0
+        self._unknown_forces = UnknownForces(setup.model) if is_estimating else None
+        self._rule: LevelRule = WIND if is_estimating else EXACT
+        self.manifold = Manifold(self.N, self._lagging)
+
+        self._silent = SilentTeam(setup)
+        self._P0 = self._first_covariance()
+        self._set_process_noise()
+
+    def _first_covariance(self) -> Array:
+        """Return the covariance before any measurement."""
+        deviations = [FirstErrors().by_coordinate(self.N), np.zeros(self._lagging)]
+        if self._unknowns:
+            deviations.append(ForceNoise().first(self._system))
+        return np.diag(np.concatenate(deviations) ** 2)
+
+    def _set_process_noise(self) -> None:
+        """Set the covariance of the model's errors: the part that the level scales, the rest."""
+        noise = self._noise
+        others = np.zeros(self._lagging + self._unknowns)
+
+        def diagonal(deviation: float) -> Array:
+            variances = noise.acceleration_variances(deviation, self._period_s, self.N)
+            return np.diag(np.concatenate([variances, others]))
+
+        if not self._unknowns:
+            self.Q = diagonal(noise.acceleration)
+            self._Q_beside = np.zeros_like(self.Q)
+            return
+
+        self._Q_beside = diagonal(noise.beside_forces)
+        self.Q = np.zeros_like(self._Q_beside)
+        self.Q[-self._unknowns :, -self._unknowns :] = ForceNoise().change(
+            self._system, self._period_s
+        )
+
+    def first(self, x: Array) -> Belief:
+        """Return the belief without any measurement, about a state: the start, and a new start."""
+        covariance = Covariance(P=self._P0, basis=self.manifold.basis(x))
+        slow = np.zeros(state.SENSED * self.N)
+        return Belief(
+            x=x,
+            unknowns=np.zeros(self._unknowns),
+            u=self._u_hover,
+            level=Level(value=self._rule.first, slow=slow),
+            source=covariance,
+        )
+
+    def forces(self, belief: Belief) -> Array | None:
+        """Return the estimated forces and mass error as `Model` takes them, (4 + 3 N,).
+
+        None where they are not estimated.
+        """
+        if self._unknown_forces is None:
+            return None
+        return self._unknown_forces.on_bodies(belief.x, belief.unknowns)
+
+    def process_noise(self, level: float) -> Array:
+        """Return the covariance of the model's errors per period at a level of them."""
+        return level * self.Q + self._Q_beside
+
+    def predict(self, belief: Belief, period: Period) -> Belief:
+        """Return the belief at the end of a sampling period.
+
+        Source: docs/equations.md (63).
+        """
+        covariance = self.predicted_covariance(belief, period)
+        unknowns = self.unknowns_ahead(belief, period)
+        return replace(belief, x=period.end, unknowns=unknowns, u=period.u, source=covariance)
+
+    def unknowns_ahead(self, belief: Belief, period: Period) -> Array:
+        """Return the unknown forces at the end of a period: as before, or nearer to zero, (63d)."""
+        if not period.is_alone:
+            return belief.unknowns
+        return self.kept_forces(period) * belief.unknowns
+
+    def kept_forces(self, period: Period) -> Array:
+        """Return the share of forces that is left after a period without news, (7,) or (0,).
+
+        As random walks, forces that own sensors do not tell apart have no bound. With news of all
+        others they are such walks; without any they return to zero, and their variance to that
+        before the first measurement. Source: docs/equations.md (63d).
+        """
+        if period.silent is None or not self._unknowns:
+            return np.ones(self._unknowns)
+        change = self.Q.diagonal()[-self._unknowns :]
+        first = self._P0.diagonal()[-self._unknowns :]
+        share = float(period.silent.alone[period.untold.by_law].mean())
+        return np.asarray((1.0 - change / first) ** (0.5 * share))
+
+    def is_plausible(self, belief: Belief) -> bool:
+        """Return whether a belief can be that of a team in flight: numbers in range, no body over."""
+        view = state.StateView(belief.x[: self._system.n])
+        tilts = np.concatenate([view.Theta0[:2], view.Theta[:, :2].reshape(-1)])
+        in_range = np.abs(belief.x).max() < state.LARGEST and np.isfinite(belief.unknowns).all()
+        if not in_range or np.abs(tilts).max() > _STEEPEST:
+            return False
+        source = belief.source
+        return not isinstance(source, Covariance) or bool(
+            source.P.diagonal().max() < _LARGEST_VARIANCE
+        )
+
+    def predicted_covariance(self, belief: Belief, period: Period) -> Covariance:
+        """Return the covariance at the end of a sampling period. Source: docs/equations.md (63)."""
+        after = self.manifold.basis(period.end)
+        place = self._situation(belief, period.model, period.u)
+        discrete = self._discrete(place, period.u)
+
+        A = self._transition(belief, period, place, discrete, after.L)
+        Q = self._period_noise(belief, period, discrete, after.L)
+        P = kalman.predict(belief.covariance.P, A, Q)
+        return Covariance(P=P, basis=after)
+
+    def _situation(self, belief: Belief, model: Model, u: Array) -> Situation:
+        """Return the place that a belief describes under inputs u, or lagging actual inputs."""
+        n = model.system.n
+        actual = belief.x[n:] if self._lagging else u
+        return Situation(model=model, x=belief.x[:n], actual=actual, forces=self.forces(belief))
+
+    def _discrete(self, place: Situation, u: Array) -> Discrete:
+        """Return the discrete linearisation about a place, (16), with motor lag (56)."""
+        model = place.model
+        linear = model.linearise(place.x, place.actual, forces=place.forces)
+        if self._lagging:
+            is_rates = model.system.commands_rates
+            linear = motors.lagged(linear, place.actual, u, self._lag_s, is_rates)
+        return zero_order_hold(linear, self._period_s, remainder=self._noise.remainder)
+
+    def _transition(
+        self, belief: Belief, period: Period, place: Situation, discrete: Discrete, L: Array
+    ) -> Array:
+        """Return the transition of all error coordinates over a period, A_xi of (63), (r, r)."""
+        T = belief.covariance.basis.T
+        untold = period.untold
+        by_forces = np.zeros((len(T), 0))
+        if self._unknown_forces is not None:
+            by_forces = self._unknown_forces.over_a_period(place, discrete.A, self._period_s)
+
+        # The others answer to their own estimates: the part c of their errors is the own one, and
+        # cancels. A fail-safe answers to the actual state.
+        #   dx(k+1) = (A + (1 - c) B_o K_o) T xi
+        ahead = discrete.A @ T
+        if period.silent is not None and period.K is not None:
+            ahead = ahead + discrete.B @ self._silent.gain(period.silent, period) @ T
+        elif period.K is not None:
+            closed = untold.by_law | untold.by_fail_safe
+            answered = np.where(untold.by_law, 1.0 - period.correlation, 1.0)
+            ahead = ahead + (discrete.B * answered)[:, closed] @ (period.K[closed] @ T)
+
+        s = T.shape[1]
+        A = np.eye(s + self._unknowns)
+        A[:s, :s] = L.T @ ahead
+        A[:s, s:] = L.T @ by_forces
+        if period.silent is not None and period.is_alone:
+            A[s:, s:] = np.diag(self.kept_forces(period))
+        return A
+
+    def _period_noise(self, belief: Belief, period: Period, discrete: Discrete, L: Array) -> Array:
+        """Return the covariance of all that errs in a period, (r, r): the last terms of (63)."""
+        by_law = period.untold.by_law
+        T = belief.covariance.basis.T
+        P = belief.covariance.P
+        s = T.shape[1]
+
+        # It is not known exactly when the fail-safe of another UAV took over, and at what thrust.
+        is_known_roughly = period.untold.by_fail_safe.any() or period.is_alone
+        level = 1.0 if is_known_roughly else belief.level.value
+        Q = self.process_noise(level)
+
+        # Inputs act late by the unknown lag of the motors.
+        #   B diag(lag / T_s du)^2 B'
+        share = self._noise.unknown_lag_s / self._period_s
+        late = L.T @ discrete.B * (share * (period.u - belief.u))
+        Q[:s, :s] += late @ late.T
+
+        # The part of the others' errors that the own one does not share.
+        #   (1 - c^2) B_xi K_o T P T' K_o' B_xi'
+        if period.silent is not None and period.K is not None:
+            Q[:s, :s] += self._silent.noise(period.silent, period, L.T @ discrete.B, T, P[:s, :s])
+        elif period.K is not None:
+            B_xi = L.T @ discrete.B[:, by_law]
+            K_T = period.K[by_law] @ T
+            own_part = 1.0 - period.correlation**2
+            Q[:s, :s] += own_part * B_xi @ (K_T @ P[:s, :s] @ K_T.T) @ B_xi.T
+        return Q
+
+    def correct(self, belief: Belief, model: Model, sensed: Sequence[Sensed]) -> Belief:
+        """Return the belief with measurements of its tick; those of released UAVs are ignored.
+
+        Source: docs/equations.md (64).
+        """
+        innovation = self.innovation(belief, model, sensed)
+        if innovation is None:
+            return belief
+        observation = self.observation(belief, innovation)
+        correction = kalman.correct(belief.covariance.P, observation)
+        return self.corrected(belief, innovation, observation, correction)
+
+    def innovation(
+        self, belief: Belief, model: Model, sensed: Sequence[Sensed]
+    ) -> Innovation | None:
+        """Return measurements against their prediction by a belief; None if there are none."""
+        sensed = [one for one in sensed if one.uav not in model.released]
+        if not sensed:
+            return None
+
+        place = self._situation(belief, model, belief.u)
+        entries = _entries(tuple((one.uav, one.sensors) for one in sensed))
+        values = np.array([one.values for one in sensed])
+
+        z = values[entries.source, entries.within]
+        h = model.sensed(place.x, place.actual, forces=place.forces)[entries.all]
+        error = z - h
+        error[entries.angles] -= 2.0 * np.pi * np.round(error[entries.angles] / (2.0 * np.pi))
+        return Innovation(
+            place=place,
+            entries=entries,
+            uavs=tuple(one.uav for one in sensed),
+            error=error,
+            R=self._R[entries.within],
+        )
+
+    def observation(self, belief: Belief, innovation: Innovation) -> Observation:
+        """Return an innovation with the derivative H = dh/dxi of its measurements."""
+        place = innovation.place
+        rows = innovation.entries.all
+        T = belief.covariance.basis.T
+        n = len(place.x)
+        s = T.shape[1]
+
+        #   H = [ dh/dx T,  dh/dF dF/d unknowns ]
+        _, slopes = place.model.sense(place.x, place.actual, forces=place.forces)
+        H = np.empty((len(rows), s + self._unknowns))
+        H[:, :s] = slopes[rows, :n] @ T[:n]
+        if self._unknown_forces is not None:
+            H[:, s:] = slopes[rows, n:] @ self._unknown_forces.derivative(place)
+        return Observation(error=innovation.error, H=H, R=innovation.R)
+
+    def corrected(
+        self,
+        belief: Belief,
+        innovation: Innovation,
+        observation: Observation,
+        correction: Correction,
+        saved: SavedGain | None = None,
+    ) -> Belief:
+        """Return the belief after a correction of least variance, with a gain to be used again."""
+        before = belief.covariance
+        covariance = Covariance(
+            P=kalman.corrected(before.P, correction.G, observation),
+            basis=before.basis,
+            squared_error=correction.squared_error,
+            measurements=len(observation.error),
+        )
+        innovations = (innovation.error, correction.S.diagonal(), innovation.R)
+        level = followed(
+            belief.level, self._rule, self._period_s, innovation.entries.all, innovations
+        )
+        deviation = self.in_state(before, correction.step)
+        return self.moved(belief, deviation, covariance, level, saved)
+
+    def in_state(self, covariance: Covariance, coordinates: Array) -> Array:
+        """Return coordinates, (r, ...), as deviations of state and unknown forces, (n + 7, ...)."""
+        T = covariance.basis.T
+        s = T.shape[1]
+        return np.concatenate([T @ coordinates[:s], coordinates[s:]])
+
+    def in_coordinates(self, covariance: Covariance, deviations: Array) -> Array:
+        """Return deviations of state and unknown forces, (n + 7, ...), in coordinates, (r, ...)."""
+        L = covariance.basis.L
+        n = len(L)
+        return np.concatenate([L.T @ deviations[:n], deviations[n:]])
+
+    def moved(
+        self,
+        belief: Belief,
+        deviation: Array,
+        source: Covariance | Postponed,
+        level: Level,
+        saved: SavedGain | None,
+    ) -> Belief:
+        """Return the belief with its estimate moved by deviations of state and unknown forces."""
+        n = len(belief.x)
+        return Belief(
+            x=self.manifold.moved(belief.x, deviation[:n]),
+            unknowns=belief.unknowns + deviation[n:],
+            u=belief.u,
+            level=level,
+            source=source,
+            saved=saved,
+        )
+
+    def certain(
+        self, belief: Belief, entries: npt.NDArray[np.intp], deviation: float = 1e-3
+    ) -> Belief:
+        """Return the belief with some entries of the state certain, as a failure sets them."""
+        covariance = belief.covariance
+        coordinates = np.flatnonzero(covariance.basis.T[entries].any(axis=0))
+        P = covariance.P.copy()
+        P[coordinates] = 0.0
+        P[:, coordinates] = 0.0
+        P[coordinates, coordinates] = deviation**2
+        return replace(belief, source=replace(covariance, P=P))
+
+
+@lru_cache  # one set of measurements is that of nearly all ticks
+def _entries(sensed: tuple[tuple[int, tuple[int, ...]], ...]) -> Entries:
+    """Return the places of measurements, from UAV and sensors of each source."""
+    places = [
+        (3 * sensor + axis, uav, source)
+        for source, (uav, sensors) in enumerate(sensed)
+        for sensor, axis in product(sensors, range(3))
+    ]
+    within, uavs, source = np.array(places, dtype=np.intp).T
+    is_angle = (within >= state.THETA.start) & (within < state.THETA.stop)
+    return Entries(
+        within=within,
+        all=within + state.SENSED * uavs,
+        source=source,
+        angles=np.flatnonzero(is_angle),
+    )

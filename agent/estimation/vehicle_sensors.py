@@ -1,0 +1,240 @@
+"""Estimator from the sensors of all UAVs: a Kalman filter, repeated where measurements came late.
+
+Messages hold measurements of the UAVs' own sensors and the inputs that their actuators applied. A
+tick has a belief before and after its measurements, and a late message has the filter repeat its
+work from that message's tick on.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from transport.agent.announced import AnnouncedInputs
+from transport.agent.estimation.belief import Belief
+from transport.agent.estimation.history import History, Recursion
+from transport.agent.estimation.motion import Failure, Motion
+from transport.agent.estimation.noise import OthersErrors
+from transport.agent.estimation.payload_pose import NAMES, pose_numbers
+from transport.agent.estimation.reports import News, Reports, UavReport, by_uav
+from transport.agent.estimation.team_filter import Filter, Period, Sensed
+from transport.model import state
+from transport.model.arrays import Array, ShapeError
+from transport.protocol.wire.messages import Measurement, Plan
+
+# Gain of the shared control law at a tick, (m, n), with motor lag (m, n + m); of UAVs without
+# agents their fail-safe's.
+Feedback = Callable[[int], Array]
+
+_INPUTS = slice(1 + state.SENSED, state.REPORTED)  # in a row of a plan, see `model.state.REPORTED`
+_VALUES = slice(1, 1 + state.SENSED)
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Beliefs at a tick."""
+
+    prior: Belief  # before its measurements
+    posterior: Belief  # after them
+
+
+class SensorEstimator:
+    """Estimator of the whole state, (n,), with motor lag [x, a], (n + m,), from the reference on.
+
+    Args:
+        motion: Prediction between ticks.
+        owned: UAVs of the agent, 0-based.
+        team_filter: Kalman filter of the team.
+        feedback: Gain by which the other agents answer to their estimates.
+        ages: Sampling periods from a quantity to its measurement, by sensor.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        owned: Sequence[int],
+        team_filter: Filter,
+        feedback: Feedback,
+        ages: Sequence[int],
+    ) -> None:
+        self.news = News()
+        self.resets: set[int] = set()  # ticks at which the filter began anew about the reference
+        self.forces: Array | None = None  # of the last estimate, (4 + 3 N,); None if not estimated
+        self._motion = motion
+        self._owned = list(owned)
+        self._filter = team_filter
+        self._feedback = feedback
+        self._oldest = max(ages)
+        self._sensors_by_age = [
+            (age, tuple(sensor for sensor, of_sensor in enumerate(ages) if of_sensor == age))
+            for age in sorted(set(ages))
+        ]
+        self._reports = Reports()
+        self._history: History[Tick] = History()
+
+    @property
+    def belief(self) -> Belief | None:
+        """Newest belief; None before the first estimate."""
+        newest = self._history.newest
+        return None if newest is None else newest.posterior
+
+    def take(self, plan: Plan) -> None:
+        """Take in the measurements of another agent at the last ticks before its plan's."""
+        if not self._history.keeps(plan.tick):
+            return
+        self.news.take(plan)
+        for uav, rows in zip(plan.uavs, plan.uav_states, strict=True):
+            for age, row in enumerate(rows.reshape(state.REPORTS, state.REPORTED)):
+                if row[0] > 0.0 and self._is_news(plan.tick - age, uav - 1):
+                    report = UavReport(values=row[_VALUES], inputs=row[_INPUTS])
+                    self._tell(plan.tick - age, uav - 1, report)
+
+    def measure(self, measurement: Measurement) -> None:
+        """Take in a measurement of a tick not later than the one to be estimated."""
+        self.news.take(measurement)
+        for uav, report in by_uav(measurement):
+            if self._is_news(measurement.tick, uav):
+                self._tell(measurement.tick, uav, report)
+
+    def _is_news(self, tick: int, uav: int) -> bool:
+        """Return whether a report of a UAV, 0-based, would change an estimate: most are repeats."""
+        return self._history.keeps(tick) and not self._reports.has(tick, uav)
+
+    def _tell(self, tick: int, uav: int, report: UavReport) -> None:
+        """Keep a report of a UAV, 0-based.
+
+        Its inputs acted in the period before; its measurements are of quantities up to the largest
+        age of a sensor before.
+        """
+        self._reports.tell(tick, uav, report)
+        self._history.tell(tick - self._oldest)
+        self._history.outdate_after(tick - 1)
+
+    def change(self, failure: Failure) -> None:
+        """Change the system at a tick, not before the previous change."""
+        self._motion.add(failure)
+        self._history.outdate_after(failure.tick - 1)
+
+    def estimate(self, k: int, announced: AnnouncedInputs) -> Array:
+        """Return the estimate at tick k, read-only, with the inputs between the ticks as known now.
+
+        Ticks come in order; gaps are bridged by prediction.
+        """
+
+        def following(entry: Tick, tick: int) -> Tick:
+            period = self._period(entry.posterior, tick, announced, k)
+            return self._following(entry.posterior, tick, period)
+
+        recursion = Recursion(begin=self._begin, corrected=self._corrected, following=following)
+        belief = self._history.advance(k, recursion).posterior
+        self._reports.forget_before(self._history.first)
+        self.forces = self._filter.forces(belief)
+        return belief.x
+
+    def past(self, tick: int) -> Array | None:
+        """Return the estimate at a past tick, read-only; None where it is not kept."""
+        entry = self._history.entry(tick)
+        return None if entry is None else entry.posterior.x
+
+    def start_state(self, tick: int) -> Array | None:  # noqa: ARG002  # of any tick
+        """Return None: a plan's first step differs from the law by its sender's errors."""
+        return None
+
+    def inputs_until(self, k: int, announced: AnnouncedInputs) -> Array:
+        """Return the inputs in force until tick k, after `estimate` for it, (4 N,).
+
+        They are the announced ones, the own ones as reported.
+        """
+        u = announced.in_force(k - 1, before=k, x=self.past(k - 1))
+        self._reports.apply_inputs(k, u)
+        return u
+
+    def reported(self, k: int, x: Array) -> Array:  # noqa: ARG002  # measurements, not the estimate
+        """Return measurements and inputs of the own UAVs for the plan of tick k, (owned, 80).
+
+        They are those of the last ticks, so that a lost plan takes none of them.
+        """
+        rows = np.zeros((len(self._owned), state.REPORTS, state.REPORTED))
+        for age in range(state.REPORTS):
+            reports = self._reports.uavs(k - age)
+            for index, uav in enumerate(self._owned):
+                report = reports.get(uav)
+                if report is not None:
+                    rows[index, age, 0] = 1.0
+                    rows[index, age, _VALUES] = report.values
+                    rows[index, age, _INPUTS] = report.inputs
+        return rows.reshape(len(self._owned), -1)
+
+    def log_numbers(self) -> Mapping[str, float]:
+        """Return the pose of the payload with its covariance for the log, by name."""
+        belief = self.belief
+        if belief is None:
+            return {}
+        try:
+            return dict(zip(NAMES, pose_numbers(belief).tolist(), strict=True))
+        except (ShapeError, np.linalg.LinAlgError):
+            return {}  # its covariance, computed only now, is out of range: the next tick begins anew
+
+    def _begin(self, tick: int) -> Tick:
+        """Return the beliefs about the reference, without any measurement: a new start."""
+        belief = self._filter.first(self._motion.reference_at(tick))
+        return Tick(prior=belief, posterior=belief)
+
+    def _period(self, belief: Belief, tick: int, announced: AnnouncedInputs, k: int) -> Period:
+        """Return the period after `tick` as it is understood at tick k."""
+        u = announced.in_force(tick, before=k, x=belief.x)
+        untold = announced.untold(tick, before=k)
+        self._reports.apply_inputs(tick + 1, u)
+        for uav in self._reports.uavs(tick + 1):
+            untold.tell(uav)
+
+        # The gain is that of the law of now, whenever the covariance is computed.
+        K = self._feedback(tick) if untold.any() else None
+        return Period(
+            model=self._motion.model_at(tick),
+            end=self._motion.predict(belief.x, tick, u, self._filter.forces(belief)),
+            u=u,
+            untold=untold,
+            K=K,
+            correlation=OthersErrors().correlation,
+            silent=announced.silent(tick, before=k),
+        )
+
+    def _following(self, belief: Belief, tick: int, period: Period) -> Tick:
+        """Return the beliefs after a period that began at `tick`."""
+        prior = self._filter.predict(belief, period)
+        for entries in self._motion.set_entries(period.end, tick + 1):
+            prior = self._filter.certain(prior, entries)
+        return self._corrected(Tick(prior=prior, posterior=prior), tick + 1)
+
+    def _corrected(self, entry: Tick, tick: int) -> Tick:
+        """Return the beliefs of a tick with all its measurements."""
+        posterior = self._plausible(entry.prior, tick)
+        if posterior is not None:
+            return Tick(prior=entry.prior, posterior=posterior)
+
+        # Out of range: begin anew about the reference. What led there may be a measurement of now.
+        self.resets.add(tick)
+        anew = self._filter.first(self._motion.reference_at(tick))
+        return Tick(prior=anew, posterior=self._plausible(anew, tick) or anew)
+
+    def _plausible(self, prior: Belief, tick: int) -> Belief | None:
+        """Return a belief with the measurements of its tick; None if numbers are out of range."""
+        try:
+            belief = self._filter.correct(prior, self._motion.model_at(tick), self._sensed(tick))
+        except (ShapeError, np.linalg.LinAlgError):
+            return None
+        return belief if self._filter.is_plausible(belief) else None
+
+    def told(self, tick: int, uav: int) -> UavReport | None:
+        """Return the report of a UAV, 0-based, at a tick; None without one."""
+        return self._reports.uavs(tick).get(uav)
+
+    def _sensed(self, tick: int) -> list[Sensed]:
+        """Return all measurements of quantities at a tick."""
+        sensed = []
+        for age, sensors in self._sensors_by_age:
+            reports = self._reports.uavs(tick + age)
+            for uav in sorted(reports):
+                sensed.append(Sensed(uav=uav, sensors=sensors, values=reports[uav].values))
+        return sensed

@@ -1,0 +1,83 @@
+"""The user's own constraints as text, on states or on inputs: docs/equations.md (30)."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from transport.model.arrays import Array
+from transport.mpc.constraints.block import Block
+from transport.mpc.decision import Decision
+from transport.mpc.expressions import UserConstraints
+from transport.mpc.shared_rows import default_penalty, share
+from transport.mpc.trajectory import Signals, Trajectory
+
+
+class OwnStates:
+    """Constraints on states, h(x) <= 0 or h(x) = 0, each soft one with a slack of its own."""
+
+    in_kernel: ClassVar = False
+
+    def __init__(self, decision: Decision) -> None:
+        settings, system = decision.settings, decision.system
+        penalty = default_penalty(settings.weights, system.N)
+        self._constraints = UserConstraints(settings.constraint, system, "state", penalty)
+        soft = np.flatnonzero(~np.isnan(self._constraints.penalty))
+        self.penalties = self._constraints.penalty[soft]
+
+        # h(x) - slack <= 0 in each step's rows.
+        of_step = np.zeros((len(self._constraints), len(soft)))
+        of_step[soft, np.arange(len(soft))] = -1.0
+        self.slack = np.tile(of_step, (decision.shape[0], 1))
+
+    def block(self, trajectory: Trajectory) -> Block:
+        """Return the rows of all of them at steps 1..N_p."""
+        signals = trajectory.of_states(self._constraints.at)
+        return _rows(signals, self._constraints.equality, self.slack)
+
+
+class OwnInputs:
+    """Constraints on inputs, g(u) <= 0 or g(u) = 0, always hard.
+
+    Constraints without an owned input are left to their owners.
+    """
+
+    in_kernel: ClassVar = False
+
+    def __init__(self, decision: Decision) -> None:
+        self._constraints = UserConstraints(decision.settings.constraint, decision.system, "input")
+        # Owned inputs in each constraint, of all inputs in it: (constraints, m).
+        depends = self._constraints.depends
+        self._kept = depends[:, decision.own].any(axis=1)
+        # Every agent corrects its share of what several of them keep.
+        self._share = share(depends[self._kept], decision.own)
+        self.is_shared = bool((self._share > 1.0).any())
+        self.penalties = np.zeros(0)
+        self.slack = np.zeros((decision.shape[0] * int(self._kept.sum()), 0))
+
+    def block(self, trajectory: Trajectory) -> Block:
+        """Return the rows of those with an owned input at steps 0..N_p - 1."""
+        signals = self._shared(trajectory.of_inputs(self._expand))
+        return _rows(signals, self._constraints.equality[self._kept], self.slack)
+
+    def _shared(self, signals: Signals) -> Signals:
+        """Return signals of which the own decision has a multiple of its effect, (30c)."""
+        if not self.is_shared:
+            return signals
+        by_row = np.tile(self._share, len(signals.values))
+        return Signals(values=signals.values, by_decision=lambda: by_row[:, None] * signals.effect)
+
+    def _expand(self, u: Array) -> tuple[Array, Array]:
+        """Return values and slopes of the kept constraints at inputs of all UAVs, (m,)."""
+        value, slope = self._constraints.at(u)
+        return value[self._kept], slope[self._kept]
+
+
+def _rows(signals: Signals, equality: Array, slack: Array) -> Block:
+    """Return rows signal <= 0, or signal = 0 where the constraint is an equality."""
+    lower = np.where(equality, -signals.values, -np.inf)
+    return Block(
+        effect=lambda: signals.effect,
+        lower=lower.reshape(-1),
+        upper=-signals.values.reshape(-1),
+        slack=slack,
+    )

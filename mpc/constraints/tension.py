@@ -1,0 +1,46 @@
+"""Smallest tension of the rods of the owned UAVs, softened: docs/equations.md (30b)."""
+
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from transport.model.dynamics import Symbols, motion
+from transport.mpc.constraints.block import Block
+from transport.mpc.decision import Decision
+from transport.mpc.expressions import Expressions
+from transport.mpc.settings import Tension as Settings
+from transport.mpc.trajectory import Trajectory
+
+
+class Tension:
+    """Limit on the tension of each rod of an owned UAV, without external forces."""
+
+    in_kernel: ClassVar = False
+
+    def __init__(self, decision: Decision, settings: Settings) -> None:
+        system = decision.system
+        symbols = Symbols.of(system.N, system.commands_rates)
+        no_forces = ca.SX.zeros(symbols.F.numel())
+        tensions = ca.substitute(motion(symbols).tensions, symbols.F, no_forces)
+
+        # minimum - tension, N: positive where a tension is too small.
+        self._lacking = Expressions(
+            [settings.minimum_N - tensions[uav] for uav in decision.uavs],
+            ca.vertcat(symbols.x, symbols.u),
+            symbols.p,
+            system.vector(),
+        )
+        self.penalties = np.array([settings.penalty])
+        self.slack = np.full((decision.shape[0] * len(decision.uavs), 1), -1.0)
+
+    def block(self, trajectory: Trajectory) -> Block:
+        """Return the rows minimum - tension - slack <= 0 at steps 0..N_p - 1."""
+        lacking = trajectory.of_states_and_inputs(self._lacking.at)
+        upper = -lacking.values.reshape(-1)
+        return Block(
+            effect=lambda: lacking.effect,
+            lower=np.full(len(upper), -np.inf),
+            upper=upper,
+            slack=self.slack,
+        )

@@ -1,0 +1,340 @@
+"""The shared control law of a team along a reference, as a value."""
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from transport.model import flat
+from transport.model.arrays import Array, continued, padded, rows
+from transport.model.flat import Track
+from transport.model.hover import Hover
+from transport.model.identity import digest
+from transport.model.parameters import ParameterError
+from transport.mpc.cost import Cost, CostToGo
+from transport.mpc.fail_safe import FailSafe
+from transport.mpc.feedback import FeedbackError, FeedbackLaw, Gains
+from transport.mpc.hover_law import Crew, HoverLaw, hover_law
+from transport.mpc.preview import Preview, preview
+from transport.mpc.reference import KEPT, Change, Sampled
+from transport.mpc.regulator import Regulator, Team
+from transport.mpc.shared import SharedResults
+from transport.mpc.steady_state import Target
+from transport.mpc.tracking import Recursion, Tracker
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TeamLaw:
+    """The control law u = u_rest + K (x - x_ref) + feedforward + c of a team along a reference."""
+
+    about_hover: HoverLaw
+    fail_safe: FailSafe  # of the UAVs without plans
+    preview: Preview | None = None  # response to a hover reference ahead
+    tracker: Tracker | None = None  # regulator along a flat reference
+
+    @property
+    def track(self) -> Track | None:
+        """The flat reference of this team."""
+        return self.fail_safe.track
+
+    @property
+    def team(self) -> Team:
+        """The team that the law is for: fewer failures than asked for if these leave no law."""
+        return self.about_hover.hovering.team
+
+    @property
+    def hover(self) -> Hover:
+        """The equilibrium of the team."""
+        return self.about_hover.hovering.hover
+
+    @property
+    def cost(self) -> Cost:
+        """The cost of the team."""
+        return self.about_hover.hovering.cost
+
+    @property
+    def regulator(self) -> Regulator | None:
+        """The regulator about hover; None if the settings need none."""
+        return self.about_hover.regulator
+
+    @property
+    def target(self) -> Target:
+        """The steady state under external forces."""
+        return self.about_hover.target
+
+    @property
+    def gain_source(self) -> Regulator | Tracker | None:
+        """The part that has the gains: the same object as long as these are the same."""
+        return self.about_hover.regulator if self.tracker is None else self.tracker
+
+    def over(
+        self, x0: Array, x_ref: Array, c: Array, forces: Array | None = None, start: int = 0
+    ) -> FeedbackLaw | None:
+        """Return the law over a horizon; None with open-loop prediction.
+
+        x0 is the state at instant `start`, (n,), or with motor lag (n + m,); reference states are
+        (N_p, n), corrections (N_p, m), forces in N, and a mass.
+        Source: docs/equations.md (35), (40), (73).
+        """
+        crew = self.about_hover.crew
+        if self.about_hover.regulator is None or crew.settings.prediction != "closed_loop":
+            return None
+        if self.tracker is not None and self.track is not None:
+            gains = self.tracker.over(start, len(x_ref))
+            return self._along(self.track, gains, x0, c, forces, start)
+        return self._about_hover(x0, x_ref, c, forces, start)
+
+    def _about_hover(
+        self, x0: Array, x_ref: Array, c: Array, forces: Array | None, start: int
+    ) -> FeedbackLaw:
+        """Return the law u = u_hover + M_u F + K (x - x_ref - M_x F) + c_ff, (35), (40)."""
+        law = self.about_hover
+        if law.regulator is None:
+            raise FeedbackError("expected a shared control law, got open-loop prediction")
+        u_rest = self.hover.u
+        error = self._error(x0, x_ref)
+        feedforward = self.feedforward(start, len(x_ref))
+        if forces is not None:
+            forces = law.hovering.model.at_rest(forces)
+            u_rest = u_rest + law.target.M_u @ forces
+            error = error - self._shift(forces)
+            feedforward = feedforward + law.forced[0] @ forces
+        return FeedbackLaw(
+            K=law.regulator.K, u_rest=u_rest, error=error, feedforward=feedforward, c=c
+        )
+
+    def _along(
+        self,
+        track: Track,
+        gains: Sequence[Gains],
+        x0: Array,
+        c: Array,
+        forces: Array | None,
+        start: int,
+    ) -> FeedbackLaw:
+        """Return the law along a flat reference, shifted by its derivatives by the forces, (73)."""
+        where = rows(start - track.first, len(gains), len(track.X))
+        u_rest = track.U[where]
+        error = x0 - track.X[where]
+        if forces is not None:
+            X_forces, U_forces = track.by_forces(where)
+            u_rest = u_rest + U_forces[..., : len(forces)] @ forces
+            error = error - X_forces[..., : len(forces)] @ forces
+        return FeedbackLaw(
+            K=np.array([at.K for at in gains]),
+            u_rest=u_rest,
+            error=error,
+            feedforward=np.array([at.feedforward for at in gains]),
+            c=c,
+            along=gains,
+        )
+
+    def inputs(self, x: Array, x_ref: Array, forces: Array | None, instant: int) -> Array | None:
+        """Return the inputs at one instant without corrections, (m,); None in open loop."""
+        law = self.over(x, x_ref[None], np.zeros((1, 0)), forces, instant)
+        return None if law is None else law.uncorrected[0]
+
+    def gain(self, instant: int) -> Array:
+        """Return the derivative of `inputs` by the state, (m, n), with motor lag (m, n + m)."""
+        if self.tracker is not None:
+            return self.tracker.over(instant, 1)[0].K
+        if self.about_hover.regulator is None:
+            raise FeedbackError("expected a shared control law, got open-loop prediction")
+        return self.about_hover.regulator.K
+
+    def cost_to_go(
+        self, x0: Array, x_ref: Array, forces: Array | None = None, instant: int = 0
+    ) -> CostToGo | None:
+        """Return the cost after the horizon; reference, (n,), and instant are those of step N_p.
+
+        Source: docs/equations.md (36d).
+        """
+        law = self.about_hover
+        is_riccati = law.crew.settings.terminal == "riccati"
+        if law.regulator is None or not is_riccati or self.track is not None:
+            return None
+
+        error = self._error(x0, x_ref)
+        slope = np.zeros_like(x0)
+        if self.preview is not None:
+            known = len(self.preview.slope)
+            slope = self.preview.slope[rows(instant - self.preview.first, 1, known)][0]
+        if forces is not None:
+            forces = law.hovering.model.at_rest(forces)
+            error = error - self._shift(forces)
+            slope = slope + law.forced[1] @ forces
+        return CostToGo(root=law.regulator.root, error=error, slope=slope)
+
+    def feedforward(self, start: int, steps: int) -> Array:
+        """Return the response to the reference ahead from instant `start` on, (steps, m).
+
+        Zero without preview. Source: docs/equations.md (36c).
+        """
+        if self.preview is None:
+            return np.zeros((steps, self.about_hover.hovering.model.system.m))
+        known = len(self.preview.slope)
+        return self.preview.feedforward[rows(start - self.preview.first, steps, known)]
+
+    def _error(self, x0: Array, x_ref: Array) -> Array:
+        """Return the deviation of a state from reference states, (..., n).
+
+        With motor lag the actual inputs deviate from hover.
+        """
+        if len(x0) > x_ref.shape[-1]:
+            u_hover = self.hover.u
+            actual = np.broadcast_to(u_hover, (*x_ref.shape[:-1], len(u_hover)))
+            x_ref = np.concatenate([x_ref, actual], axis=-1)
+        return x0 - x_ref
+
+    def _shift(self, forces: Array) -> Array:
+        """Return the deviation of the target from hover under forces, (n,).
+
+        With motor lag (n + m,): at rest the actual inputs are the command.
+        """
+        target = self.about_hover.target
+        shift: Array = target.M_x @ forces
+        if not self.about_hover.crew.settings.motor_lag_s:
+            return shift
+        return np.concatenate([shift, target.M_u @ forces])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Followed:
+    """What the laws of all teams follow: a reference, from its newest change on."""
+
+    fail_safe: FailSafe  # of the whole team
+    ahead: Change | None  # the part whose preview is computed; None without reference
+    preview_before: Preview | None = None  # the response to the reference before that part
+
+    @staticmethod
+    def of(crew: Crew, reference: Sampled | None) -> "Followed":
+        """Return the whole of a reference; without one the team hovers."""
+        if reference is None:
+            return Followed(fail_safe=_fail_safe(crew, crew.hover.x[None], None), ahead=None)
+        whole = Change(first=0, X=reference.X, track=reference.track)
+        fail_safe = _fail_safe(crew, reference.X, reference.track)
+        return Followed(fail_safe=fail_safe, ahead=whole)
+
+    @staticmethod
+    def after(crew: Crew, reference: Sampled, change: Change, law: TeamLaw) -> "Followed":
+        """Return a reference from its newest change on; before, the preview of a law stays."""
+        fail_safe = _fail_safe(crew, reference.X, reference.track)
+        return Followed(fail_safe=fail_safe, ahead=change, preview_before=law.preview)
+
+
+def team_law(crew: Crew, followed: Followed, team: Team) -> TeamLaw:
+    """Return the law of a team along the whole of a reference: equations.md (45), (50), (51).
+
+    If the remaining UAVs cannot stabilise the payload, the law is that of the team with the lost
+    agents, else without the failures, else of the whole team.
+    Raises: FeedbackError: the settings need a regulator, and none stabilises the whole team.
+    """
+    law = law_before_tracking(crew, followed, team)
+    if law.regulator is None or law.track is None:
+        return law
+    return replace(law, tracker=recursion_of(law, None, law.track.first).result())
+
+
+def law_before_tracking(crew: Crew, followed: Followed, team: Team) -> TeamLaw:
+    """Return the law of a team without the regulator along a flat reference, which takes longest.
+
+    Teams to fall back on and errors are those of `team_law`.
+    """
+    fewer = [team, Team(off=team.off, released=team.released), Team(gone=team.gone)]
+    for possible in fewer if any(team) else []:
+        with contextlib.suppress(FeedbackError, ParameterError):
+            return _law_of(crew, followed, possible)
+    return _law_of(crew, followed, Team())
+
+
+def _law_of(crew: Crew, followed: Followed, team: Team) -> TeamLaw:
+    """Return the law of exactly this team, without the regulator along a flat reference."""
+    fail_safe = followed.fail_safe
+    if team.off:
+        key = digest(crew.key, fail_safe.key, team)
+        fail_safe = _FAIL_SAFES.get(
+            key, lambda: followed.fail_safe.of_team(team.off, team.released)
+        )
+    about_hover = hover_law(crew, fail_safe, team)
+    return TeamLaw(
+        about_hover=about_hover, fail_safe=fail_safe, preview=_preview(about_hover, followed)
+    )
+
+
+def recursion_of(law: TeamLaw, before: Tracker | None, since: int) -> Recursion:
+    """Return the recursion to the regulator along the track of a law, shared by all agents.
+
+    Before the instant `since` the regulator `before` of another team holds.
+    """
+    track = law.track
+    if track is None:
+        raise FeedbackError("expected a flat reference, got one of hover")
+    key = digest(law.about_hover.key, track.key, since, None if before is None else before.key)
+    return _RECURSIONS.get(
+        key, lambda: Recursion(law.about_hover, law.fail_safe, track, key, before, since)
+    )
+
+
+def led_law(law: TeamLaw, followed: Followed) -> TeamLaw:
+    """Return the law of the same team after its reference has changed.
+
+    Gains and preview before the change stay as they were.
+    """
+    crew = law.about_hover.crew
+    changed = _law_of(crew, followed, law.team)
+    part = None if followed.ahead is None else followed.ahead.track
+    if part is None or law.regulator is None or law.tracker is None:
+        return changed
+
+    about_hover = law.about_hover
+    released = about_hover.hovering.team.released
+    if released:
+        hovering = about_hover.hovering
+        system, hover = hovering.model.system, hovering.hover
+        part = flat.track(system, hover, part.paths, part.first, released)
+    before = law.tracker
+    key = digest(about_hover.key, part.key, before.key)
+
+    def continued_tracker() -> Tracker:
+        recursion = Recursion(about_hover, changed.fail_safe, part, key, None, part.first)
+        return continued(before, recursion.result(), KEPT)
+
+    return replace(changed, tracker=_TRACKERS.get(key, continued_tracker))
+
+
+def _fail_safe(crew: Crew, X: Array, track: Track | None) -> FailSafe:
+    """Return the fail-safe of the whole team, which follows states, or keeps level."""
+    follows = crew.settings.fail_safe == "follow"
+    return FailSafe(crew.model.system, crew.hover.u, X if follows else None, track)
+
+
+def _preview(law: HoverLaw, followed: Followed) -> Preview | None:
+    """Return the response to a hover reference ahead, if the settings ask for it: (36b), (36c)."""
+    ahead = followed.ahead
+    if law.regulator is None or ahead is None or ahead.track is not None:
+        return None
+    if not law.crew.settings.preview:
+        return None
+    regulator = law.regulator
+
+    before = followed.preview_before
+
+    def computed() -> Preview:
+        # On the reference, the output error is zero; the user's terms are not.
+        costs = law.crew.user_costs
+        states = len(regulator.T)
+        values = np.array([costs.at(x)[0] for x in ahead.X])
+        pull = (np.sqrt(costs.weights) * values) @ padded(costs.about(law.hovering.hover.x), states)
+        # The actual inputs of the reference are those of hover: their deviation is zero.
+        response = preview(regulator, padded(ahead.X, states), pull, ahead.first)
+        return response if before is None else continued(before, response, KEPT)
+
+    by_before = None if before is None else (before.feedforward, before.slope, before.first)
+    return _PREVIEWS.get(digest(law.key, ahead.X, ahead.first, by_before), computed)
+
+
+_FAIL_SAFES: SharedResults[FailSafe] = SharedResults()
+_PREVIEWS: SharedResults[Preview] = SharedResults()
+_RECURSIONS: SharedResults[Recursion] = SharedResults()
+_TRACKERS: SharedResults[Tracker] = SharedResults()

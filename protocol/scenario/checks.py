@@ -1,0 +1,140 @@
+"""Checks of a run that its objects allow: ground, limits at hover, and limits along the reference.
+
+Each yields the field of the scenario, and what was expected there and came.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from transport.model.arrays import Array
+from transport.model.hover import Hover, failed_hover, with_released
+from transport.model.linearisation import Model
+from transport.model.maneuver import Maneuver
+from transport.model.obstacles import Obstacle, bodies, clearances
+from transport.model.parameters import ParameterError, System, resting_height
+from transport.mpc.reference import Reference
+from transport.mpc.settings import ControllerSettings
+from transport.protocol.scenario.faults import Fault, failures
+from transport.protocol.scenario.plant_sections import PlantSection
+from transport.protocol.scenario.targets import ON_GROUND_M, exceeded, least_slowing
+
+Problems = Iterator[tuple[str, str]]  # field of a scenario; expected and got
+
+
+def off_ground(system: System, maneuver: Maneuver, ground_m: float | None) -> Problems:
+    """Yield take-offs and landings that are not from or on the ground, and phases below it."""
+    if ground_m is None:
+        return  # without take-offs and landings: protocol.scenario.relations
+    resting_m = resting_height(system, ground_m)
+    ground = f"z = {resting_m:g} m, where the payload stands on the ground"
+    height_m = float(maneuver.start_I[2])
+    if height_m > resting_m + ON_GROUND_M:
+        yield "maneuver.start_m", f"expected a start above {ground}, got {height_m:g}"
+
+    for number, phase in enumerate(maneuver.phases, start=1):
+        field = f"maneuver.phase.{number}"
+        before_m = height_m
+        height_m = height_m + float(phase.displacement_I[2])
+        on_ground = {"take_off": ("a take-off from", before_m), "land": ("a landing at", height_m)}
+        kind, got_m = on_ground.get(phase.kind, ("", resting_m))
+        if abs(got_m - resting_m) > ON_GROUND_M:
+            yield field, f"expected {kind} {ground}, got {got_m:g}"
+        elif height_m > resting_m + ON_GROUND_M:
+            yield field, f"expected a path above {ground}, got {height_m:g}"
+
+
+def off_hover(
+    model: Model, hover: Hover, settings: ControllerSettings, plant: PlantSection
+) -> Problems:
+    """Yield limits on thrust, tension or the distance of UAVs that hover exceeds."""
+    rotors = plant.motors.rotors
+    for uav, thrust_N in enumerate(hover.u[::4], start=1):
+        limits = settings.limits.thrust_N
+        if not limits[0] <= thrust_N <= limits[1]:
+            problem = f"the hover thrust {thrust_N:.2f} N of UAV{uav}"
+            yield "controller.limits.thrust_N", _not_within(problem, limits)
+        if rotors and not rotors.thrust_N[0] <= 0.25 * thrust_N <= rotors.thrust_N[1]:
+            problem = f"a quarter of the hover thrust {0.25 * thrust_N:.2f} N of UAV{uav}"
+            yield "plant.motors.rotors.thrust_N", _not_within(problem, rotors.thrust_N)
+
+    tension = settings.tension
+    least_N = float(hover.tensions.min())
+    if tension is not None and least_N <= tension.minimum_N:
+        expected = f"expected less than {least_N:.2f} N (hover)"
+        yield "controller.tension.minimum_N", f"{expected}, got {tension.minimum_N}"
+
+    if settings.separation is not None:
+        minimum_m = settings.separation.minimum_m
+        r = model.outputs(hover.x)[: 3 * model.system.N].reshape(-1, 3)
+        distances = [float(np.linalg.norm(a - b)) for a, b in combinations(r, 2)]
+        least_m = min(distances, default=math.inf)
+        if least_m < minimum_m:
+            expected = f"expected at most {least_m:.3f} m (hover)"
+            yield "controller.separation.minimum_m", f"{expected}, got {minimum_m}"
+
+
+def _not_within(quantity: str, limits: Sequence[float]) -> str:
+    """Return the text for a range that does not contain a quantity."""
+    return f"expected a range that contains {quantity}, got {list(limits)}"
+
+
+def off_limits(
+    reference: Reference,
+    system: System,
+    hover: Hover,
+    settings: ControllerSettings,
+    faults: Sequence[Fault],
+) -> Problems:
+    """Yield how a flat reference exceeds the limits, and the least slowing with which it does not.
+
+    Also after each scripted release, for the UAVs left. Source: docs/equations.md (69).
+    """
+    if not reference.is_flat:
+        return
+    released = [fault for fault in failures(faults) if fault.do == "release"]
+    field = "maneuver.profile"
+    try:
+        path = reference.maneuver.jets(reference.times_s)
+        for count in range(len(released) + 1):
+            first = 0
+            field = "maneuver.phase"
+            if count:
+                first = released[count - 1].tick
+                field = "faults.event"
+            gone = frozenset(fault.uav for fault in released[:count])
+            left = with_released(system, gone)
+            at_rest = failed_hover(system, gone, gone) if gone else hover
+
+            problem = exceeded(path[:, first:], left, at_rest, settings, gone)
+            if problem:
+                # After slowing, the release may be anywhere on the path.
+                factor = least_slowing(path, left, at_rest, settings, gone)
+                yield field, problem + _slower(factor)
+    except ParameterError as error:
+        yield field, str(error)
+
+
+def _slower(factor: float | None) -> str:
+    """Return the remedy for a reference that exceeds limits, if there is one."""
+    if factor is None:
+        return ""
+    return f"; feasible if all phases take {factor:.3f} times as long"
+
+
+def blocked(
+    reference: Reference, obstacles: Sequence[Obstacle], system: System, times_s: Array
+) -> tuple[int, str] | None:
+    """Return the number, from 1, of the first obstacle that is too near, and the problem."""
+    names = bodies(system.N)
+    for number, obstacle in enumerate(obstacles, start=1):
+        clear_m = clearances(system, obstacle, reference.states(times_s))
+        margins_m = obstacle.margins(system.N)
+        row, body = np.unravel_index(np.argmin(clear_m - margins_m), clear_m.shape)
+        if clear_m[row, body] < margins_m[body]:
+            between = f"{names[body]} and the {obstacle.name} along the reference"
+            got = f"{max(float(clear_m[row, body]), 0.0):.3g} m at {times_s[row]:g} s"
+            return number, f"expected {margins_m[body]:g} m between {between}, got {got}"
+    return None

@@ -1,0 +1,33 @@
+"""The command `transport worst`: what it finds can be flown again, with the same bits everywhere."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import transport as command
+from tests.support.runs import SHORT
+
+SEARCH = ("worst", "resilient", "--over", "gusts,deaths", "--budget", "8", "--limit", "0.2")
+
+
+@pytest.mark.slow
+def test_the_minimal_case_is_flown_again_with_the_same_bits(tmp_path: Path) -> None:
+    """The file fails in memory and with processes alike, and says so in its comment."""
+    folder = tmp_path / "worst"
+    words = [*SEARCH, "--set", SHORT, "--out", str(folder), "--format", "json"]
+    done = command(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["failures"] > 0
+    file = folder / "minimal.toml"
+    assert file.read_text(encoding="utf-8").startswith("# Minimal case of a search on resilient")
+    assert (folder / "minimal.png").stat().st_size > 0
+
+    import transport
+
+    in_memory = transport.fly(file, progress=False)
+    with_processes = transport.fly(file, processes=True, folder=tmp_path / "run", progress=False)
+    assert in_memory.summary["attitude_max_deg"] == with_processes.summary["attitude_max_deg"]
+    assert in_memory.summary["cost"] == with_processes.summary["cost"]
+    assert in_memory.summary["attitude_max_deg"] > 0.2

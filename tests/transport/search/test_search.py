@@ -1,0 +1,166 @@
+"""Searches: deterministic, resumed, better than chance, and minimal in what they hand over."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.runs import SCENARIOS, SHORT
+from transport.experiments.cases import ExperimentError
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.file import read_scenario
+from transport.search.candidate import Base, Candidate
+from transport.search.evaluation import Evaluation, Problem
+from transport.search.events import Death, Gusts, Silence
+from transport.search.objective import Objective
+from transport.search.optimiser import Optimiser
+from transport.search.search import Evaluations, Flown, Search
+from transport.search.space import Space, read_bounds
+
+FILE = SCENARIOS / "resilient.toml"
+KINDS = ("silence", "deaths", "gusts")
+WINDOW_S = (6.0, 7.0)  # the planted fault: a silence that begins here, while agent 3 is dead
+
+
+class Quiet:
+    """Progress that nobody sees."""
+
+    def show(self, one: Flown) -> None:
+        """Tell nothing."""
+
+    def shrinking(self, candidate: Candidate, evaluations: int) -> None:
+        """Tell nothing."""
+
+
+class Planted(Problem):
+    """A problem whose runs fail by a formula: a coincidence of a death and a silence."""
+
+    def evaluate(self, candidate: Candidate) -> Evaluation:
+        """Return a robustness that falls towards the coincidence."""
+        silences = [event for event in candidate.events if isinstance(event, Silence)]
+        deaths = [event for event in candidate.events if isinstance(event, Death)]
+        begins = [abs(one.start_s - np.mean(WINDOW_S)) for one in silences]
+        dead = any(death.agent == 3 and death.at_s < WINDOW_S[0] for death in deaths)
+        away_s = min(begins, default=20.0) + (0.0 if dead else 10.0)
+        robustness = min(1.0, (away_s - 0.5) / 20.0)
+        outcome = "completed" if robustness >= 0.0 else "failed"
+        key = self.key(candidate)
+        return Evaluation(
+            key=key, robustness=float(robustness), value=0.0, outcome=outcome, end_s=0.0
+        )
+
+    def with_perfect_information(self, candidate: Candidate) -> Evaluation:
+        """Return that the centralized controller survives."""
+        return self.evaluate(Candidate(()))
+
+
+def planted() -> Planted:
+    """Return the planted problem on the ready scenario."""
+    scenario = read_scenario(FILE)
+    base = Base(scenario=scenario, source=str(FILE))
+    return Planted(base=base, objective=Objective.of("attitude", None, scenario))
+
+
+def fly(problem: Problem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
+    """Evaluate in this process."""
+    return [problem.evaluate(candidate) for candidate in candidates]
+
+
+def backwards(problem: Problem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
+    """Evaluate in another order, as workers of different speed do."""
+    return [problem.evaluate(candidate) for candidate in reversed(candidates)]
+
+
+def search(budget: int, seed: int = 0, *, until_failure: bool = False) -> Search:
+    """Return a search for the planted coincidence."""
+    problem = planted()
+    space = Space(KINDS, read_bounds(None, 25.0), problem.base.scenario)
+    return Search(
+        problem=problem, space=space, budget=budget, seed=seed, until_failure=until_failure
+    )
+
+
+def test_a_search_does_not_depend_on_the_order_of_results() -> None:
+    """Workers of any speed give the same cases, the same worst and the same minimal one."""
+    one = search(160).run(Evaluations(None, {}), fly, Quiet())
+    other = search(160).run(Evaluations(None, {}), backwards, Quiet())
+    assert one == other
+
+
+def test_a_search_that_was_killed_gives_the_result_of_one_that_was_not(tmp_path: Path) -> None:
+    """What was evaluated before the kill is not flown again, a cut line of the file excepted."""
+    whole = search(160).run(Evaluations(None, {}), fly, Quiet())
+    first = Evaluations(tmp_path / "out", {"seed": 0})
+    search(80).run(first, fly, Quiet())
+    first.close()
+    file = tmp_path / "out" / "evaluations.jsonl"
+    file.write_bytes(file.read_bytes()[:-20])
+
+    flown: list[Candidate] = []
+
+    def counting(problem: Problem, candidates: Sequence[Candidate]) -> Iterable[Evaluation]:
+        flown.extend(candidates)
+        return fly(problem, candidates)
+
+    second = Evaluations(tmp_path / "out", {"seed": 0})
+    resumed = search(160).run(second, counting, Quiet())
+    second.close()
+    assert resumed == whole
+    assert 0 < len(flown) <= 81
+
+
+def test_a_folder_of_another_search_is_refused(tmp_path: Path) -> None:
+    """A search continues only one of the same scenario, space and seed."""
+    Evaluations(tmp_path / "out", {"seed": 0}).close()
+    with pytest.raises(ExperimentError, match="one of the same search"):
+        Evaluations(tmp_path / "out", {"seed": 1})
+
+
+def test_the_minimal_case_has_the_two_events_of_the_coincidence() -> None:
+    """Whatever else was drawn, shrinking leaves the death and the silence, with round numbers."""
+    result = search(400).run(Evaluations(None, {}), fly, Quiet())
+    assert result.minimal is not None
+    kinds = sorted(type(event).__name__ for event in result.minimal.candidate.events)
+    assert kinds == ["Death", "Silence"]
+    death = next(event for event in result.minimal.candidate.events if isinstance(event, Death))
+    assert 2.0 * death.at_s == round(2.0 * death.at_s)
+    assert death.back_after_s is None
+    assert not result.minimal.beyond_physics
+
+
+def test_the_optimiser_beats_chance() -> None:
+    """On a smooth valley the best of 160 points is nearer than the best of 480 random ones."""
+    target = np.full(12, 0.3)
+    optimiser = Optimiser(12, seed=3)
+    best = np.inf
+    for _ in range(20):
+        points = optimiser.ask()
+        values = [float(np.square(point - target).sum()) for point in points]
+        optimiser.tell(points, values)
+        best = min(best, *values)
+    random = np.random.default_rng(3).random((480, 12))
+    assert best < np.square(random - target).sum(axis=1).min()
+
+
+def test_a_scenario_that_fails_without_events_is_refused() -> None:
+    """A search needs a run that holds its limit; otherwise every case would be a finding."""
+    problem = planted()
+    limit = Objective.of("separation", 10.0, problem.base.scenario)
+    scenario = read_scenario(FILE, [SHORT])
+    base = Base(scenario=scenario, source=str(FILE))
+    failing = Problem(base=base, objective=limit)
+    space = Space(KINDS, read_bounds(None, 25.0), scenario)
+    with pytest.raises(ScenarioError, match="holds its limit without events"):
+        Search(problem=failing, space=space, budget=8).run(Evaluations(None, {}), fly, Quiet())
+
+
+def test_a_run_ends_as_soon_as_it_has_failed() -> None:
+    """A run past the limit of attitude is not flown on; the end is the time of the failure."""
+    scenario = read_scenario(FILE, [SHORT])
+    base = Base(scenario=scenario, source=str(FILE))
+    problem = Problem(base=base, objective=Objective.of("attitude", 0.005, scenario))
+    evaluation = problem.evaluate(Candidate((Gusts(speed_mps=1.0, seed=1),)))
+    assert evaluation.outcome == "failed"
+    assert 0.0 < evaluation.end_s < 1.4
+    assert evaluation.robustness == pytest.approx(evaluation.end_s / 1.5 - 1.0)

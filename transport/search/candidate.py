@@ -1,0 +1,81 @@
+"""A candidate of a search: a scenario with events, and its simpler neighbours."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from transport.protocol.scenario.file import validate
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.team import FEWEST, resized
+from transport.search.events import Death, Event, Silence, changes_of_links
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Base:
+    """The scenario that a search disturbs."""
+
+    scenario: Scenario
+    source: str  # its file, for errors
+
+    def of_size(self, uavs: int) -> "Base":
+        """Return the same with a smaller team, each agent with one UAV."""
+        smaller = resized(self.scenario, uavs, group=1, name=None, source=self.source)
+        return replace(self, scenario=smaller)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """Events, in the order in which they are told."""
+
+    events: tuple[Event, ...]
+
+    def scenario(self, base: Base) -> Scenario:
+        """Return the scenario with the events. Raises: ScenarioError: it is impossible."""
+        tree = base.scenario.tree()
+        agents = len(base.scenario.owned)
+        silences = [event for event in self.events if isinstance(event, Silence)]
+        for event in self.events:
+            if not isinstance(event, Silence):
+                event.apply(tree)
+        changes = changes_of_links(silences, agents, tree["links"]["loss"])
+        tree["links"]["change"] = [*tree["links"]["change"], *changes]
+        tree["faults"]["event"].sort(key=lambda fault: fault["at_s"])
+        return validate(tree, str(Path(base.source)))
+
+    def without(self, index: int) -> "Candidate":
+        """Return the candidate without one event."""
+        return Candidate(self.events[:index] + self.events[index + 1 :])
+
+    def simpler(self) -> Iterator["Candidate"]:
+        """Yield candidates with one event less, then those with one event made simpler."""
+        for index in range(len(self.events)):
+            yield self.without(index)
+        for index, event in enumerate(self.events):
+            for other in event.simpler():
+                yield Candidate((*self.events[:index], other, *self.events[index + 1 :]))
+
+    def smaller_teams(self, base: Base) -> Iterator[Base]:
+        """Yield smaller teams in which every agent of the events exists, the smallest first."""
+        agents = len(base.scenario.owned)
+        if agents < len(base.scenario.system.uav):
+            return
+        for uavs in range(max(FEWEST, self._last_agent()), agents):
+            yield base.of_size(uavs)
+
+    def _last_agent(self) -> int:
+        """Return the largest number of an agent in the events; 0 without one."""
+        numbers = [0]
+        for event in self.events:
+            if isinstance(event, Silence):
+                numbers += event.agents
+            elif isinstance(event, Death):
+                numbers.append(event.agent)
+        return max(numbers)
+
+    def beyond_network(self) -> "Candidate":
+        """Return the events that a centralized controller with perfect information meets, too."""
+        return Candidate(tuple(event for event in self.events if not event.of_network))
+
+    def in_words(self) -> str:
+        """Return the events as one sentence."""
+        return "; ".join(event.in_words() for event in self.events) or "no event"

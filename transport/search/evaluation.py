@@ -1,0 +1,142 @@
+"""Evaluation of a candidate: simulated in memory, ended as soon as it has failed for certain."""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from transport.analysis.metrics import summarise
+from transport.flight.memory import simulate
+from transport.log.run_log import Recorded, RunLog
+from transport.model.state import StateView
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.schema import Scenario
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, PlantState
+from transport.search.candidate import Base, Candidate
+from transport.search.objective import Objective
+
+REFUSED = "refused"  # outcome of a candidate that the scenario refuses
+
+
+class _Decided(Exception):  # noqa: N818 - no error: the run has failed, the rest of it tells nothing
+    """Ends a run whose attitude has passed the limit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """Result of a candidate."""
+
+    key: str  # of candidate, scenario and objective
+    robustness: float
+    value: float  # of the objective
+    outcome: str  # as in a summary; "failed" where the run was ended at its limit; "refused"
+    end_s: float  # scenario time of the end
+    reason: str = ""  # why it was refused
+
+    @property
+    def failed(self) -> bool:
+        """Return whether the run has failed; a refused candidate has not been flown."""
+        return self.robustness < 0.0 and self.outcome != REFUSED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Problem:
+    """Scenario and objective of a search: what turns a candidate into a number."""
+
+    base: Base
+    objective: Objective
+
+    def key(self, candidate: Candidate) -> str:
+        """Return the fingerprint of a candidate."""
+        events = [(type(event).__name__, asdict(event)) for event in candidate.events]
+        content = [self.base.scenario.digest(), asdict(self.objective), events]
+        text = json.dumps(content, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def evaluate(self, candidate: Candidate) -> Evaluation:
+        """Simulate a candidate. One that the scenario refuses is as far from failing as can be."""
+        key = self.key(candidate)
+        try:
+            scenario = candidate.scenario(self.base)
+            setup = Setup.of(scenario, self.base.source)
+        except ScenarioError as error:
+            reason = str(error)
+            return Evaluation(
+                key=key, robustness=1.0, value=0.0, outcome=REFUSED, end_s=0.0, reason=reason
+            )
+        return self.flown(key, setup)
+
+    def flown(self, key: str, setup: Setup) -> Evaluation:
+        """Simulate a run."""
+        period_s = setup.settings.sampling_period_s
+        messages: list[Recorded] = []
+        end_tick = 0
+
+        def record(message: Message) -> None:
+            nonlocal end_tick
+            messages.append(Recorded(message=message, received_ns=0))
+            if isinstance(message, PlantState):
+                end_tick = message.tick
+                if self._decides(message):
+                    raise _Decided
+
+        try:
+            control = simulate(setup, record)
+        except _Decided:
+            outcome = "failed"
+        else:
+            outcome = control.outcome
+        summary = summarise(setup, RunLog(header={}, messages=tuple(messages), cut=""))
+        value = self.objective.value(summary)
+        survived = 1.0 if outcome == "completed" else end_tick / setup.ticks
+        return Evaluation(
+            key=key,
+            robustness=self.objective.robustness(value, survived),
+            value=value,
+            outcome=outcome,
+            end_s=round(end_tick * period_s, 6),
+        )
+
+    def _decides(self, state: PlantState) -> bool:
+        """Return whether a state alone is a failure."""
+        if self.objective.measure != "attitude":
+            return False
+        attitude_rad = np.abs(StateView(state.x).Theta0).max()
+        return bool(np.degrees(attitude_rad) > self.objective.limit)
+
+    def with_perfect_information(self, candidate: Candidate) -> Evaluation:
+        """Evaluate the events with one agent for all UAVs, the plant's state, and a perfect network.
+
+        A case that fails here as well is beyond physics and the control law, not a fault of the
+        network.
+        """
+        base = Base(scenario=_centralized(self.base.scenario), source=self.base.source)
+        problem = Problem(base=base, objective=self.objective)
+        return problem.evaluate(candidate.beyond_network())
+
+
+def _centralized(scenario: Scenario) -> Scenario:
+    """Return a scenario with one agent for all UAVs, which knows the state at once."""
+    tree: dict[str, Any] = scenario.tree()
+    tree["agents"]["owned"] = [[uav["id"] for uav in tree["system"]["uav"]]]
+    tree.pop("links", None)
+    tree.pop("radio", None)
+    tree["faults"]["event"] = [
+        fault for fault in tree["faults"]["event"] if fault["target"].startswith("uav")
+    ]
+    tree["plant"]["sensors"] = "state"
+    tree["plant"].pop("noise", None)
+    tree["controller"]["estimator"] = "measured"
+    return Scenario.model_validate(tree)
+
+
+Evaluate = Callable[[Problem, Sequence[Candidate]], Iterator[Evaluation]]
+
+
+def one_by_one(problem: Problem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
+    """Evaluate candidates in this process."""
+    return map(problem.evaluate, candidates)

@@ -1,0 +1,80 @@
+"""Robustness of a run: how far it is from failing, below zero once it has failed."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.schema import Scenario
+
+Measure = Literal["attitude", "separation", "payload", "constraint", "cost"]
+MEASURES = get_args(Measure)
+
+# Default limits: attitude and payload error as in docs/guarantees.md; violation of the user's own
+# constraints and of the limits, in their units; cost as a multiple of the run without events.
+_LIMITS: Mapping[str, float] = {"attitude": 10.0, "payload": 1.0, "constraint": 0.1, "cost": 10.0}
+_SEPARATION_SHARE = 0.9  # of the minimum of the constraint, which is soft
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Objective:
+    """A number of a run and its limit."""
+
+    measure: Measure
+    limit: float  # deg, m, m, the constraint's unit, cost
+
+    @staticmethod
+    def of(measure: str, limit: float | None, scenario: Scenario) -> "Objective":
+        """Return an objective with its default limit. Raises: ScenarioError: there is no such one."""
+        if measure not in MEASURES:
+            expected = f"expected one of {', '.join(MEASURES)}"
+            raise ScenarioError("--objective", "", f"{expected}, got {measure!r}")
+        if limit is not None and not (math.isfinite(limit) and limit > 0.0):
+            raise ScenarioError("--limit", "", f"expected a number above 0, got {limit:g}")
+        if limit is None and measure == "separation":
+            separation = scenario.controller.separation
+            limit = _SEPARATION_SHARE * (separation.minimum_m if separation else 0.4)
+        return Objective(
+            measure=measure,  # type: ignore[arg-type]  # checked above
+            limit=_LIMITS.get(measure, 1.0) if limit is None else limit,
+        )
+
+    def value(self, summary: Mapping[str, Any]) -> float:
+        """Return the number of a run; infinite (zero for a distance) where the run has none."""
+        value = {
+            "attitude": summary["attitude_max_deg"],
+            "separation": summary["separation_min_m"],
+            "payload": summary["payload_tracking"]["max_m"],
+            "constraint": summary["constraint_violation_max"],
+            "cost": summary["cost"]["mean"],
+        }[self.measure]
+        if value is None:
+            return 0.0 if self.measure == "separation" else math.inf
+        return float(value)
+
+    def robustness(self, value: float, survived: float) -> float:
+        """Return the distance from failing: 1 far away, 0 at the limit, -1 to 0 after a failure.
+
+        Args:
+            value: Number of the run.
+            survived: Share of the run until it diverged or passed the limit for certain; 1
+                otherwise. An earlier failure is a worse one.
+        """
+        if survived < 1.0:
+            return survived - 1.0
+        margin = value / self.limit - 1.0
+        if self.measure != "separation":
+            margin = -margin
+        return max(-1.0, min(1.0, margin))
+
+    def in_words(self, value: float) -> str:
+        """Return the number of a run with its unit."""
+        names = {
+            "attitude": f"attitude {value:.2f} deg",
+            "separation": f"smallest distance {value:.3f} m",
+            "payload": f"payload error {value:.3f} m",
+            "constraint": f"violation {value:.3g}",
+            "cost": f"cost {value:.3g}",
+        }
+        return names[self.measure]

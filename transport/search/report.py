@@ -1,0 +1,202 @@
+"""What a search leaves: the minimal case as a scenario file that says what happens, its figure, a summary."""
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import orjson
+import tomli_w
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from transport.analysis.series import Series, series_of
+from transport.flight.memory import simulate
+from transport.flight.run_files import machine
+from transport.log.run_log import Recorded, RunLog
+from transport.model.arrays import Array
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message
+from transport.report.column import column_panels
+from transport.report.style import RC, save
+from transport.search.events import Death, Event, Silence, TargetEvent
+from transport.search.search import Flown, Found, Minimal
+
+SCENARIO, FIGURE, SUMMARY = "minimal.toml", "minimal.png", "summary.json"
+_SHOWN = 10  # cases of the table
+_BEFORE_S = 1.0  # shown before the first event
+_AFTER_S = 2.0  # shown after the failure
+_LONGEST_S = 15.0  # shown at most
+_WIDTH = 100  # columns of a comment
+_HEIGHT_IN = 0.9
+_SILENT = "#f3d9d9"
+_DEATH: Any = {"color": "#004488", "linewidth": 0.9, "linestyle": "--"}
+_TARGET: Any = {"color": "#D55E00", "linewidth": 0.9, "linestyle": "-."}
+_LIMIT: Any = {"color": "#B2182B", "linewidth": 0.9, "linestyle": ":"}
+
+
+def write(folder: Path, found: Found) -> None:
+    """Write the results of a search into its folder."""
+    if found.minimal is not None:
+        (folder / SCENARIO).write_text(scenario_text(found.minimal), encoding="utf-8")
+        with mpl.rc_context(RC):
+            save(draw(Figure(), found.minimal), folder / FIGURE)
+    text = orjson.dumps(summary(found), option=orjson.OPT_INDENT_2)
+    (folder / SUMMARY).write_bytes(text + b"\n")
+
+
+def summary(found: Found) -> dict[str, Any]:
+    """Return the result of a search as JSON data."""
+    objective = found.problem.objective
+    return {
+        "scenario": found.problem.base.scenario.name,
+        "objective": objective.measure,
+        "limit": objective.limit,
+        "without_events": found.without_events.value,
+        "cases": len(found.flown),
+        "failures": found.failures,
+        "first_failure": found.first_failure,
+        "worst": [_row(one) for one in ranked(found)],
+        "minimal": None if found.minimal is None else _minimal(found.minimal),
+        "machine": machine(),
+    }
+
+
+def ranked(found: Found) -> list[Flown]:
+    """Return the worst cases, the worst first."""
+    order = sorted(found.flown, key=lambda one: (one.evaluation.robustness, one.number))
+    return order[:_SHOWN]
+
+
+def _row(one: Flown) -> dict[str, Any]:
+    return {
+        "case": one.number,
+        "robustness": round(one.evaluation.robustness, 3),
+        "value": one.evaluation.value,
+        "outcome": one.evaluation.outcome,
+        "end_s": one.evaluation.end_s,
+        "events": one.candidate.in_words(),
+    }
+
+
+def _minimal(minimal: Minimal) -> dict[str, Any]:
+    return {
+        "uavs": len(minimal.problem.base.scenario.system.uav),
+        "events": [event.in_words() for event in minimal.candidate.events],
+        "outcome": minimal.evaluation.outcome,
+        "value": minimal.evaluation.value,
+        "end_s": minimal.evaluation.end_s,
+        "beyond_physics": minimal.beyond_physics,
+    }
+
+
+def in_words(minimal: Minimal) -> list[str]:
+    """Return what happens in the minimal case, a sentence each."""
+    objective, evaluation = minimal.problem.objective, minimal.evaluation
+    events = [f"{_capital(event.in_words())}." for event in minimal.candidate.events]
+    end = f"At {evaluation.end_s:g} s the run fails: {objective.in_words(evaluation.value)}"
+    limit = f"(limit {objective.limit:g})."
+    fault = (
+        "One agent for all UAVs with perfect information fails as well: the case is beyond physics."
+        if minimal.beyond_physics
+        else "One agent for all UAVs with perfect information survives the same weather and targets."
+    )
+    return [*events, f"{end} {limit}", fault]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def scenario_text(minimal: Minimal) -> str:
+    """Return the scenario of the minimal case as TOML, with a comment that says what happens."""
+    scenario = minimal.candidate.scenario(minimal.problem.base)
+    name = f"{minimal.problem.base.scenario.name[:32]}-worst"
+    sentences = [f"Minimal case of a search on {minimal.problem.base.scenario.name}."]
+    comment = [
+        f"# {line}"
+        for sentence in [*sentences, *in_words(minimal)]
+        for line in textwrap.wrap(sentence, _WIDTH - 2)
+    ]
+    tree = scenario.model_copy(update={"name": name}).model_dump(
+        mode="json", by_alias=True, exclude_none=True, exclude_defaults=True
+    )
+    tree = {"schema": scenario.tree()["schema"], **tree}
+    return "\n".join(comment) + "\n" + tomli_w.dumps(tree)
+
+
+def flown_again(minimal: Minimal) -> tuple[Setup, RunLog]:
+    """Return setup and log of the minimal case, simulated to its end."""
+    scenario = minimal.candidate.scenario(minimal.problem.base)
+    setup = Setup.of(scenario, minimal.problem.base.source)
+    messages: list[Message] = []
+    simulate(setup, messages.append)
+    recorded = tuple(Recorded(message=message, received_ns=0) for message in messages)
+    return setup, RunLog(header={}, messages=recorded, cut="")
+
+
+def draw(figure: Figure, minimal: Minimal) -> Figure:
+    """Draw attitude, payload error and smallest distance around the failure, with the events."""
+    setup, log = flown_again(minimal)
+    series = series_of(setup, log)
+    end_s = min(float(series.times_s[-1]), minimal.evaluation.end_s + _AFTER_S)
+    begin_s = min(end_s, _first_s(minimal.candidate.events)) - _BEFORE_S
+    begin_s = max(0.0, begin_s, end_s - _LONGEST_S)
+
+    panels = column_panels(figure, [_HEIGHT_IN] * 3, legend=_legend(minimal.candidate.events))
+    curves = _curves(series)
+    shown = (series.times_s >= begin_s) & (series.times_s <= end_s)
+    for panel, (label, values) in zip(panels, curves.items(), strict=True):
+        panel.plot(series.times_s[shown], values[shown], color="#000000")
+        panel.set_ylabel(label)
+        _mark(panel, minimal.candidate.events)
+        panel.set_xlim(begin_s, end_s)
+    limited = {"attitude": 0, "payload": 1, "separation": 2}.get(minimal.problem.objective.measure)
+    if limited is not None:
+        panels[limited].axhline(minimal.problem.objective.limit, **_LIMIT)
+    return figure
+
+
+def _legend(events: Sequence[Event]) -> list[Line2D]:
+    """Return the entries of the kinds of marks that the figure has."""
+    kinds = {
+        "silence": (Silence, {"color": _SILENT, "linewidth": 5.0}),
+        "death": (Death, _DEATH),
+        "target": (TargetEvent, _TARGET),
+    }
+    lines = [
+        Line2D([], [], label=name, **style)
+        for name, (kind, style) in kinds.items()
+        if any(isinstance(event, kind) for event in events)
+    ]
+    return [*lines, Line2D([], [], label="limit", **_LIMIT)]
+
+
+def _first_s(events: Sequence[Event]) -> float:
+    """Return when the first event begins; infinite where all last for the whole run."""
+    times = [event.start_s for event in events if isinstance(event, Silence)]
+    times += [event.at_s for event in events if isinstance(event, Death | TargetEvent)]
+    return min(times, default=np.inf)
+
+
+def _curves(series: Series) -> dict[str, Array]:
+    """Return the curves of the panels by their labels, each (T,)."""
+    return {
+        "attitude (deg)": series.attitude_max_deg,
+        "payload error (m)": np.linalg.norm(series.payload_error_I, axis=-1),
+        "distance (m)": series.separation_m,
+    }
+
+
+def _mark(panel: Axes, events: Sequence[Event]) -> None:
+    """Shade silences and mark deaths and targets."""
+    for event in events:
+        if isinstance(event, Silence):
+            panel.axvspan(event.start_s, event.end_s, color=_SILENT, linewidth=0)
+        elif isinstance(event, Death):
+            panel.axvline(event.at_s, **_DEATH)
+        elif isinstance(event, TargetEvent):
+            panel.axvline(event.at_s, **_TARGET)

@@ -1,0 +1,211 @@
+"""A search for the worst case: draw, fly, learn, keep every evaluation, shrink what fails."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Protocol
+
+import numpy as np
+import orjson
+
+from transport.experiments.cases import ExperimentError, refused
+from transport.experiments.workers import map_on_cores
+from transport.protocol.scenario.errors import ScenarioError
+from transport.search.candidate import Candidate
+from transport.search.evaluation import Evaluation, Problem
+from transport.search.optimiser import Optimiser
+from transport.search.shrink import shrunk
+from transport.search.space import Space
+
+EVALUATIONS = "evaluations.jsonl"
+_IDENTITY = "search.json"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flown:
+    """A candidate with its evaluation, and when in the search it was flown."""
+
+    number: int  # from 1
+    candidate: Candidate
+    evaluation: Evaluation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Minimal:
+    """The proof: a minimal case that fails, and whether perfect information would have saved it."""
+
+    problem: Problem  # perhaps with a smaller team
+    candidate: Candidate
+    evaluation: Evaluation
+    beyond_physics: bool  # the centralized controller with perfect information fails as well
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Result of a search."""
+
+    problem: Problem
+    without_events: Evaluation
+    flown: Sequence[Flown]
+    minimal: Minimal | None  # None: no case has failed
+
+    @property
+    def worst(self) -> Flown:
+        """Return the case closest to failing, or the earliest failure."""
+        return min(self.flown, key=lambda one: (one.evaluation.robustness, one.number))
+
+    @property
+    def first_failure(self) -> int | None:
+        """Return the number of the first case that failed."""
+        return next((one.number for one in self.flown if one.evaluation.failed), None)
+
+    @property
+    def failures(self) -> int:
+        """Return how many cases failed."""
+        return sum(one.evaluation.failed for one in self.flown)
+
+
+class Evaluations:
+    """Evaluations by key; with a folder each is written at once, and earlier ones are read.
+
+    Raises: ExperimentError: the folder has another search or other files, or cannot be written.
+    """
+
+    def __init__(self, folder: Path | None, identity: dict[str, Any]) -> None:
+        self._by_key: dict[str, Evaluation] = {}
+        self._file: BinaryIO | None = None
+        if folder is None:
+            return
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            _identify(folder, identity)
+            self._file = (folder / EVALUATIONS).open("ab+", buffering=0)
+        except OSError as error:
+            raise ExperimentError(f"--out: cannot write {folder} ({error.strerror})") from error
+        self._file.seek(0)
+        for line in self._file.read().splitlines():
+            with suppress(ValueError, TypeError):  # a line that a kill has cut is flown again
+                evaluation = Evaluation(**orjson.loads(line))
+                self._by_key[evaluation.key] = evaluation
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+    def of(self, problem: Problem, candidates: Sequence[Candidate], fly: "Fly") -> list[Evaluation]:
+        """Return the evaluations of candidates, flying those that are missing."""
+        missing = {
+            problem.key(candidate): candidate
+            for candidate in candidates
+            if problem.key(candidate) not in self._by_key
+        }
+        for evaluation in fly(problem, list(missing.values())):
+            if self._file is not None:
+                self._file.write(orjson.dumps(asdict(evaluation)) + b"\n")
+            self._by_key[evaluation.key] = evaluation
+        return [self._by_key[problem.key(candidate)] for candidate in candidates]
+
+
+def _identify(folder: Path, identity: dict[str, Any]) -> None:
+    """Note the search in its folder, or check that the folder belongs to it."""
+    file = folder / _IDENTITY
+    text = orjson.dumps(identity, option=orjson.OPT_SORT_KEYS | orjson.OPT_INDENT_2)
+    if not any(folder.iterdir()):
+        file.write_bytes(text)
+    elif not file.exists() or file.read_bytes() != text:
+        raise refused("--out", "a new folder, or one of the same search", str(folder))
+
+
+class Progress(Protocol):
+    """What is told of a search while it runs."""
+
+    def show(self, one: Flown) -> None:
+        """Tell a case that was flown."""
+
+    def shrinking(self, candidate: Candidate, evaluations: int) -> None:
+        """Tell the minimal case so far, and how many evaluations it took."""
+
+
+Fly = Callable[[Problem, Sequence[Candidate]], Iterable[Evaluation]]
+
+
+def on_cores(jobs: int | None) -> Fly:
+    """Return a function that flies candidates on the cores of this machine."""
+
+    def fly(problem: Problem, candidates: Sequence[Candidate]) -> Iterator[Evaluation]:
+        return map_on_cores(problem.evaluate, candidates, jobs)
+
+    return fly
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Search:
+    """A search over a space for a problem."""
+
+    problem: Problem
+    space: Space
+    budget: int  # cases to fly
+    seed: int = 0
+    until_failure: bool = False  # end with the first batch that has a failure
+
+    def run(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Found:
+        """Fly the budget, then shrink the worst case if it has failed.
+
+        Raises: ScenarioError: the scenario fails without any event.
+        """
+        nothing = Candidate(())
+        without_events = evaluations.of(self.problem, [nothing], fly)[0]
+        if without_events.failed:
+            words = self.problem.objective.in_words(without_events.value)
+            problem = f"expected a scenario that holds its limit without events, got {words}"
+            raise ScenarioError(self.problem.base.source, "", problem)
+
+        flown = list(self._fly(evaluations, fly, progress))
+        worst = min(flown, key=lambda one: (one.evaluation.robustness, one.number))
+        failed = worst.evaluation.failed
+        minimal = self._minimal(worst.candidate, progress) if failed else None
+        return Found(
+            problem=self.problem, without_events=without_events, flown=flown, minimal=minimal
+        )
+
+    def _fly(self, evaluations: Evaluations, fly: Fly, progress: Progress) -> Iterator[Flown]:
+        optimiser = Optimiser(self.space.dimension, seed=self.seed)
+        number = 0
+        while number < self.budget:
+            points = optimiser.ask()
+            candidates = [self.space.candidate(point) for point in points]
+            results = evaluations.of(self.problem, candidates, fly)
+            optimiser.tell(points, [result.robustness for result in results])
+            failed = False
+            for candidate, evaluation in zip(candidates, results, strict=True):
+                number += 1
+                one = Flown(number=number, candidate=candidate, evaluation=evaluation)
+                progress.show(one)
+                yield one
+                failed = failed or evaluation.failed
+            if failed and self.until_failure:
+                return
+
+    def _minimal(self, candidate: Candidate, progress: Progress) -> Minimal:
+        problem, minimal, evaluation = shrunk(self.problem, candidate, progress.shrinking)
+        with_perfect_information = problem.with_perfect_information(minimal)
+        return Minimal(
+            problem=problem,
+            candidate=minimal,
+            evaluation=evaluation,
+            beyond_physics=with_perfect_information.failed,
+        )
+
+
+def random_search(search: Search, fly: Fly) -> list[Flown]:
+    """Return the cases of plain random search with the same budget: what a search has to beat."""
+    rng = np.random.default_rng(search.seed)
+    points = rng.random((search.budget, search.space.dimension))
+    candidates = [search.space.candidate(point) for point in points]
+    results = Evaluations(None, {}).of(search.problem, candidates, fly)
+    return [
+        Flown(number=number, candidate=candidate, evaluation=evaluation)
+        for number, (candidate, evaluation) in enumerate(zip(candidates, results, strict=True), 1)
+    ]

@@ -1,0 +1,293 @@
+"""Space of a search: which events are drawn, within which bounds, from a point of the unit cube."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+import numpy as np
+from annotated_types import Interval, Len
+from pydantic import AfterValidator, BeforeValidator
+
+from transport.model.arrays import Array
+from transport.mpc.settings import NotNegative, Section
+from transport.protocol.scenario.errors import ScenarioError, validated
+from transport.protocol.scenario.file import read_tree
+from transport.protocol.scenario.schema import Scenario
+from transport.search.candidate import Candidate
+from transport.search.events import (
+    Death,
+    Event,
+    Gusts,
+    Links,
+    ModelError,
+    Sensors,
+    Silence,
+    TargetEvent,
+)
+
+
+def _as_tuple(value: Any) -> Any:
+    """Return a list of a file as a tuple, which a frozen section has."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _rising(value: tuple[float, float]) -> tuple[float, float]:
+    """Refuse bounds of which the first is above the second."""
+    if value[0] > value[1]:
+        raise ValueError(f"expected smallest <= largest, got {list(value)}")
+    return value
+
+
+Range = Annotated[
+    tuple[NotNegative, NotNegative], BeforeValidator(_as_tuple), AfterValidator(_rising)
+]
+Who = Literal["all", "mute", "deaf", "cut"]
+_SEEDS = 1000  # of gusts and sensors
+_RESOLUTION = 1e-3  # of times, seconds and other numbers: finer ones change no run
+_ACTIVE = 0.5  # an event exists where its first coordinate is above
+
+
+class SilenceBounds(Section):
+    """Windows without messages."""
+
+    count: Annotated[int, Interval(ge=1, le=8)] = 2
+    """most windows"""
+    start_s: Range = (1.0, 20.0)
+    """begin of a window"""
+    duration_s: Range = (0.5, 10.0)
+    """length of a window"""
+    loss: Range = (1.0, 1.0)
+    """share of the messages that are lost in it"""
+    who: Annotated[tuple[Who, ...], BeforeValidator(_as_tuple), Len(1)] = get_args(Who)
+    """whose messages: of all, from one agent, to one agent, between two agents and the others"""
+
+
+class DeathBounds(Section):
+    """Agents that are killed."""
+
+    count: Annotated[int, Interval(ge=1, le=8)] = 1
+    """most deaths"""
+    at_s: Range = (1.0, 20.0)
+    """time of a death"""
+    back_after_s: Range = (0.5, 8.0)
+    """time until the agent is started again; half of the deaths are for good"""
+
+
+class LinksBounds(Section):
+    """Impairments of all links for the whole run."""
+
+    delay_s: Range = (0.0, 0.4)
+    jitter_s: Range = (0.0, 0.1)
+    loss: Range = (0.0, 0.6)
+
+
+class GustsBounds(Section):
+    """Gusts of wind."""
+
+    speed_mps: Range = (0.0, 1.0)
+    """standard deviation of each component"""
+
+
+class MassBounds(Section):
+    """Errors of the model that the controllers use."""
+
+    mass_factor: Range = (0.9, 1.15)
+    """actual over known mass of the payload"""
+    motor_lag_s: Range = (0.0, 0.0)
+    """lag of the motors"""
+
+
+class SensorsBounds(Section):
+    """Noise of the sensors."""
+
+    factor: Range = (0.0, 1.0)
+    """multiple of the scenario's standard deviations"""
+
+
+class TargetsBounds(Section):
+    """Targets of the payload during the run."""
+
+    count: Annotated[int, Interval(ge=1, le=8)] = 1
+    """most targets"""
+    at_s: Range = (1.0, 10.0)
+    """time of a target"""
+    distance_m: Range = (0.5, 2.0)
+    """distance of a target from the start of the maneuver"""
+
+
+class Bounds(Section):
+    """Bounds of all kinds of events, as a TOML file has them."""
+
+    silence: SilenceBounds = SilenceBounds()
+    deaths: DeathBounds = DeathBounds()
+    links: LinksBounds = LinksBounds()
+    gusts: GustsBounds = GustsBounds()
+    mass: MassBounds = MassBounds()
+    sensors: SensorsBounds = SensorsBounds()
+    targets: TargetsBounds = TargetsBounds()
+
+
+KINDS = tuple(Bounds.model_fields)
+
+
+def read_bounds(file: Path | None, duration_s: float) -> Bounds:
+    """Return the bounds in a file, without one the defaults; times are cut to the run's duration.
+
+    Raises: ScenarioError: the file cannot be read, or a value is invalid.
+    """
+    tree = {} if file is None else read_tree(file)
+    bounds = validated(Bounds, tree, str(file or "bounds"), Path())
+    if file is not None:
+        return bounds
+    last_s = 0.8 * duration_s
+    silence = bounds.silence.model_copy(update={"start_s": (min(1.0, last_s), last_s)})
+    deaths = bounds.deaths.model_copy(update={"at_s": (min(1.0, last_s), last_s)})
+    targets = bounds.targets.model_copy(update={"at_s": (min(1.0, last_s), 0.4 * duration_s)})
+    changed = {"silence": silence, "deaths": deaths, "targets": targets}
+    return bounds.model_copy(update=changed)
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """Room for one event: so many coordinates of the unit cube, and the event at a point of them."""
+
+    dimension: int
+    event: Callable[[Array], Event | None]
+
+
+class Space:
+    """The unit cube over the slots of some kinds of events."""
+
+    def __init__(self, kinds: Sequence[str], bounds: Bounds, scenario: Scenario) -> None:
+        wrong = [kind for kind in kinds if kind not in KINDS]
+        if wrong or not kinds:
+            expected = f"expected some of {', '.join(KINDS)}"
+            raise ScenarioError("--over", "", f"{expected}, got {wrong[0] if wrong else 'none'}")
+        agents = len(scenario.owned)
+        slots: list[Slot] = []
+        for kind in kinds:
+            slots += _SLOTS[kind](getattr(bounds, kind), agents)
+        self._slots = tuple(slots)
+        self.dimension = sum(slot.dimension for slot in slots)
+
+    def candidate(self, point: Array) -> Candidate:
+        """Return the candidate at a point of the unit cube, (dimension,)."""
+        events: list[Event] = []
+        first = 0
+        for slot in self._slots:
+            event = slot.event(point[first : first + slot.dimension])
+            first += slot.dimension
+            if event is not None:
+                events.append(event)
+        return Candidate(tuple(events))
+
+
+def _between(bounds: Range, share: float) -> float:
+    """Return the number at a share of an interval, on the grid of the search."""
+    low, high = bounds
+    value = low + float(np.clip(share, 0.0, 1.0)) * (high - low)
+    return round(round(value / _RESOLUTION) * _RESOLUTION, 6)
+
+
+def _choice(count: int, share: float) -> int:
+    """Return one of `count` numbers from 0 on."""
+    return min(int(np.clip(share, 0.0, 1.0) * count), count - 1)
+
+
+def _silences(bounds: SilenceBounds, agents: int) -> list[Slot]:
+    def event(point: Array) -> Silence | None:
+        active, start, duration, loss, kind, agent, other = point
+        if active < _ACTIVE:
+            return None
+        who = bounds.who[_choice(len(bounds.who), kind)]
+        first = 1 + _choice(agents, agent)
+        second = 1 + (first + _choice(agents - 1, other)) % agents
+        named = {"mute": f" {first}", "deaf": f" {first}", "cut": f" {first} {second}"}
+        return Silence(
+            start_s=_between(bounds.start_s, start),
+            duration_s=_between(bounds.duration_s, duration),
+            who=who + named.get(who, ""),
+            loss=_between(bounds.loss, loss),
+        )
+
+    return [Slot(7, event)] * bounds.count
+
+
+def _deaths(bounds: DeathBounds, agents: int) -> list[Slot]:
+    def event(point: Array) -> Death | None:
+        active, at, agent, returns, back = point
+        if active < _ACTIVE:
+            return None
+        return Death(
+            agent=1 + _choice(agents, agent),
+            at_s=_between(bounds.at_s, at),
+            back_after_s=_between(bounds.back_after_s, back) if returns > _ACTIVE else None,
+        )
+
+    return [Slot(5, event)] * bounds.count
+
+
+def _links(bounds: LinksBounds, _: int) -> list[Slot]:
+    def event(point: Array) -> Links:
+        delay, jitter, loss = point
+        return Links(
+            delay_s=_between(bounds.delay_s, delay),
+            jitter_s=_between(bounds.jitter_s, jitter),
+            loss=_between(bounds.loss, loss),
+        )
+
+    return [Slot(3, event)]
+
+
+def _gusts(bounds: GustsBounds, _: int) -> list[Slot]:
+    def event(point: Array) -> Gusts | None:
+        speed_mps = _between(bounds.speed_mps, point[0])
+        return Gusts(speed_mps=speed_mps, seed=_choice(_SEEDS, point[1])) if speed_mps else None
+
+    return [Slot(2, event)]
+
+
+def _mass(bounds: MassBounds, _: int) -> list[Slot]:
+    def event(point: Array) -> ModelError:
+        mass, lag = point
+        return ModelError(
+            mass_factor=_between(bounds.mass_factor, mass),
+            motor_lag_s=_between(bounds.motor_lag_s, lag),
+        )
+
+    return [Slot(2, event)]
+
+
+def _sensors(bounds: SensorsBounds, _: int) -> list[Slot]:
+    def event(point: Array) -> Sensors:
+        return Sensors(factor=_between(bounds.factor, point[0]), seed=_choice(_SEEDS, point[1]))
+
+    return [Slot(2, event)]
+
+
+def _targets(bounds: TargetsBounds, _: int) -> list[Slot]:
+    def event(point: Array) -> TargetEvent | None:
+        active, at, distance, azimuth, elevation = point
+        if active < _ACTIVE:
+            return None
+        away_m = _between(bounds.distance_m, distance)
+        angle = 2.0 * np.pi * azimuth
+        up = elevation - 0.5
+        level = np.sqrt(1.0 - up**2)
+        offset_I = away_m * np.array([level * np.cos(angle), level * np.sin(angle), -up])
+        x, y, z = (round(float(value), 3) for value in offset_I)
+        return TargetEvent(at_s=_between(bounds.at_s, at), offset_m=(x, y, z))
+
+    return [Slot(5, event)] * bounds.count
+
+
+_SLOTS: dict[str, Callable[[Any, int], list[Slot]]] = {
+    "silence": _silences,
+    "deaths": _deaths,
+    "links": _links,
+    "gusts": _gusts,
+    "mass": _mass,
+    "sensors": _sensors,
+    "targets": _targets,
+}
