@@ -73,11 +73,9 @@ def _alone(run: Setup, along: Sequence[tuple[Array, Array]], ticks: int) -> list
      ("windy", VEHICLE)],
 )  # fmt: skip
 def test_without_news_the_covariance_has_a_fixed_point(name: str, settings: Sequence[str]) -> None:
-    """At hover, with own measurements alone, every standard deviation settles: docs/equations.md (63), (63c), (63d)."""
+    """At hover, with own measurements alone, every standard deviation settles: (63), (63c), (63d)."""
     run = runs.ready(name, *settings)
-    controller = Controller(run.model, run.hover, run.settings, run.owned[0], run.X_ref, run.track)
-    kalman = KalmanFilter(run, controller.regulation.gain, run.owned[0])
-    deviations = _alone(run, kalman, [(run.initial_state(), run.hover.u)], SETTLED + MORE)
+    deviations = _alone(run, [(run.initial_state(), run.hover.u)], SETTLED + MORE)
     assert abs(deviations[-1] / deviations[SETTLED] - 1.0) < SAME
     assert deviations[-1] <= deviations[0]
 
@@ -94,7 +92,7 @@ def test_without_news_the_covariance_along_a_path_is_bounded() -> None:
 
 
 def test_an_estimate_out_of_range_begins_anew() -> None:
-    """A belief far over, or numbers that have no covariance, are replaced by one about the reference, and counted."""
+    """A belief far over is replaced by one about the reference, and counted."""
     run = runs.setup(*VEHICLE)
     no_gain = np.zeros((run.system.m, run.system.n))
     estimator = sensor_estimator(run, 1, lambda tick: run.X_ref[tick], lambda _: no_gain)
