@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from transport.analysis.own_constraints import own_constraints
 from transport.analysis.series import Series, estimates_of, series_of, swing_of
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
@@ -59,6 +60,7 @@ def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
         },
         **_durations(setup, log, series),
         **_flight(setup, series),
+        "own_constraints": own_constraints(setup, series),
         "cables": _cables(setup, log),
         "estimate": _consistency(series, log),
         "agent_step_ms": {**_percentiles(times_ms[:, -1]), "by_stage": medians_ms},
