@@ -19,6 +19,7 @@ _EXPERIMENTS = {
     "hover": ("experiment:hover", "Stability in a long hover after the maneuver."),
     "sharing": ("experiment:sharing", "Cost against the number of plans sent."),
     "agile": ("experiment:agile", "Fast flight: the payload's error over speed."),
+    "weather": ("experiment:weather", "Worth of the network in weather."),
     "paper": ("experiment:paper", "The paper's claim: centralized against distributed."),
     "scaling": ("experiment:scaling", "Growth of cost, computation and messages."),
 }
