@@ -12,7 +12,7 @@ from transport.report.column import column_panels, head
 from transport.report.style import CURVES, DIVERGED, MARKER
 
 _PANEL_IN = 0.62
-_LEFT_IN, _RIGHT_IN = 0.5, 0.2
+_LEFT_IN, _RIGHT_IN, _BELOW_IN = 0.5, 0.2, 0.5
 _NUMBER = "payload_rms_m"
 _BESIDE = 1.05  # place of diverged points, of the height of a panel
 
@@ -36,6 +36,7 @@ def draw_weather(figure: Figure, scenarios: Mapping[str, Sequence[PointStatistic
         x_label="network",
         left_in=_LEFT_IN,
         right_in=_RIGHT_IN,
+        bottom_in=_BELOW_IN,
     )
     for panel, weather in zip(panels, air, strict=True):
         for name, own in scenarios.items():
@@ -44,7 +45,7 @@ def draw_weather(figure: Figure, scenarios: Mapping[str, Sequence[PointStatistic
         head(panel, f"{weather}: payload error, m rms", legend=False)
         panel.set_xlim(-0.4, len(NETWORKS) - 0.6)
         panel.set_ylim(bottom=0.0)
-        panel.set_xticks(range(len(NETWORKS)), list(NETWORKS), rotation=20)
+        panel.set_xticks(range(len(NETWORKS)), [name.replace(", ", ",\n") for name in NETWORKS])
 
 
 def _draw(panel: Axes, points: Sequence[PointStatistics], style: tuple[str, str, str]) -> None:
