@@ -159,7 +159,7 @@ class AloneLaw:
             + gains.velocity * (ahead.velocity_I - motion.velocity_I)
             - gains.swing * (swing_I - swing_I[2] * _VERTICAL)
         )
-        force_I = course.force_I + self._masses * acceleration
+        force_I: Array = course.force_I + self._masses * acceleration
         return force_I if held_I is None else force_I + held_I
 
     def held(self, held_I: Array, motion: Motion, course: Course, period_s: float) -> Array:

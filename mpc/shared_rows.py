@@ -22,9 +22,8 @@ def share(depends: npt.NDArray[np.bool_], own: npt.NDArray[np.intp]) -> Array:
         own: Positions of the owned inputs, (m_own,).
     Source: docs/equations.md (30c).
     """
-    by_uav = depends.reshape(len(depends), depends.shape[1] // state.INPUTS, state.INPUTS).any(
-        axis=2
-    )
+    uavs = depends.shape[1] // state.INPUTS
+    by_uav = np.asarray(depends.reshape(len(depends), uavs, state.INPUTS).any(axis=2))
     owned = np.unique(own // state.INPUTS)
     return np.asarray(by_uav.sum(axis=1) / np.maximum(by_uav[:, owned].sum(axis=1), 1))
 

@@ -1,6 +1,7 @@
 """Payload error over networks: a panel for each weather, a curve for each controller."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -25,10 +26,10 @@ def draw_weather(figure: Figure, scenarios: Mapping[str, Sequence[PointStatistic
     measured = [statistics for own in scenarios.values() for statistics in own]
     air = list(dict.fromkeys(str(statistics.point.labels["weather"]) for statistics in measured))
     styles = dict(zip(scenarios, CURVES, strict=False))
-    legend = [
-        Line2D([], [], label=name, color=colour, marker=marker, linestyle=line, markersize=MARKER)
-        for name, (colour, marker, line) in styles.items()
-    ]
+    legend = []
+    for name, (colour, marker, line) in styles.items():
+        style: dict[str, Any] = {"color": colour, "marker": marker, "linestyle": line}
+        legend.append(Line2D([], [], label=name, markersize=MARKER, **style))
     panels = column_panels(
         figure,
         [_PANEL_IN] * len(air),
