@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from transport.agent.handover import News, Silence
 from transport.model.arrays import Array
 from transport.model.state import input_indices, input_slice
 from transport.mpc.fail_safe import FailSafe
@@ -39,6 +40,18 @@ class SharedLaw:
     # from the law holds for later ones. None where the state is not known, or where that difference
     # is mostly the error of the sender's estimate, which changes from tick to tick.
     start_state: Callable[[int], Array | None] = _none
+    # Rule by which the others act alone as their news are overdue, and the inputs of a UAV alone,
+    # (4,), from UAV, tick and state; None: they never do.
+    silence: Silence | None = None
+    alone: Callable[[int, int, Array], Array] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Silent:
+    """How much other agents are assumed to act alone, by input, (m,) each."""
+
+    alone: Array  # share of the law alone, 0 to 1
+    correlation: Array  # of the errors of their estimates with the own ones
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +99,8 @@ class AnnouncedInputs:
         law_since: Tick from which on the shared control law is that of the present team.
         failed_since: Tick of the newest failure of a UAV. From then on every agent follows the
             control law of the UAVs that are left; earlier plans apply until then.
+        news: How old the newest plans of the others usually are.
+        began: Tick from which on the agent could have had plans of the others.
     """
 
     def __init__(
@@ -101,11 +116,14 @@ class AnnouncedInputs:
         self.fail_safe: FailSafe | None = None
         self.law_since = 0
         self.failed_since = 0
+        self.began = 0
         self._owned = owned
         self._u_hover = u_hover
         self._alignment = alignment
         self._own = own
         self._law = SharedLaw() if law is None else law
+        peers = [agent for agent in range(1, len(owned) + 1) if agent != own]
+        self.news = News(peers, self._law.silence)
 
         uavs = sum(map(len, owned))
         self._bounds: tuple[Array, Array] | None = None
@@ -156,6 +174,75 @@ class AnnouncedInputs:
             if plan is not None and self.failed_since <= plan.tick < self.law_since:
                 agents.append(agent)
         return agents
+
+    # As news of the others are overdue, (32c).
+
+    @property
+    def silence(self) -> Silence | None:
+        """Rule by which agents act alone; None: they never do."""
+        return self._law.silence
+
+    def observe_news(self, k: int) -> None:
+        """Take in how old the newest plans of the others are at a tick."""
+        for agent in self._columns:
+            plan = self.newest(agent, before=k)
+            if plan is not None and agent != self._own:
+                self.news.observe(agent, k - plan.tick)
+
+    def overdue(self, agent: int, tick: int, before: int) -> float:
+        """Return by how many ticks another agent's news are older than usual; 0 off the roster."""
+        if agent == self._own or agent in self.off_roster:
+            return 0.0
+        plan = self.newest(agent, before, started=tick)
+        newest = self.began - 1 if plan is None else plan.tick
+        return max(0.0, float(tick - newest - self.news.usual(agent)))
+
+    def alone(self, agent: int, tick: int, before: int) -> float:
+        """Return how much another agent is assumed to act alone: as its plan says, by the rule."""
+        if self.silence is None:
+            return 0.0
+        plan = self.newest(agent, before, started=tick)
+        said = 0.0 if plan is None else plan.alone
+        return max(said, self.silence.alone(self.overdue(agent, tick, before)))
+
+    def silent(self, tick: int, before: int) -> Silent | None:
+        """Return what is assumed of the others' inputs; None where all news are as usual."""
+        if self.silence is None:
+            return None
+        as_usual = self.silence.correlation(0.0)
+        share = np.zeros(len(self._u_hover))
+        correlation = np.full(len(self._u_hover), as_usual)
+        for agent, columns in self._columns.items():
+            if agent != self._own:
+                overdue = self.overdue(agent, tick, before)
+                share[columns] = self.alone(agent, tick, before)
+                correlation[columns] = self.silence.correlation(overdue)
+        if not share.any() and (correlation == as_usual).all():
+            return None
+        return Silent(alone=share, correlation=correlation)
+
+    def _without_plan(self, agent: int, tick: int, before: int, x: Array | None) -> Array:
+        """Return the inputs of an agent without any plan, (4 owned,).
+
+        Hover; once its first plan is overdue, by the shared law, and alone. Source: (32c).
+        """
+        columns = self._columns[agent]
+        hover = self._before_any_plan(columns)
+        if x is None or self.silence is None:
+            return hover
+        if self.overdue(agent, tick, before) <= self.silence.begins:
+            return hover
+        u = self._law.inputs(tick, x)
+        by_law = hover if u is None else u[columns]
+        return self._mixed(by_law, agent, tick, before, x)
+
+    def _mixed(self, by_law: Array, agent: int, tick: int, before: int, x: Array) -> Array:
+        """Return inputs between those by the law and those alone, as the agent is assumed to act."""
+        share = self.alone(agent, tick, before)
+        if share == 0.0 or self._law.alone is None:
+            return by_law
+        alone = [self._law.alone(uav, tick, x) for uav in self._owned[agent - 1]]
+        return (1.0 - share) * by_law + share * np.concatenate(alone)
 
     # Over the horizon, (32).
 
@@ -233,9 +320,9 @@ class AnnouncedInputs:
         for agent, columns in self._columns.items():
             plan = self.newest(agent, before, started=tick)
             if plan is None:
-                u[columns] = self._before_any_plan(columns)
+                u[columns] = self._without_plan(agent, tick, before, x)
             else:
-                u[columns] = self._applied(plan, tick, x)
+                u[columns] = self._applied(plan, tick, before, x)
 
         if self._bounds is None:
             return u
@@ -255,7 +342,7 @@ class AnnouncedInputs:
                 untold.by_law[columns] = plan is None or plan.start_tick < tick
         return untold
 
-    def _applied(self, plan: Plan, tick: int, x: Array | None) -> Array:
+    def _applied(self, plan: Plan, tick: int, before: int, x: Array | None) -> Array:
         """Return the inputs that an agent applied after its newest started plan, (4 owned,)."""
         played = self._played(plan, tick)
         step = tick - played.start_tick
@@ -270,7 +357,9 @@ class AnnouncedInputs:
         if x is None or is_first or is_off or not self._is_under_law(plan, tick):
             return announced
         by_law = self._by_law(plan, tick, x)
-        return announced if by_law is None else by_law
+        if by_law is None:
+            return announced
+        return self._mixed(by_law, plan.agent, tick, before, x)
 
     def _played(self, plan: Plan, tick: int) -> Plan | Assumed:
         """Return the plan that the actuators play, or the inputs assumed in its place, (32b)."""

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from transport.agent.air import AirNews
+from transport.agent.alone import ALONE, AlonePlanner
 from transport.agent.estimation.belief import Belief
 from transport.agent.own import PROJECT, OwnPlanner
 from transport.agent.planner import AgentPlanner, OpenStep
@@ -36,6 +37,8 @@ def planner_of(setup: Setup, agent: int, stopwatch: Callable[[], int]) -> AgentP
     """Return the planner of an agent, 1-based, by `agents.controller`."""
     if setup.scenario.agents.controller == PROJECT:
         return Planner(setup, agent, stopwatch)
+    if setup.scenario.agents.controller == ALONE:
+        return AlonePlanner(setup, agent, stopwatch)
     return OwnPlanner(setup, agent, stopwatch)
 
 

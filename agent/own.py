@@ -30,6 +30,7 @@ from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan,
 from transport.protocol.wire.node import Outbox
 
 PROJECT = "mpc"  # the controller of the project
+OF_PROJECT = PROJECT, "alone"
 METHODS = ("start", "step", "stop")  # of a class of the user
 
 
@@ -39,7 +40,7 @@ def checked_controller(setup: Setup) -> str:
     Raises: ScenarioError: it cannot be used.
     """
     name = setup.scenario.agents.controller
-    if name == PROJECT:
+    if name in OF_PROJECT:
         return name
     OwnPlanner(setup, 1, lambda: 0).stop()
     return f"{name} {controller_version(name)}".rstrip()
@@ -50,7 +51,7 @@ def controller_version(name: str) -> str:
 
     Raises: OwnClassError: it is not found.
     """
-    return "" if name == PROJECT else version_of(own_class(name))
+    return "" if name in OF_PROJECT else version_of(own_class(name))
 
 
 @dataclass(slots=True, kw_only=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from transport.agent.estimation.belief import Belief
 from transport.agent.estimation.motion import STEPS
+from transport.agent.handover_inputs import HandOver
 from transport.agent.received import Received
 from transport.agent.sharing import Corrections, Sharing
 from transport.agent.stage_times import StageTimes
@@ -87,6 +88,8 @@ class Planner:
             self._setup.scenario.controller, settings.lower(uavs), settings.upper(uavs)
         )
         self._times = StageTimes(self._stopwatch)
+        self._handover = HandOver(self._setup, self._team, self._owned)
+        self._noted_resets = set[int]()  # ticks at which the filter began anew, as far as noted
 
     def restart(self) -> None:
         """Reset for a new start in the run; the controller keeps its state."""
@@ -202,6 +205,8 @@ class Planner:
         result = self._solved(step)
         step.result = result
         step.negotiation -= 1
+        if step.negotiation == 0:
+            result = self._handed_over(step, result)
         plan = self._plan(step, result, out)
         if step.negotiation > 0:
             return [plan]
@@ -234,6 +239,14 @@ class Planner:
             status=result.solution.status,
             negotiation=step.negotiation,
             shared=step.negotiation > 0 or self._sharing.decide(corrections),
+            alone=self._handover.share,
+        )
+
+    def _handed_over(self, step: Step, result: StepResult) -> StepResult:
+        """Return the result with inputs between the team's and those of the UAVs alone, (32d)."""
+        k = step.received.tick
+        return replace(
+            result, U=self._handover.inputs(k, step.start, step.problem.linear, result.U)
         )
 
     def adopt(self, step: Step, proposals: Sequence[Plan]) -> None:
@@ -288,13 +301,25 @@ class Planner:
 
     def _notes(self, tick: int, out: Outbox) -> list[Message]:
         """Return the numbers of the estimator for the log, if it has any and they are due."""
+        notes = self._resets(tick, out)
         every = max(1, round(NOTES_EVERY_S / self._setup.settings.sampling_period_s))
         if tick == 0 or tick % every:
-            return []
+            return notes
         numbers = self._team.estimator.log_numbers()
         if not numbers:
+            return notes
+        return [*notes, numbers_note(tick, self._agent, numbers, out)]
+
+    def _resets(self, tick: int, out: Outbox) -> list[Message]:
+        """Return a note if the filter has begun anew since the last step."""
+        new = self._team.estimator.resets - self._noted_resets
+        if not new:
             return []
-        return [numbers_note(tick, self._agent, numbers, out)]
+        self._noted_resets |= new
+        problem = (
+            f"filter: estimate out of range, begun anew about the reference at tick {max(new)}"
+        )
+        return [numbers_note(tick, self._agent, {}, out, problem)]
 
     def _report(self, step: Step, result: StepResult, out: Outbox) -> StepReport:
         """Return the report of a step."""

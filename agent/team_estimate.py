@@ -8,11 +8,15 @@ import numpy as np
 from transport.agent.announced import AnnouncedInputs, SharedLaw
 from transport.agent.estimation.estimator import estimator_of
 from transport.agent.estimation.motion import Failure
+from transport.agent.handover import Silence
 from transport.agent.law_inputs import LawArguments, LawInputs
 from transport.agent.received import Received
 from transport.model import state
 from transport.model.arrays import Array
 from transport.model.hover import motor_off_state, released_state
+from transport.mpc.alone import AloneLaw
+from transport.mpc.alone import Course as OwnCourse
+from transport.mpc.alone_team import AloneTeam
 from transport.mpc.controller import Controller
 from transport.mpc.course import Course
 from transport.mpc.prediction import Prediction
@@ -57,23 +61,59 @@ class TeamEstimate:
         regulation = self._controller.regulation
         self.estimator = estimator_of(setup, self._agent, self._reference, regulation.gain)
         self._law_inputs = LawInputs(regulation)
+        self._alone = AloneTeam(setup.model, setup.hover, setup.settings, regulation)
         self.announced = AnnouncedInputs(
             setup.owned,
             setup.hover.u,
             setup.scenario.controller.received_plans,
             own=self._agent,
-            law=SharedLaw(inputs=self._by_law, start_state=self.estimator.start_state),
+            law=self._shared_law(),
             settings=setup.settings,
         )
+        self._alone.follow(setup.X_ref, setup.reference.sampled.track)
+        self._began = False
         self.announced.fail_safe = setup.fail_safe
         self.expected: Expected | None = None
         self._off = _NO_UAVS  # UAVs whose motors are off, 0-based
         self._released = _NO_UAVS  # those of them that are released
 
+    def _shared_law(self) -> SharedLaw:
+        """Return how the others are assumed to act; with closed-loop prediction also alone."""
+        section = self._setup.scenario.controller
+        inputs, start_state = self._by_law, self.estimator.start_state
+        if section.silence == "law" or section.prediction != "closed_loop":
+            return SharedLaw(inputs=inputs, start_state=start_state)
+        silence = Silence.of(
+            section.sampling_period_s,
+            is_filtered=section.estimator == "kalman",
+            heartbeat_s=section.share_heartbeat_s if section.share == "on_change" else 0.0,
+        )
+        return SharedLaw(
+            inputs=inputs, start_state=start_state, silence=silence, alone=self._by_law_alone
+        )
+
+    def overdue(self, k: int) -> float:
+        """Return by how many ticks the oldest news of the others are older than usual."""
+        return max((self.announced.overdue(agent, k, k) for agent in self.peers), default=0.0)
+
+    def alone(self, uav: int, tick: int) -> tuple[AloneLaw, OwnCourse]:
+        """Return control law and course of a UAV, 0-based, alone."""
+        return self._alone.law(uav), self._alone.course(uav, tick)
+
+    def _by_law_alone(self, uav: int, tick: int, x: Array) -> Array:
+        """Return the inputs of a UAV alone, (4,): its integral holds its part of the forces."""
+        held_I = None
+        if self.forces is not None:
+            forces = self._controller.model.at_rest(self.forces)
+            own = slice(3 + 3 * uav, 6 + 3 * uav)
+            held_I = -(forces[own] + forces[:3] / self._setup.system.N)
+        return self._alone.inputs(uav, x[: self._setup.system.n], tick, held_I)
+
     def follow(self, setup: Setup) -> None:
         """Take the reference from a run with a further target."""
         self._setup = setup
         reference = setup.reference.sampled
+        self._alone.follow(setup.X_ref, reference.track)
         completed = self._controller.regulation.follow(reference)
         if completed and reference.change is not None:
             self.announced.law_since = reference.change.first
@@ -91,6 +131,10 @@ class TeamEstimate:
         for plan in received.plans:
             self.announced.add(plan)
             self.estimator.take(plan)
+        if not self._began:
+            self._began = True
+            self.announced.began = k
+        self.announced.observe_news(k)
         for measurement in received.measurements:
             self.estimator.measure(measurement)
 
@@ -156,6 +200,7 @@ class TeamEstimate:
 
         controller = self._controller
         controller.fail(received.off, received.released, since)
+        self._alone.fail(received.off, received.released)
 
         tick = min(received.tick, received.failed_since)
         owned = self._setup.owned[self._agent - 1]

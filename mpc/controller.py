@@ -17,6 +17,7 @@ from transport.model.motors import lagged
 from transport.model.native import Places
 from transport.model.obstacles import Obstacle
 from transport.model.state import LARGEST
+from transport.mpc.constraints.own import OwnInputs
 from transport.mpc.cost import Cost, CostToGo
 from transport.mpc.course import Course, CourseProgram
 from transport.mpc.decision import Decision
@@ -85,7 +86,9 @@ class Controller:
         self._gone = frozenset[int]()  # UAVs without an agent
         self._off = frozenset[int]()  # UAVs without motors
         self._released = frozenset[int]()
-        self._relaxation = settings.relaxation
+        # Whether several agents keep the same of the user's constraints on inputs.
+        self._shares_rows = bool(settings.constraint) and OwnInputs(self._decision).is_shared
+        self._relaxation = self._relaxed(others_obstruct=self._shares_rows)
 
         self._at_hover: Linearisation | None = None
         # Derivatives of the newest step and their difference equation, that of hover every time.
@@ -333,11 +336,14 @@ class Controller:
         self._gone = frozenset(uavs)
         # UAVs without agents obstruct the others: several agents correct the same distances, each
         # its share of them.
-        share = 1.0
-        if uavs and self.settings.prediction == "closed_loop":
-            share = len(self.owned) / self._whole.system.N
-        self._relaxation = min(self.settings.relaxation, share)
+        self._relaxation = self._relaxed(others_obstruct=bool(uavs) or self._shares_rows)
         self._form(since)
+
+    def _relaxed(self, *, others_obstruct: bool) -> float:
+        """Return the relaxation: at most the share of owned UAVs where all correct the same."""
+        if not others_obstruct or self.settings.prediction != "closed_loop":
+            return self.settings.relaxation
+        return min(self.settings.relaxation, len(self.owned) / self._whole.system.N)
 
     def fail(
         self, off: Collection[int], released: Collection[int], since: int | None = None

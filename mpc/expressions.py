@@ -151,7 +151,9 @@ class UserCosts(Expressions):
 class UserConstraints(Expressions):
     """The user's constraints on states or on inputs, in the order given: at most zero, or zero."""
 
-    def __init__(self, constraints: Sequence[Constraint], system: System, on: str) -> None:
+    def __init__(
+        self, constraints: Sequence[Constraint], system: System, on: str, penalty: float = 1.0
+    ) -> None:
         symbols = Symbols.of(system.N, system.commands_rates)
         chosen = []
         for constraint in constraints:
@@ -169,7 +171,8 @@ class UserConstraints(Expressions):
         self.penalty = np.full(len(chosen), np.nan)
         for row, (constraint, relation) in enumerate(chosen):
             if constraint.soft and on == "state" and not relation.is_equality:
-                self.penalty[row] = constraint.penalty
+                given = constraint.penalty
+                self.penalty[row] = penalty if given is None else given
 
 
 def compile_constraints(

@@ -1,6 +1,6 @@
 """The fail-safe of a UAV whose plan has run out.
 
-Hover thrust, and level attitude or the way along the reference.
+Hover thrust and level attitude, or the control law of a UAV alone.
 """
 
 from collections.abc import Collection
@@ -13,7 +13,7 @@ from transport.model.flat import Track
 from transport.model.hover import failed_hover, with_released
 from transport.model.identity import digest
 from transport.model.parameters import ParameterError, System
-from transport.model.rotations import rotation
+from transport.mpc.alone import AloneLaw, Course, course_of, motion_of
 
 # Attitude loop on moments: slow enough for the moment limits of small quadrotors, faster than the
 # pendulum of a rod.
@@ -25,16 +25,11 @@ _DAMPING = 0.8
 _CRITICAL = 0.25
 _LARGEST_GAIN = 6.0
 
-# Loop on the horizontal position: as fast as the pendulum of a rod.
-_FOLLOWING_RAD_S = 1.5
-_FOLLOWING_DAMPING = 1.0
-_STEEPEST = 0.2  # largest roll or pitch that it asks for, rad
-
 
 class FailSafe:
     """The fail-safes of all UAVs: hover thrusts u_hover, (4 N,), or the inputs of a flat track.
 
-    They follow the states X_ref, (K, n), the last one held, by measured position and velocity;
+    They follow the states X_ref, (K, n), the last one held, each UAV alone by its own motion;
     without them they keep level.
     """
 
@@ -46,6 +41,8 @@ class FailSafe:
         self._X_ref = X_ref
         self._system = system
         self._gains = [_attitude_gain(system, uav) for uav in range(system.N)]
+        thrusts_N = u_hover[:: state.INPUTS]
+        self._laws = [AloneLaw(system, uav, float(thrusts_N[uav])) for uav in range(system.N)]
 
     @property
     def follows(self) -> bool:
@@ -84,79 +81,53 @@ class FailSafe:
                 X_ref = np.concatenate([X_ref[: track.first], track.X])
         return FailSafe(self._system, u_hover, X_ref, track)
 
+    def law(self, uav: int) -> AloneLaw:
+        """Return the control law of a UAV, 0-based, alone."""
+        return self._laws[uav]
+
+    def course(self, uav: int, tick: int) -> Course:
+        """Return the part of the reference of a UAV, 0-based, at a tick.
+
+        Raises: ValueError: it keeps level.
+        """
+        if self._X_ref is None:
+            raise ValueError("expected a fail-safe that follows, got one that keeps level")
+        x_ref, u_ref = self._X_ref[min(tick, len(self._X_ref) - 1)], self.u_hover
+        if self.track is not None:
+            row = rows(tick - self.track.first, 1, len(self.track.U))
+            x_ref, u_ref = self.track.X[row][0], self.track.U[row][0]
+        return course_of(self._system, uav, x_ref, u_ref)
+
     def gain(self, uav: int) -> Array:
         """Return the linearised feedback from the state to a UAV's inputs, (4, n).
 
-        Source: docs/equations.md (31), (31a), (45), (58).
+        Source: docs/equations.md (31), (31c), (45), (58).
         """
-        n = self._system.n
-        own = state.uav_slice(uav)
-        gain = np.zeros((state.INPUTS, n))
-        gain[:, own] = self._gains[uav]
-        if self._X_ref is None:
-            return gain
+        if self.follows:
+            return self._laws[uav].gain()
+        gain = np.zeros((state.INPUTS, self._system.n))
+        gain[:, state.uav_slice(uav)] = self._gains[uav]
+        return gain
 
-        # Derivatives at hover of r = r0 + R0 (rho - l e) and of its rate, (3, n) each.
-        rho = self._system.uavs[uav].rho
-        rod = np.array([0.0, 0.0, self._system.uavs[uav].rod_length])
-        position = np.zeros((3, n))
-        position[:, state.R0] = np.eye(3)
-        position[:, state.THETA0] = np.cross(np.eye(3), rho - rod).T
-        position[:, own][:, state.E] = -rod[2] * np.eye(3)
-
-        velocity = np.zeros((3, n))
-        velocity[:, state.V0] = np.eye(3)
-        velocity[:, state.OMEGA0] = np.cross(np.eye(3), rho).T
-        velocity[:, own][:, state.ROD_RATE] = -np.cross(np.eye(3), rod).T
-        return gain + self._gains[uav][:, state.THETA] @ -self._wanted(uav, position, velocity)
-
-    def inputs(self, uav: int, x: Array, tick: int) -> Array:
+    def inputs(self, uav: int, x: Array, tick: int, held_I: Array | None = None) -> Array:
         """Return the inputs of one UAV, 0-based, at a state at t_k, (n,), before limits, (4,).
 
+        `held_I` is the force of its integral, (3,), N; None where that is not known.
         Source: docs/equations.md (31), (31a), (58).
         """
-        own = x[state.uav_slice(uav)].copy()
+        if self.follows:
+            motion = motion_of(self._system, uav, x)
+            return self._laws[uav].inputs(motion, self.course(uav, tick), held_I)
         only_thrust = np.array([1.0, 0.0, 0.0, 0.0])
         at_rest: Array = self.u_hover[state.input_slice(uav)] * only_thrust
-        if self._X_ref is None:
-            return at_rest + self._gains[uav] @ own
+        return at_rest + self._gains[uav] @ x[state.uav_slice(uav)]
 
-        # Roll and pitch that lead back to the reference, in the UAV's own heading.
-        position, velocity = self._motion(uav, x)
-        last = len(self._X_ref) - 1
-        position_ref, velocity_ref = self._motion(uav, self._X_ref[min(tick, last)])
-        to_heading = rotation(np.array([0.0, 0.0, own[state.THETA][2]])).T
-        wanted = self._wanted(
-            uav, to_heading @ (position - position_ref), to_heading @ (velocity - velocity_ref)
-        )
-        own[state.THETA] -= np.clip(wanted, -_STEEPEST, _STEEPEST)
-
-        if self.track is not None:
-            row = rows(tick - self.track.first, 1, len(self.track.U))
-            at_rest = self.track.U[row][0, state.input_slice(uav)]
-            own = own - self.track.X[row][0, state.uav_slice(uav)]
-        return at_rest + self._gains[uav] @ own
-
-    def _motion(self, uav: int, x: Array) -> tuple[Array, Array]:
-        """Return position and velocity of a UAV, inertial frame, m and m/s.
-
-        r = r0 + R0 (rho - l e),  r' = R0 (v0 + omega0 x rho - Omega x l e)
-        Source: docs/equations.md (1), (39).
-        """
-        R0 = rotation(x[state.THETA0])
-        block = x[state.uav_slice(uav)]
-        rho = self._system.uavs[uav].rho
-        rod = self._system.uavs[uav].rod_length * block[state.E]
-        turning = np.cross(x[state.OMEGA0], rho) - np.cross(block[state.ROD_RATE], rod)
-        return x[state.R0] + R0 @ (rho - rod), R0 @ (x[state.V0] + turning)
-
-    def _wanted(self, uav: int, position: Array, velocity: Array) -> Array:
-        """Return roll, pitch and 0, (3, ...), by deviations in axes of the heading, (31a)."""
-        stiffness = _FOLLOWING_RAD_S**2
-        damping = 2.0 * _FOLLOWING_DAMPING * _FOLLOWING_RAD_S
-        lift = self.u_hover[state.input_slice(uav)][0]
-        pull = self._system.uavs[uav].mass / lift * (stiffness * position + damping * velocity)
-        return np.stack([-pull[1], pull[0], np.zeros_like(pull[0])])
+    def held(self, uav: int, x: Array, tick: int, held_I: Array, period_s: float) -> Array:
+        """Return the force of the integral one period later, (3,), N; the same if it keeps level."""
+        if not self.follows:
+            return held_I
+        motion = motion_of(self._system, uav, x)
+        return self._laws[uav].held(held_I, motion, self.course(uav, tick), period_s)
 
 
 def _attitude_gain(system: System, uav: int) -> Array:

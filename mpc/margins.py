@@ -4,6 +4,7 @@ Exact plant, actuators, estimators and control laws of a team.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -62,7 +63,44 @@ class Mismatch:
         return System(payload=payload, uavs=uavs, gravity=known.gravity)
 
 
-class Loop:
+class SampledLoop(ABC):
+    """A sampled loop about hover, as a function of the plant."""
+
+    period_s: float
+    known_lag_s = 0.0  # time constant of the motors that controllers know
+    _headings = 0  # modes that neither grow nor decay, as no state depends on them
+
+    @abstractmethod
+    def matrix(self, plant: Mismatch) -> Array:
+        """Return the step from one sampling instant to the next.
+
+        Raises: ParameterError: the bodies have no hover.
+        """
+
+    def growth(self, plant: Mismatch) -> float:
+        """Return the growth rate of the fastest growing mode, 1/s.
+
+        Infinite where the bodies have no hover.
+        """
+        try:
+            step = self.matrix(plant)
+        except ParameterError:
+            return math.inf
+        return math.log(float(np.abs(np.linalg.eigvals(step)).max())) / self.period_s
+
+    def settling_s(self, plant: Mismatch) -> float | None:
+        """Return the time in which the slowest deviation decays by e, headings of UAVs apart.
+
+        None if one does not.
+        """
+        eigenvalues = np.linalg.eigvals(self.matrix(plant))
+        by_distance = np.argsort(np.abs(eigenvalues - 1.0))
+        others = eigenvalues[by_distance[self._headings :]]
+        decay = -math.log(float(np.abs(others).max())) / self.period_s
+        return 1.0 / decay if decay > _DECAY else None
+
+
+class Loop(SampledLoop):
     """The sampled loop of a team about hover as a function of the plant, by its controllers.
 
     With `next_tick` inputs act one sampling period after the measurement; `age` are the periods
@@ -86,6 +124,7 @@ class Loop:
         system = first.model.system
         hovering = first.regulation.hover
         self._system = system
+        self._headings = system.N
         self.period_s = first.settings.sampling_period_s
         self.known_lag_s = first.settings.motor_lag_s
 
@@ -131,14 +170,24 @@ class Loop:
         past commands, guesses of unmeasured coordinates].
         Raises: ParameterError: the bodies have no hover.
         """
-        arrival = self._arrival(plant)
-        late = arrival.late
-        before = arrival.before
-        after = arrival.after
+        periods, part_s = divmod(plant.delay_s, self.period_s)
+        late = round(periods)
+        F, G = continuous(self._system, self._T[: self._system.n, : self._r], plant)
+        # The plant's steps before and after the arrival of a delayed command.
+        before = held(F, G, part_s)
+        after = held(F, G, self.period_s - part_s)
 
-        whole = self._blocks(len(before.A), late)
+        whole = self._blocks(len(F), late)
         now = np.vstack([whole.motion[: self._r], whole.expected])
-        issued, guesses = self._issued(whole, now)
+        issued = np.empty((self._system.m, now.shape[1]))
+        gone = self._gone[:, 0]
+        issued[gone] = self._fail_safe[gone] @ now
+        guesses = []
+        for agent, controller in enumerate(self._controllers):
+            past = [now, *whole.past]
+            x, guess = self._estimate(agent, past, whole.commands, whole.guesses[agent])
+            issued[controller.own] = self._law[controller.own] @ x
+            guesses.append(guess)
 
         # Commands in force, now and before; the fail-safe needs no time for computing.
         commands = [issued, *whole.commands]  # newest first
@@ -150,76 +199,6 @@ class Loop:
         moved = after.A @ halfway + after.B @ acting[late]
         expected = self._A[self._r :] @ now + self._B[self._r :] @ acting[0]
         return np.vstack([moved, expected, now, *whole.past[:-1], *commands[:-1], *guesses])
-
-    def _arrival(self, plant: Mismatch) -> "_Arrival":
-        """Return the plant's step, divided where a delayed command arrives."""
-        periods, part_s = divmod(plant.delay_s, self.period_s)
-        F, G = self._continuous(plant)
-        return _Arrival(
-            late=round(periods),
-            before=_held(F, G, part_s),
-            after=_held(F, G, self.period_s - part_s),
-        )
-
-    def _issued(self, whole: "_Blocks", now: Array) -> tuple[Array, list[Array]]:
-        """Return the new commands, (m, size), and the agents' guesses of unmeasured coordinates."""
-        issued = np.empty((self._system.m, now.shape[1]))
-        gone = self._gone[:, 0]
-        issued[gone] = self._fail_safe[gone] @ now
-
-        guesses = []
-        past = [now, *whole.past]
-        for agent, controller in enumerate(self._controllers):
-            x, guess = self._estimate(agent, past, whole.commands, whole.guesses[agent])
-            issued[controller.own] = self._law[controller.own] @ x
-            guesses.append(guess)
-        return issued, guesses
-
-    def _continuous(self, plant: Mismatch) -> tuple[Array, Array]:
-        """Return x' = F x + G u of the actual bodies, with inner loop and lag of their motors.
-
-        Raises: ParameterError: the bodies have no hover.
-        """
-        bodies = plant.system(self._system)
-        actual = hover(bodies)
-        linear = Model(bodies).linearise(actual.x, actual.u)
-        T = self._T[: self._system.n, : self._r]
-        F = T.T @ linear.A_c @ T
-        G = plant.gain * (T.T @ linear.B_c)
-
-        wrench = self._wrench(T)
-        if plant.lag_s > 0.0:
-            return self._with_motors(F, G, wrench, plant.lag_s)
-        return F + G @ wrench.by_state, G @ wrench.by_command
-
-    def _wrench(self, T: Array) -> "_Wrench":
-        """Return thrust and moments by state and by command: J K (rate command - rate), (57)."""
-        system = self._system
-        by_state = np.zeros((system.m, system.n))
-        by_command = np.eye(system.m)
-        if system.rate_gains is not None:
-            for i, uav in enumerate(system.uavs):
-                moments = state.input_slice(i)
-                gains = uav.inertia * system.rate_gains
-                by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
-                by_command[moments, moments][1:, 1:] = gains
-        return _Wrench(by_state=by_state @ T, by_command=by_command)
-
-    def _with_motors(
-        self, F: Array, G: Array, wrench: "_Wrench", lag_s: float
-    ) -> tuple[Array, Array]:
-        """Return the motion with actual inputs as states: a' = (wrench - a) / lag, (53).
-
-        They are in units of their effect: moments of small vehicles are tiny.
-        """
-        m = self._system.m
-        unit = 1.0 / np.abs(G).max(axis=0)
-        own_decay = -np.eye(m) / lag_s
-        to_motors = wrench.by_state / (unit * lag_s)[:, None]
-        commanded = wrench.by_command / (unit * lag_s)[:, None]
-
-        with_motors = np.block([[F, G * unit], [to_motors, own_decay]])
-        return with_motors, np.vstack([np.zeros((self._r, m)), commanded])
 
     def _blocks(self, motion: int, late: int) -> "_Blocks":
         """Return the parts of the whole state, as rows of the identity."""
@@ -266,45 +245,6 @@ class Loop:
                 guess = x[self._lost]
         return x, guess
 
-    def growth(self, plant: Mismatch) -> float:
-        """Return the growth rate of the fastest growing mode, 1/s.
-
-        Infinite where the bodies have no hover.
-        """
-        try:
-            step = self.matrix(plant)
-        except ParameterError:
-            return math.inf
-        return math.log(float(np.abs(np.linalg.eigvals(step)).max())) / self.period_s
-
-    def settling_s(self, plant: Mismatch) -> float | None:
-        """Return the time in which the slowest deviation decays by e, headings of UAVs apart.
-
-        None if one does not.
-        """
-        eigenvalues = np.linalg.eigvals(self.matrix(plant))
-        by_distance = np.argsort(np.abs(eigenvalues - 1.0))
-        others = eigenvalues[by_distance[self._system.N :]]
-        decay = -math.log(float(np.abs(others).max())) / self.period_s
-        return 1.0 / decay if decay > _DECAY else None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Arrival:
-    """The plant's steps before and after the arrival of a delayed command within a period."""
-
-    late: int  # whole periods of the delay
-    before: Discrete
-    after: Discrete
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Wrench:
-    """Thrust and moments of the UAVs as the inner loops set them."""
-
-    by_state: Array  # (m, r)
-    by_command: Array  # (m, m)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Blocks:
@@ -317,7 +257,41 @@ class _Blocks:
     guesses: Sequence[Array]  # of unmeasured coordinates, by agent
 
 
-def _held(F: Array, G: Array, duration_s: float) -> Discrete:
+def continuous(system: System, T: Array, plant: Mismatch) -> tuple[Array, Array]:
+    """Return x' = F x + G u of the actual bodies, with inner loop and lag of their motors.
+
+    Motion in coordinates of T, (n, r), with motor lag the actual inputs behind it.
+    Raises: ParameterError: the bodies have no hover.
+    """
+    bodies = plant.system(system)
+    actual = hover(bodies)
+    linear = Model(bodies).linearise(actual.x, actual.u)
+    F = T.T @ linear.A_c @ T
+    G = plant.gain * (T.T @ linear.B_c)
+
+    # Thrust and moments by state and by command: J K (rate command - rate), (57).
+    by_state = np.zeros((system.m, system.n))
+    by_command = np.eye(system.m)
+    if system.rate_gains is not None:
+        for i, uav in enumerate(system.uavs):
+            moments = state.input_slice(i)
+            gains = uav.inertia * system.rate_gains
+            by_state[moments, state.uav_slice(i)][1:, state.OMEGA] = -gains
+            by_command[moments, moments][1:, 1:] = gains
+    by_state = by_state @ T
+    if plant.lag_s == 0.0:
+        return F + G @ by_state, G @ by_command
+
+    # Actual inputs as states, in units of their effect: moments of small vehicles are tiny.
+    unit = 1.0 / np.abs(G).max(axis=0)
+    own_decay = -np.eye(system.m) / plant.lag_s
+    to_motors = by_state / (unit * plant.lag_s)[:, None]
+    with_motors = np.block([[F, G * unit], [to_motors, own_decay]])
+    commanded = by_command / (unit * plant.lag_s)[:, None]
+    return with_motors, np.vstack([np.zeros((T.shape[1], system.m)), commanded])
+
+
+def held(F: Array, G: Array, duration_s: float) -> Discrete:
     """Return the zero-order hold of x' = F x + G u; of no duration the identity."""
     none = np.zeros(len(F))
     if duration_s == 0.0:
@@ -338,7 +312,7 @@ class Margin:
     upper: float | None
 
 
-def margins(loop: Loop) -> dict[str, Margin]:
+def margins(loop: SampledLoop) -> dict[str, Margin]:
     """Return the margin to each property of `Mismatch`, the others as known.
 
     Empty if the loop is unstable as known.
@@ -349,7 +323,7 @@ def margins(loop: Loop) -> dict[str, Margin]:
     return {field.name: _margin(loop, nominal, field.name) for field in fields(Mismatch)}
 
 
-def _margin(loop: Loop, nominal: Mismatch, name: str) -> Margin:
+def _margin(loop: SampledLoop, nominal: Mismatch, name: str) -> Margin:
     """Return the margin to one property."""
     value = getattr(nominal, name)
 

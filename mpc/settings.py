@@ -225,8 +225,10 @@ class Constraint(Section):
     soft: bool = True
     """true: a state inequality may be violated at a penalty; equalities and input constraints are
     always hard"""
-    penalty: Annotated[Positive, _weight("1 over the unit of the expression")] = 1000.0
-    """penalty on the largest violation over the horizon"""
+    penalty: Annotated[Positive | None, _weight("1 over the unit of the expression")] = None
+    """penalty on the largest violation over the horizon. If omitted: the slope of the team's
+    tracking cost at an error of 1 m, [equations.md](equations.md) (30d). A much steeper one lets
+    agents with late plans correct each other"""
 
 
 class CostTerm(Section):

@@ -32,6 +32,10 @@ class Estimator(Protocol):
     def belief(self) -> Belief | None:
         """Newest estimate with its covariance; None without one."""
 
+    @property
+    def resets(self) -> set[int]:
+        """Ticks at which the estimate began anew, as numbers were out of range."""
+
     def take(self, plan: Plan) -> None:
         """Take in another agent's plan, of a tick before the next measurement's."""
 

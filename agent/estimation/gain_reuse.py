@@ -77,7 +77,18 @@ class GainReuse:
         saved = belief.saved
         if saved is not None:
             saved = SavedGain(gain=saved.gain, ticks=saved.ticks + 1)
-        return replace(belief, x=period.end, u=period.u, source=covariance, saved=saved)
+        return replace(
+            belief,
+            x=period.end,
+            unknowns=self._team.unknowns_ahead(belief, period),
+            u=period.u,
+            source=covariance,
+            saved=saved,
+        )
+
+    def is_plausible(self, belief: Belief) -> bool:
+        """Return whether a belief can be that of a team in flight."""
+        return self._team.is_plausible(belief)
 
     def correct(self, belief: Belief, model: Model, sensed: Sequence[Sensed]) -> Belief:
         """Return the belief with measurements of its tick, by the saved gain where that is due."""

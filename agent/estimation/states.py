@@ -35,6 +35,7 @@ class StateEstimator:
         self, motion: Motion, owned: Sequence[int], disturbance: DisturbanceEstimator | None = None
     ) -> None:
         self.news = News()
+        self.resets: set[int] = set()  # none: estimates are measured
         self._motion = motion
         self._owned = list(owned)
         self._disturbance = disturbance

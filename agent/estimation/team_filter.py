@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from transport.agent.announced import Untold
+from transport.agent.announced import Silent, Untold
 from transport.agent.estimation import forces, kalman
 from transport.agent.estimation.belief import Belief, Covariance, Postponed, SavedGain
 from transport.agent.estimation.forces import Situation, UnknownForces
@@ -25,11 +25,17 @@ from transport.agent.estimation.kalman import Correction, Observation
 from transport.agent.estimation.level import EXACT, WIND, Level, LevelRule, followed
 from transport.agent.estimation.manifold import Manifold
 from transport.agent.estimation.noise import FirstErrors, ForceNoise, LeastSensorNoise, ModelNoise
+from transport.agent.estimation.silent_team import SilentTeam
 from transport.model import motors, state
 from transport.model.arrays import Array
 from transport.model.discretisation import Discrete, zero_order_hold
 from transport.model.linearisation import Model
 from transport.protocol.scenario.setup import Setup
+
+# Roll and pitch beyond which an estimate is that of no team in flight, rad: Euler angles become
+# singular. A variance that no measurement of a UAV's own sensors leaves, SI.
+_STEEPEST = 1.4
+_LARGEST_VARIANCE = 1e4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +50,13 @@ class Period:
     # inputs have been told.
     K: Array | None
     correlation: float  # c, of the errors of the other agents' estimates with the own ones
+    # Where news of the others are overdue: how much they act alone, and c by input; else None.
+    silent: Silent | None = None
+
+    @property
+    def is_alone(self) -> bool:
+        """Return whether an untold input is partly that of a UAV alone."""
+        return self.silent is not None and bool(self.silent.alone[self.untold.by_law].any())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,6 +107,9 @@ class Filter(Protocol):
     def forces(self, belief: Belief) -> Array | None:
         """Return the estimated forces and mass error; None where they are not estimated."""
 
+    def is_plausible(self, belief: Belief) -> bool:
+        """Return whether a belief can be that of a team in flight."""
+
 
 class TeamFilter:
     """The filter as in a textbook: `predict` (63) and `correct` (64).
@@ -122,6 +138,7 @@ class TeamFilter:
         self._rule: LevelRule = WIND if is_estimating else EXACT
         self.manifold = Manifold(self.N, self._lagging)
 
+        self._silent = SilentTeam(setup)
         self._P0 = self._first_covariance()
         self._set_process_noise()
 
@@ -183,7 +200,40 @@ class TeamFilter:
         Source: docs/equations.md (63).
         """
         covariance = self.predicted_covariance(belief, period)
-        return replace(belief, x=period.end, u=period.u, source=covariance)
+        unknowns = self.unknowns_ahead(belief, period)
+        return replace(belief, x=period.end, unknowns=unknowns, u=period.u, source=covariance)
+
+    def unknowns_ahead(self, belief: Belief, period: Period) -> Array:
+        """Return the unknown forces at the end of a period: as before, or nearer to zero, (63d)."""
+        if not period.is_alone:
+            return belief.unknowns
+        return self.kept_forces(period) * belief.unknowns
+
+    def kept_forces(self, period: Period) -> Array:
+        """Return the share of forces that is left after a period without news, (7,) or (0,).
+
+        As random walks, forces that own sensors do not tell apart have no bound. With news of all
+        others they are such walks; without any they return to zero, and their variance to that
+        before the first measurement. Source: docs/equations.md (63d).
+        """
+        if period.silent is None or not self._unknowns:
+            return np.ones(self._unknowns)
+        change = self.Q.diagonal()[-self._unknowns :]
+        first = self._P0.diagonal()[-self._unknowns :]
+        share = float(period.silent.alone[period.untold.by_law].mean())
+        return np.asarray((1.0 - change / first) ** (0.5 * share))
+
+    def is_plausible(self, belief: Belief) -> bool:
+        """Return whether a belief can be that of a team in flight: numbers in range, no body over."""
+        view = state.StateView(belief.x[: self._system.n])
+        tilts = np.concatenate([view.Theta0[:2], view.Theta[:, :2].reshape(-1)])
+        in_range = np.abs(belief.x).max() < state.LARGEST and np.isfinite(belief.unknowns).all()
+        if not in_range or np.abs(tilts).max() > _STEEPEST:
+            return False
+        source = belief.source
+        return not isinstance(source, Covariance) or bool(
+            source.P.diagonal().max() < _LARGEST_VARIANCE
+        )
 
     def predicted_covariance(self, belief: Belief, period: Period) -> Covariance:
         """Return the covariance at the end of a sampling period. Source: docs/equations.md (63)."""
@@ -225,7 +275,9 @@ class TeamFilter:
         # cancels. A fail-safe answers to the actual state.
         #   dx(k+1) = (A + (1 - c) B_o K_o) T xi
         ahead = discrete.A @ T
-        if period.K is not None:
+        if period.silent is not None and period.K is not None:
+            ahead = ahead + discrete.B @ self._silent.gain(period.silent, period) @ T
+        elif period.K is not None:
             closed = untold.by_law | untold.by_fail_safe
             answered = np.where(untold.by_law, 1.0 - period.correlation, 1.0)
             ahead = ahead + (discrete.B * answered)[:, closed] @ (period.K[closed] @ T)
@@ -234,6 +286,8 @@ class TeamFilter:
         A = np.eye(s + self._unknowns)
         A[:s, :s] = L.T @ ahead
         A[:s, s:] = L.T @ by_forces
+        if period.silent is not None and period.is_alone:
+            A[s:, s:] = np.diag(self.kept_forces(period))
         return A
 
     def _period_noise(self, belief: Belief, period: Period, discrete: Discrete, L: Array) -> Array:
@@ -244,7 +298,8 @@ class TeamFilter:
         s = T.shape[1]
 
         # It is not known exactly when the fail-safe of another UAV took over, and at what thrust.
-        level = 1.0 if period.untold.by_fail_safe.any() else belief.level.value
+        is_known_roughly = period.untold.by_fail_safe.any() or period.is_alone
+        level = 1.0 if is_known_roughly else belief.level.value
         Q = self.process_noise(level)
 
         # Inputs act late by the unknown lag of the motors.
@@ -255,7 +310,9 @@ class TeamFilter:
 
         # The part of the others' errors that the own one does not share.
         #   (1 - c^2) B_xi K_o T P T' K_o' B_xi'
-        if period.K is not None:
+        if period.silent is not None and period.K is not None:
+            Q[:s, :s] += self._silent.noise(period.silent, period, L.T @ discrete.B, T, P[:s, :s])
+        elif period.K is not None:
             B_xi = L.T @ discrete.B[:, by_law]
             K_T = period.K[by_law] @ T
             own_part = 1.0 - period.correlation**2

@@ -19,7 +19,7 @@ from transport.agent.estimation.payload_pose import NAMES, pose_numbers
 from transport.agent.estimation.reports import News, Reports, UavReport, by_uav
 from transport.agent.estimation.team_filter import Filter, Period, Sensed
 from transport.model import state
-from transport.model.arrays import Array
+from transport.model.arrays import Array, ShapeError
 from transport.protocol.wire.messages import Measurement, Plan
 
 # Gain of the shared control law at a tick, (m, n), with motor lag (m, n + m); of UAVs without
@@ -58,6 +58,7 @@ class SensorEstimator:
         ages: Sequence[int],
     ) -> None:
         self.news = News()
+        self.resets: set[int] = set()  # ticks at which the filter began anew about the reference
         self.forces: Array | None = None  # of the last estimate, (4 + 3 N,); None if not estimated
         self._motion = motion
         self._owned = list(owned)
@@ -169,7 +170,10 @@ class SensorEstimator:
         belief = self.belief
         if belief is None:
             return {}
-        return dict(zip(NAMES, pose_numbers(belief).tolist(), strict=True))
+        try:
+            return dict(zip(NAMES, pose_numbers(belief).tolist(), strict=True))
+        except (ShapeError, np.linalg.LinAlgError):
+            return {}  # its covariance, computed only now, is out of range: the next tick begins anew
 
     def _begin(self, tick: int) -> Tick:
         """Return the beliefs about the reference, without any measurement: a new start."""
@@ -193,6 +197,7 @@ class SensorEstimator:
             untold=untold,
             K=K,
             correlation=OthersErrors().correlation,
+            silent=announced.silent(tick, before=k),
         )
 
     def _following(self, belief: Belief, tick: int, period: Period) -> Tick:
@@ -204,9 +209,26 @@ class SensorEstimator:
 
     def _corrected(self, entry: Tick, tick: int) -> Tick:
         """Return the beliefs of a tick with all its measurements."""
-        model = self._motion.model_at(tick)
-        posterior = self._filter.correct(entry.prior, model, self._sensed(tick))
-        return Tick(prior=entry.prior, posterior=posterior)
+        posterior = self._plausible(entry.prior, tick)
+        if posterior is not None:
+            return Tick(prior=entry.prior, posterior=posterior)
+
+        # Out of range: begin anew about the reference. What led there may be a measurement of now.
+        self.resets.add(tick)
+        anew = self._filter.first(self._motion.reference_at(tick))
+        return Tick(prior=anew, posterior=self._plausible(anew, tick) or anew)
+
+    def _plausible(self, prior: Belief, tick: int) -> Belief | None:
+        """Return a belief with the measurements of its tick; None if numbers are out of range."""
+        try:
+            belief = self._filter.correct(prior, self._motion.model_at(tick), self._sensed(tick))
+        except (ShapeError, np.linalg.LinAlgError):
+            return None
+        return belief if self._filter.is_plausible(belief) else None
+
+    def told(self, tick: int, uav: int) -> UavReport | None:
+        """Return the report of a UAV, 0-based, at a tick; None without one."""
+        return self._reports.uavs(tick).get(uav)
 
     def _sensed(self, tick: int) -> list[Sensed]:
         """Return all measurements of quantities at a tick."""

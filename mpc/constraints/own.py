@@ -8,6 +8,7 @@ from transport.model.arrays import Array
 from transport.mpc.constraints.block import Block
 from transport.mpc.decision import Decision
 from transport.mpc.expressions import UserConstraints
+from transport.mpc.shared_rows import default_penalty, share
 from transport.mpc.trajectory import Signals, Trajectory
 
 
@@ -17,7 +18,9 @@ class OwnStates:
     in_kernel: ClassVar = False
 
     def __init__(self, decision: Decision) -> None:
-        self._constraints = UserConstraints(decision.settings.constraint, decision.system, "state")
+        settings, system = decision.settings, decision.system
+        penalty = default_penalty(settings.weights, system.N)
+        self._constraints = UserConstraints(settings.constraint, system, "state", penalty)
         soft = np.flatnonzero(~np.isnan(self._constraints.penalty))
         self.penalties = self._constraints.penalty[soft]
 
@@ -45,13 +48,23 @@ class OwnInputs:
         # Owned inputs in each constraint, of all inputs in it: (constraints, m).
         depends = self._constraints.depends
         self._kept = depends[:, decision.own].any(axis=1)
+        # Every agent corrects its share of what several of them keep.
+        self._share = share(depends[self._kept], decision.own)
+        self.is_shared = bool((self._share > 1.0).any())
         self.penalties = np.zeros(0)
         self.slack = np.zeros((decision.shape[0] * int(self._kept.sum()), 0))
 
     def block(self, trajectory: Trajectory) -> Block:
         """Return the rows of those with an owned input at steps 0..N_p - 1."""
-        signals = trajectory.of_inputs(self._expand)
+        signals = self._shared(trajectory.of_inputs(self._expand))
         return _rows(signals, self._constraints.equality[self._kept], self.slack)
+
+    def _shared(self, signals: Signals) -> Signals:
+        """Return signals of which the own decision has a multiple of its effect, (30c)."""
+        if not self.is_shared:
+            return signals
+        by_row = np.tile(self._share, len(signals.values))
+        return Signals(values=signals.values, by_decision=lambda: by_row[:, None] * signals.effect)
 
     def _expand(self, u: Array) -> tuple[Array, Array]:
         """Return values and slopes of the kept constraints at inputs of all UAVs, (m,)."""

@@ -130,6 +130,10 @@ class ControllerSection(ControllerSettings):
     horizon and inputs"""
     share_heartbeat_s: Annotated[Positive, Key(label="longest time without a plan")] = 1.0
     """with on_change: longest interval between two plans sent, so that a lost plan is replaced"""
+    silence: Literal["alone", "law"] = "alone"
+    """with closed_loop, an agent whose news of the others are overdue: each of its UAVs gradually
+    follows the reference alone, by its own sensors ([equations.md](equations.md#silence)), or the
+    shared control law by the agent's estimate"""
     disturbance: DisturbanceSection = DisturbanceSection()
 
 
@@ -144,10 +148,12 @@ class AgentsSection(Section):
     agent for each UAV"""
     controller: Annotated[
         str,
-        or_class("mpc"),
-        Key(type="mpc, package.module:Class", label="controller", short="controller"),
+        or_class("mpc", "alone"),
+        Key(type="mpc, alone, package.module:Class", label="controller", short="controller"),
     ] = "mpc"
-    """controller of every agent: that of this project, or [your own class](bring-your-own.md#your-own-controller)"""
+    """controller of every agent: that of this project; alone, by which each UAV keeps to its part of the
+    reference by its own sensors, without messages ([equations.md](equations.md#a-uav-alone)); or [your own
+    class](bring-your-own.md#your-own-controller)"""
     failed_share: Annotated[
         float, Interval(ge=0.0, le=1.0), Key(label="allowed share of failed steps")
     ] = 0.05

@@ -355,6 +355,8 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     # Corrections of these inputs to the shared control law, (N_p, 4 owned); no rows without one.
     corrections: Array
     status: PlanStatus  # result of the solve; anything but "solved" means the shifted previous plan
+    # How much of the inputs is of the control law of a UAV alone, not of the shared one: the agent lacks news.
+    alone: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
 
     def check(self) -> None:
         """Check the arrays, and that inputs and corrections are over the same steps."""

@@ -211,10 +211,18 @@ def test_state_rows(case: Case) -> None:
 
 
 def test_input_rows(case: Case) -> None:
-    """User constraints on inputs about u0, the others' inputs as announced, paper (26)-(27)."""
-    u0, dU = case.at.u, case.inputs - case.at.u
-    product = u0[0] * u0[4] + u0[4] * dU[:, 0] + u0[0] * dU[:, 4] - THRUST_PRODUCT
-    moments = case.inputs[:, 1] + case.inputs[:, 14] - MOMENT_SUM
+    """User constraints on inputs about u0, the others' as announced, the own effect times (30c)."""
+    u0 = case.at.u
+
+    def changes(uavs: set[int]) -> Array:
+        """Return the changes of the inputs, the own ones times UAVs of a row over owned ones."""
+        dU = case.inputs - u0
+        dU[:, case.own] *= len(uavs) / len(uavs & set((case.own // 4).tolist()))
+        return dU
+
+    thrusts, turning = changes({0, 1}), changes({0, 3})
+    product = u0[0] * u0[4] + u0[4] * thrusts[:, 0] + u0[0] * thrusts[:, 4] - THRUST_PRODUCT
+    moments = u0[1] + turning[:, 1] + u0[14] + turning[:, 14] - MOMENT_SUM
     above = case.above[block(case, "input")].reshape(HORIZON, 2)
     below = case.below[block(case, "input")].reshape(HORIZON, 2)
     assert close(above, -np.column_stack([product, moments]))

@@ -24,6 +24,7 @@ OTHER_WORDS = {
     "penalised_input": "absolute",
     "solver": "clarabel",
     "share": "on_change",
+    "silence": "law",
     "received_plans": "held",
     "received_states": "as_received",
     "discretisation": "euler",

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 
 from transport.analysis.airtime import radio_of
 from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.own_constraints import own_constraints
 from transport.analysis.series import Series, estimates_of, swing_of
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
@@ -62,6 +63,7 @@ def summarise(run: AnalysedRun) -> dict[str, Any]:
         },
         **_durations(setup, log, series),
         **_flight(setup, series),
+        "own_constraints": own_constraints(setup, series),
         "cables": _cables(setup, log),
         "estimate": _consistency(series, log),
         "agent_step_ms": {**_percentiles(times_ms[:, -1]), "by_stage": medians_ms},

@@ -24,6 +24,7 @@ from transport.experiments import (
     design_experiments,
     network_experiments,
     radio_experiment,
+    weather_experiment,
 )
 from transport.experiments.cases import Case, Result, cases_of, refused
 from transport.experiments.declaration import EXPERIMENTS, Experiment, Values
@@ -36,7 +37,13 @@ from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.scenario.schema import Scenario
 
 # Declared when imported.
-__all__ = ["EXPERIMENTS", "design_experiments", "network_experiments", "radio_experiment"]
+__all__ = [
+    "EXPERIMENTS",
+    "design_experiments",
+    "network_experiments",
+    "radio_experiment",
+    "weather_experiment",
+]
 
 _OUT = (
     "Folder, by default a new one in runs/; an existing folder of the same experiment is resumed."

@@ -20,6 +20,7 @@ _EXPERIMENTS = {
     "sharing": ("experiment:sharing", "Cost against the number of plans sent."),
     "radio": ("experiment:radio", "Effect of the radio channel that the team itself fills."),
     "agile": ("experiment:agile", "Fast flight: the payload's error over speed."),
+    "weather": ("experiment:weather", "Worth of the network in weather."),
     "paper": ("experiment:paper", "The paper's claim: centralized against distributed."),
     "scaling": ("experiment:scaling", "Growth of cost, computation and messages."),
 }

@@ -34,7 +34,7 @@ ScenarioArgument = Annotated[
     Argument(
         metavar="SCENARIO",
         help="Scenario file, or name: paper, centralized, resilient, precise, centralized_lq, windy, delivery, "
-        "collision, eight, gap, playground.",
+        "collision, eight, gap, playground, alone.",
         autocompletion=_scenarios,
         show_default=True,
     ),

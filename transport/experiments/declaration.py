@@ -40,6 +40,7 @@ _FACTORS = {"ms": 1e3, "%": 100.0, "mm": 1e3, "mm/s": 1e3}
 _COLUMNS: Mapping[str, tuple[Any, ...]] = {
     "std_s": ("standard deviation of the delay", "ms", 1e3),
     "agent": ("agent killed",),
+    "network": ("network",),
     "restart_s": ("restart", "s"),
     "killed_s": ("time at which the agent is killed", "s"),
     "hover_s": ("duration of the last hover", "s"),
@@ -112,7 +113,9 @@ class Experiment:
     name: str  # of the command
     x: str = ""  # columns along the axes
     y: str = ""
-    drawn_as: Literal["curves", "scaling", "variants", "sharing", "tracking", "radio"] = "curves"
+    drawn_as: Literal[
+        "curves", "scaling", "variants", "sharing", "tracking", "radio", "weather"
+    ] = "curves"
     # Column that tells the curves of a scenario apart, and names of its values in the figure. Points labelled `NONE`
     # belong to all curves.
     curves: str | None = None

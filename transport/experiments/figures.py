@@ -10,6 +10,7 @@ from transport.experiments.declaration import Experiment, axis
 from transport.experiments.figure_curves import draw_curves
 from transport.experiments.figure_maps import draw_maps
 from transport.experiments.figure_variants import draw_variants
+from transport.experiments.figure_weather import draw_weather
 from transport.experiments.statistics import PointStatistics
 from transport.report.style import RC, save
 
@@ -33,6 +34,8 @@ def fill(figure: Figure, experiment: Experiment, measured: Sequence[PointStatist
 
     if experiment.drawn_as == "variants":
         draw_variants(figure, scenarios)
+    elif experiment.drawn_as == "weather":
+        draw_weather(figure, scenarios)
     elif experiment.y:
         draw_maps(figure, axis(experiment.x), axis(experiment.y), scenarios)
     else:

@@ -4,15 +4,16 @@ How far the plant may differ from the controllers' model; table and figure.
 """
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import threadpoolctl
 from matplotlib.figure import Figure
 
+from transport.mpc.alone_margins import AloneLoop
 from transport.mpc.controller import Controller
-from transport.mpc.margins import FARTHEST, FARTHEST_S, Loop, Margin, Mismatch, margins
+from transport.mpc.margins import FARTHEST, FARTHEST_S, Loop, Margin, Mismatch, SampledLoop, margins
 from transport.mpc.reference import Sampled
 from transport.protocol.scenario.errors import ScenarioError
 from transport.protocol.scenario.setup import Setup
@@ -60,6 +61,8 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
         some of several.
     """
     absent, name, settings = tuple(sorted(set(without))), setup.scenario.name, setup.settings
+    if setup.scenario.agents.controller == "alone" and not absent:
+        return _alone(setup)
     if setup.scenario.agents.controller != "mpc":
         raise ScenarioError(
             name, "agents.controller", "expected 'mpc', whose feedback is known, got a class"
@@ -94,14 +97,30 @@ def hover_margins(setup: Setup, without: Collection[int] = ()) -> HoverMargins:
             )
             for actuation in ACTUATIONS
         }
-        known = Mismatch(lag_s=settings.motor_lag_s)
-        return HoverMargins(
-            scenario=name,
-            without=absent,
-            settling_s={actuation: loop.settling_s(known) for actuation, loop in loops.items()},
-            growth_per_s={actuation: loop.growth(known) for actuation, loop in loops.items()},
-            margins={actuation: margins(loop) for actuation, loop in loops.items()},
-        )
+        return _of(name, absent, loops)
+
+
+def _alone(setup: Setup) -> HoverMargins:
+    """Return the margins of UAVs that all follow the reference alone."""
+    period_s = setup.settings.sampling_period_s
+    with threadpoolctl.threadpool_limits(1):
+        loops = {
+            actuation: AloneLoop(setup.system, period_s, next_tick=actuation == "next_tick")
+            for actuation in ACTUATIONS
+        }
+        return _of(setup.scenario.name, (), loops)
+
+
+def _of(name: str, absent: tuple[int, ...], loops: Mapping[str, SampledLoop]) -> HoverMargins:
+    """Return the margins of a loop for each actuation."""
+    known = {actuation: Mismatch(lag_s=loop.known_lag_s) for actuation, loop in loops.items()}
+    return HoverMargins(
+        scenario=name,
+        without=absent,
+        settling_s={of: loop.settling_s(known[of]) for of, loop in loops.items()},
+        growth_per_s={of: loop.growth(known[of]) for of, loop in loops.items()},
+        margins={of: margins(loop) for of, loop in loops.items()},
+    )
 
 
 def rows(found: HoverMargins) -> Iterator[tuple[str, ...]]:

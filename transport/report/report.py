@@ -14,6 +14,7 @@ from rich.text import Text
 
 from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.metrics import summarise
+from transport.analysis.own_constraints import HELD as OWN_HELD
 from transport.analysis.series import SWING_S
 from transport.analysis.steps import steps_columns, steps_rows
 from transport.log.run_log import RecordedRun, open_run
@@ -166,6 +167,8 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             ", ".join(f"{_text(clear[key], '{:.3f} m')} {of}" for key, of in _CLEAR.items()),
         )
     yield "limits", _limits(summary["constraint_violation_max"], summary["solver"])
+    for own in summary.get("own_constraints", ()):
+        yield "own constraint", _own_constraint(own)
     yield "integration", _text(summary["local_error_max"], "largest local error {:.1e}")
     yield "agent step", _milliseconds(summary["agent_step_ms"])
     yield "rest of tick", _milliseconds(summary["rest_of_tick_ms"])
@@ -181,6 +184,14 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if summary["rejections"]:
         most = "{count} from {sender} to {by} ({reason})".format(**summary["rejections"][0])
         yield "rejected", f"{summary['messages']['rejected']} messages, {most}"
+
+
+def _own_constraint(own: Mapping[str, Any]) -> str:
+    """Return whether a constraint of the user held on the actual trajectory, and by how much not."""
+    violation = own["violation_max"]
+    if violation is not None and violation < OWN_HELD:
+        return f"{own['expression']}: held"
+    return f"{own['expression']}: {_text(violation, 'exceeded by {:.3g}')} at {own['at_s']:.2f} s"
 
 
 def _limits(violation: float | None, solver: Mapping[str, Any]) -> str:

@@ -1,0 +1,193 @@
+"""The controller "alone": each UAV keeps to its own part of the reference by its own sensors; no message helps it.
+
+It is the baseline that tells what the network is worth. An agent applies docs/equations.md (31a)-(31d) to each of its
+UAVs. It sends plans, which the plant applies, and ignores those of the others.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from transport.agent.estimation.belief import Belief
+from transport.agent.received import Received
+from transport.agent.step import step_report
+from transport.model import state
+from transport.model.arrays import Array
+from transport.mpc.alone import Motion, OwnSensors, ahead, motion_of
+from transport.mpc.alone_team import AloneTeam
+from transport.mpc.regulation import Regulation
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan
+from transport.protocol.wire.node import Outbox
+
+ALONE = "alone"  # the name of this controller in a scenario
+_HELD_S = 0.2  # time after which a UAV without newer plans continues on its fail-safe, which is the same law
+
+
+@dataclass(slots=True)
+class AloneStep:
+    """A tick of the controller; it has no negotiation before its plan."""
+
+    received: Received
+    negotiation: int = 1
+
+
+class AlonePlanner:
+    """Planner of an agent, 1-based, whose UAVs follow the reference alone; the stopwatch counts ns."""
+
+    def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
+        self._agent, self._stopwatch = agent, stopwatch
+        self._owned = setup.owned[agent - 1]
+        self._peers = tuple(other for other in setup.agents if other != agent)
+        self._setup = setup
+        # What the team would do, undisturbed: all UAVs follow their part of it.
+        regulation = Regulation(setup.model, setup.hover, setup.settings, setup.reference.sampled)
+        self._law = AloneTeam(setup.model, setup.hover, setup.settings, regulation)
+        self._regulation = regulation
+        self._law.follow(setup.X_ref, setup.reference.sampled.track)
+        self.restart()
+
+    def restart(self) -> None:
+        """Reset for a new start in the run: integral and rods as on the reference."""
+        system = self._setup.system
+        self._measurement: Measurement | None = None  # the newest that is usable
+        self._held_I = {uav: np.zeros(3) for uav in self._owned}
+        period_s, ages = self._setup.settings.sampling_period_s, self._setup.sensors.ages
+        self._sensors = {uav: OwnSensors(system, uav, ages, period_s) for uav in self._owned}
+        self._inputs: Array = self._setup.hover.u[state.input_indices(self._owned)]
+        self._failed: tuple[frozenset[int], frozenset[int]] = frozenset(), frozenset()
+        self._law.fail((), ())
+        self._idle_since_ns = self._stopwatch()
+
+    @property
+    def belief(self) -> Belief | None:
+        """None: there is no estimate of the team."""
+        return None
+
+    def adopt(self, step: AloneStep, proposals: Sequence[Plan]) -> None:
+        """Do nothing: there is no negotiation."""
+
+    def follow(self, setup: Setup) -> None:
+        """Follow the reference of the run with a further target, from that target's tick on."""
+        self._setup = setup
+        self._regulation.follow(setup.reference.sampled)
+        self._law.follow(setup.X_ref, setup.reference.sampled.track)
+
+    def warm_up(self) -> None:
+        """Do nothing: a step has nothing to compile."""
+
+    def begin(self, received: Received) -> AloneStep:
+        """Take in the newest measurement and the failures of UAVs."""
+        if received.measurements:
+            self._measurement = max(received.measurements, key=lambda measurement: measurement.tick)
+        if self._failed != (received.off, received.released):
+            self._failed = received.off, received.released
+            self._law.fail(*self._failed)
+        return AloneStep(received)
+
+    def plan(self, step: AloneStep, out: Outbox, publish_ns: int) -> list[Message]:
+        """Return the tick's plan and report."""
+        begun_ns, step.negotiation = self._stopwatch(), 0
+        setup, k = self._setup, step.received.tick
+        measured = self._measurement
+        if measured is not None and measured.tick == k:
+            self._inputs = self._controlled(measured)
+        rows = max(1, round(_HELD_S / setup.settings.sampling_period_s))
+        inputs = np.tile(self._inputs, (min(rows, setup.settings.horizon), 1))
+        plan = out.stamp(
+            Plan,
+            tick=k,
+            agent=self._agent,
+            start_tick=k + int(setup.scenario.clock.next_tick),
+            uavs=tuple(uav + 1 for uav in self._owned),
+            uav_states=self._said(k),
+            inputs=inputs,
+            corrections=np.zeros((0, inputs.shape[1])),
+            status="solved",
+            negotiation=0,
+            shared=True,
+        )
+
+        now_ns = self._stopwatch()
+        started_ns = step.received.started_ns
+        spent_ns = {
+            "wait": started_ns - self._idle_since_ns,
+            "publish": publish_ns,
+            "solve": now_ns - begun_ns,
+        }
+        none = (-1,) * len(self._peers)
+        report = step_report(
+            step.received,
+            self._agent,
+            out,
+            status="solved",
+            solver=ALONE,
+            fallback=False,
+            iterations=0,
+            residual=-1.0,
+            force=np.zeros(3),
+            peers=self._peers,
+            plan_ages=none,
+            state_ages=none,
+            measurement_age=-1 if measured is None else k - measured.tick,
+            times_ns={**dict.fromkeys(STAGES, 0), **spent_ns, "total": now_ns - started_ns},
+        )
+        self._idle_since_ns = self._stopwatch()
+        return [plan, report]
+
+    def end(self, tick: int, out: Outbox) -> list[Message]:  # noqa: ARG002
+        """Return nothing: this controller has nothing to end with the run."""
+        return []
+
+    def stop(self) -> str:
+        """Return that there was nothing to stop."""
+        return ""
+
+    def _controlled(self, measured: Measurement) -> Array:
+        """Return the inputs of the owned UAVs by their measurements, within rates and limits, (4 owned,)."""
+        settings, wanted = self._setup.settings, []
+        start = measured.tick + int(self._setup.scenario.clock.next_tick)
+        for uav, values, until in zip(
+            self._owned, measured.uav_states, measured.inputs, strict=True
+        ):
+            law, course = self._law.law(uav), self._law.course(uav, start)
+            motion = self._motion(uav, values, float(until[0]), measured, start)
+            held_I = self._held_I[uav]
+
+            wanted.append(law.inputs(motion, course, held_I))
+            self._held_I[uav] = law.held(held_I, motion, course, settings.sampling_period_s)
+
+        step = settings.step(len(self._owned))
+        inputs = np.clip(np.concatenate(wanted), self._inputs - step, self._inputs + step)
+        return np.clip(inputs, settings.lower(len(self._owned)), settings.upper(len(self._owned)))
+
+    def _motion(
+        self, uav: int, values: Array, thrust_N: float, measured: Measurement, start: int
+    ) -> Motion:
+        """Return the motion of a UAV, 0-based, at tick `start` by its own measurements, with the thrust until them."""
+        system, tick = self._setup.system, measured.tick
+        if self._setup.sensors.vehicle:
+            return self._sensors[uav].motion(values, thrust_N, tick, start, self._reference(uav))
+        x = np.zeros(system.n)
+        x[: state.PAYLOAD], x[state.uav_slice(uav)] = measured.payload, values
+        return ahead(
+            motion_of(system, uav, x),
+            tick,
+            start,
+            self._reference(uav),
+            self._setup.settings.sampling_period_s,
+        )
+
+    def _reference(self, uav: int) -> Callable[[int], Motion]:
+        return lambda tick: self._law.course(uav, tick).motion
+
+    def _said(self, k: int) -> Array:
+        """Return what the plan of tick k says of the own UAVs: what was measured; with vehicle sensors nothing."""
+        owned = list(self._owned)
+        if self._setup.sensors.vehicle:
+            return np.zeros((len(owned), state.REPORTS * state.REPORTED))
+        if self._measurement is not None:
+            return self._measurement.uav_states
+        x_ref = self._setup.X_ref[min(k, len(self._setup.X_ref) - 1)]
+        return state.StateView(x_ref).uavs[owned]

@@ -1,0 +1,73 @@
+"""Other agents whose news are overdue, in the covariance of a filter: docs/equations.md (63c)."""
+
+from typing import Protocol
+
+import numpy as np
+
+from transport.agent.announced import Silent, Untold
+from transport.model import state
+from transport.model.arrays import Array, padded
+from transport.mpc.fail_safe import FailSafe
+from transport.protocol.scenario.setup import Setup
+
+
+class Answers(Protocol):
+    """How the inputs of a period answer to the state."""
+
+    @property
+    def untold(self) -> Untold:
+        """Which of them follow the control law or the fail-safe."""
+
+    @property
+    def K(self) -> Array | None:
+        """Gain of the control law, (m, n)."""
+
+
+class SilentTeam:
+    """UAVs that act alone: they answer to their own motion, about hover, with their own noise."""
+
+    def __init__(self, setup: Setup) -> None:
+        system = setup.system
+        alone = FailSafe(system, setup.hover.u, setup.hover.x[None])
+        columns = system.n + (system.m if setup.settings.motor_lag_s > 0.0 else 0)
+        self._gain = padded(np.vstack([alone.gain(uav) for uav in range(system.N)]), columns)
+        slopes = np.vstack([alone.law(uav).by_sensors() for uav in range(system.N)])
+        noise = np.repeat(setup.sensors.noise, state.SENSED // len(setup.sensors.noise))
+        self._variance = (
+            slopes**2 @ noise**2
+        )  # of their inputs, by the noise of their sensors, (m,)
+
+    def gain(self, silent: Silent, period: Answers) -> Array:
+        """Return the derivative of the untold inputs by the own error, (m, n).
+
+        With a share a alone: a K_alone + (1 - a) (1 - c) K; a fail-safe answers wholly.
+        """
+        untold = period.untold
+        by_law = untold.by_law
+        answered = np.where(by_law, (1.0 - silent.alone) * (1.0 - silent.correlation), 0.0)
+        answered = np.where(untold.by_fail_safe, 1.0, answered)
+        K = np.zeros_like(self._gain) if period.K is None else period.K
+        alone = silent.alone * by_law
+        return np.asarray(alone[:, None] * self._gain + answered[:, None] * K)
+
+    def noise(self, silent: Silent, period: Answers, B: Array, T: Array, P: Array) -> Array:
+        """Return the covariance of what the untold inputs add in a period, (s, s).
+
+        (1 - a)^2 (1 - c^2) B K T P T' K' B' of their estimates, a^2 B V B' of their sensors.
+
+        Args:
+            silent: Share a and correlation c by input.
+            period: Which inputs are untold, and the gain of the law.
+            B: Effect of the inputs in coordinates, (s, m).
+            T: Basis of the coordinates, (n, s).
+            P: Covariance of the coordinates, (s, s).
+        """
+        by_law = period.untold.by_law
+        sensing = B * (silent.alone * by_law)
+        Q = (sensing * self._variance) @ sensing.T
+        if period.K is None:
+            return np.asarray(Q)
+        unshared = (1.0 - silent.alone) * np.sqrt(1.0 - silent.correlation**2)
+        B_law = (B * unshared)[:, by_law]
+        K_T = period.K[by_law] @ T
+        return np.asarray(Q + B_law @ (K_T @ P @ K_T.T) @ B_law.T)

@@ -1,0 +1,116 @@
+"""Inputs of an agent between those of the team and those of its UAVs alone, smooth both ways: (32d), (32e)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from transport.agent.estimation.vehicle_sensors import SensorEstimator
+from transport.agent.handover import Mixture, mixed
+from transport.agent.team_estimate import TeamEstimate
+from transport.model import state
+from transport.model.arrays import Array
+from transport.model.rotations import rotation
+from transport.mpc.alone import Course, Motion, OwnSensors, motion_of
+from transport.mpc.prediction import Linear
+from transport.protocol.scenario.setup import Setup
+
+# Time over which the thrust of the team, that the integral begins with, is averaged, s.
+_PRELOAD_S = 1.0
+# Time constant with which a deviation alone fades in the later steps of a plan, s.
+_FADES_S = 0.2
+
+
+class HandOver:
+    """Hand-over of the UAVs of one agent, 0-based, between the team's control law and the law alone."""
+
+    def __init__(self, setup: Setup, team: TeamEstimate, owned: Sequence[int]) -> None:
+        self._setup, self._team, self._owned = setup, team, owned
+        self._period_s = setup.settings.sampling_period_s
+        self._mixture = Mixture(self._period_s)
+        # While UAVs act alone: force of the integral of each, N, and its sensors.
+        self._held_I: dict[int, Array] = {}
+        self._sensors: dict[int, OwnSensors] = {}
+
+    @property
+    def share(self) -> float:
+        """Share of the law alone in the newest inputs."""
+        return self._mixture.share
+
+    def inputs(self, k: int, start: int, linear: Linear, team: Array) -> Array:
+        """Return the inputs to announce and to apply from tick `start` on, (N_p, 4 owned), for those of the team."""
+        silence = self._team.announced.silence
+        if silence is None:
+            return team
+        share = self._mixture.advance(silence.alone(self._team.overdue(k)))
+        if share == 0.0:
+            self._held_I.clear()
+            self._sensors.clear()
+            return team
+
+        alone = np.hstack([self._alone(uav, k, start, linear.x0, len(team)) for uav in self._owned])
+        settings, count = self._setup.settings, len(self._owned)
+        before = linear.u0[state.input_indices(self._owned)]
+        inputs = mixed(team, alone, share, before, settings.step(count))
+        return np.clip(inputs, settings.lower(count), settings.upper(count))
+
+    def _alone(self, uav: int, k: int, start: int, x: Array, steps: int) -> Array:
+        """Return the inputs of a UAV alone over the horizon, (N_p, 4): the course, and a deviation that fades."""
+        law, course = self._team.alone(uav, start)
+        if uav not in self._held_I:
+            self._held_I[uav] = self._preload(uav, k)
+        held_I = self._held_I[uav]
+        motion = self._motion(uav, k, start, x)
+        deviation = law.inputs(motion, course, held_I) - _own_inputs(course)
+        self._held_I[uav] = law.held(held_I, motion, course, self._period_s)
+
+        fading = np.exp(-self._period_s / _FADES_S * np.arange(steps))
+        ahead = np.array(
+            [_own_inputs(self._team.alone(uav, start + step)[1]) for step in range(steps)]
+        )
+        return np.asarray(ahead + fading[:, None] * deviation)
+
+    def _motion(self, uav: int, k: int, start: int, x: Array) -> Motion:
+        """Return the motion of a UAV at tick `start` by its own sensors.
+
+        Where they are silent: by the estimate, (n,).
+        """
+        system, estimator = self._setup.system, self._team.estimator
+
+        def course(tick: int) -> Motion:
+            return self._team.alone(uav, tick)[1].motion
+
+        if not isinstance(estimator, SensorEstimator):
+            return motion_of(system, uav, x)
+        since = k
+        if uav not in self._sensors:
+            self._sensors[uav] = OwnSensors(system, uav, self._setup.sensors.ages, self._period_s)
+            since = max(0, k - round(_PRELOAD_S / self._period_s))
+        motion = motion_of(system, uav, x)
+        for tick in range(since, k + 1):
+            told = estimator.told(tick, uav)
+            if told is not None and told.inputs is not None:
+                thrust_N = float(told.inputs[0])
+                motion = self._sensors[uav].motion(
+                    told.values, thrust_N, tick, start - k + tick, course
+                )
+        return motion
+
+    def _preload(self, uav: int, k: int) -> Array:
+        """Return the force with which the integral begins: the mean by which the team's thrust differs from the law."""
+        differences = []
+        for tick in range(max(0, k - round(_PRELOAD_S / self._period_s)), k):
+            x = self._team.estimator.past(tick)
+            if x is None:
+                continue
+            law, course = self._team.alone(uav, tick)
+            motion = motion_of(self._setup.system, uav, x)
+            thrust_N = self._team.announced.in_force(tick, before=k)[state.input_slice(uav)][0]
+            applied_I = -thrust_N * rotation(motion.Theta)[:, 2]
+            differences.append(applied_I - law.force(motion, course))
+        law, _ = self._team.alone(uav, k)
+        return law.within(np.mean(differences, axis=0)) if differences else np.zeros(3)
+
+
+def _own_inputs(course: Course) -> Array:
+    """Return the inputs of a course, (4,): thrust, and moments or body rates."""
+    return np.concatenate([[np.linalg.norm(course.force_I)], course.turning])

@@ -1,0 +1,83 @@
+"""How much an agent acts alone, by the age of its news (docs/equations.md (32c)-(32e))."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from transport.agent.handover import SHARED, Mixture, News, Silence, mixed
+
+PERIOD_S = 0.05
+RULES = [Silence.of(PERIOD_S, is_filtered=filtered) for filtered in (True, False)]
+ROUNDING = 1e-12
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_news_as_usual_change_nothing(rule: Silence) -> None:
+    """Until the rule begins no share is alone and the errors of agents are correlated as always."""
+    for overdue in range(int(rule.begins) + 1):
+        assert rule.alone(overdue) == 0.0
+        assert rule.correlation(overdue) == SHARED
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_share_grows_and_correlation_falls_with_the_age(rule: Silence) -> None:
+    """The share grows steadily to one, the correlation falls to zero."""
+    ages = np.arange(0.0, 40.0 * rule.complete)
+    shares, shared = ([of(age) for age in ages] for of in (rule.alone, rule.correlation))
+    assert (np.diff(shares) >= 0.0).all()
+    assert shares[-1] == 1.0
+    assert (np.diff(shared) <= 0.0).all()
+    assert shared[-1] < ROUNDING
+
+
+def test_a_heartbeat_is_no_silence() -> None:
+    """Where plans are sent on change, an agent waits for the heartbeat before it counts ages."""
+    plain, shared = (
+        Silence.of(PERIOD_S, is_filtered=False, heartbeat_s=heartbeat_s)
+        for heartbeat_s in (0.0, 1.0)
+    )
+    assert shared.begins == pytest.approx(plain.begins + 1.0 / PERIOD_S)
+
+
+@given(st.lists(st.integers(1, 300), min_size=1, max_size=200))
+def test_usual_age_is_the_least_recent_one(ages: list[int]) -> None:
+    """The usual age is the smallest in the window, so that a constant delay is no silence."""
+    news = News((2,), RULES[0])
+    for age in ages:
+        news.observe(2, age)
+    window = round(3.0 * RULES[0].complete)
+    assert news.usual(2) == min(ages[-window:])
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_a_silence_for_good_stays_one(rule: Silence) -> None:
+    """Ages that grow for ever never become usual: the window is longer than the age at which an agent acts alone."""
+    news = News((2,), rule)
+    for age in range(1, 5000):
+        news.observe(2, age)
+    assert rule.alone(4999 - news.usual(2)) == 1.0
+
+
+@given(st.lists(st.floats(0.0, 1.0), max_size=100))
+def test_mixture_is_smooth(wanted: list[float]) -> None:
+    """The share stays within 0 and 1 and changes at a limited rate, whatever the rule wants."""
+    mixture, before = Mixture(PERIOD_S), 0.0
+    for share in wanted:
+        after = mixture.advance(share)
+        assert -ROUNDING <= after <= 1.0 + ROUNDING
+        assert abs(after - before) <= PERIOD_S / 0.5 + ROUNDING
+        before = after
+
+
+@given(st.floats(0.0, 1.0), st.integers(0, 1000))
+def test_mixed_inputs_keep_the_rates(share: float, seed: int) -> None:
+    """From the inputs in force on, no input changes by more than its step per period."""
+    rng = np.random.default_rng(seed)
+    team, alone, before = (10.0 * rng.standard_normal(shape) for shape in ((8, 4), (8, 4), 4))
+    step = np.array([1.0, 0.1, 0.1, 0.2])
+    inputs = mixed(team, alone, share, before, step)
+    changes = np.diff(np.vstack([before, inputs]), axis=0)
+    assert (np.abs(changes) <= step + ROUNDING * 100.0).all()
+    wide = mixed(team, alone, share, before, np.full(4, 1e9))
+    np.testing.assert_allclose(wide, (1.0 - share) * team + share * alone)

@@ -1,0 +1,153 @@
+"""Teams whose network is silent: a filter with a bound, agents that never raise, flights that go on."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from tests.support import runs
+from tests.support.runs import VEHICLE, completed, measurement
+from transport.agent.announced import AnnouncedInputs, SharedLaw, Silent, Untold
+from transport.agent.estimation.estimator import sensor_estimator
+from transport.agent.estimation.team_filter import Period, Sensed, TeamFilter
+from transport.agent.handover import Silence
+from transport.model import state
+from transport.model.arrays import Array
+from transport.mpc.controller import Controller
+from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Message, Note, Plan, PlantState
+
+ALL = tuple(range(5))
+FORCES = "controller.disturbance.estimate=true"
+# Ticks after which a covariance that has a fixed point is there: many times its slowest mode.
+SETTLED, MORE = 2000, 200
+# Change of the largest deviation over `MORE` ticks that counts as none; a walk grows by percents.
+SAME = 1e-3
+# Most by which the largest deviation of a pass of `eight` exceeds that of the pass before: rounding.
+LAP = 1.05
+ATTITUDE_DEG, APART_M = 10.0, 0.38
+
+
+def _silent(agents: int, start_s: float, end_s: float = 1e5) -> str:
+    cuts = [
+        f"{{between=['agent{agent}'], start_s={start_s}, end_s={end_s}}}"
+        for agent in range(1, agents)
+    ]
+    return f"links.partition=[{', '.join(cuts)}]"
+
+
+def _alone(run: Setup, along: Sequence[tuple[Array, Array]], ticks: int) -> list[float]:
+    """Return the largest standard deviation of a filter that has UAV 1's measurements, by tick."""
+    controller = Controller(run.model, run.hover, run.settings, run.owned[0], run.reference.sampled)
+    kalman, m = TeamFilter(run), run.system.m
+    by_law = np.repeat(np.arange(run.system.N) != 0, state.INPUTS)
+    untold = Untold(by_law=by_law, by_fail_safe=np.zeros(m, dtype=bool))
+    silent = Silent(alone=by_law.astype(np.float64), correlation=np.zeros(m))
+
+    belief, deviations = kalman.first(along[0][0]), []
+    for k in range(ticks):
+        tick = k % len(along)
+        period = Period(
+            model=run.model,
+            end=along[(k + 1) % len(along)][0],
+            u=along[tick][1],
+            untold=untold,
+            K=controller.regulation.gain(tick),
+            correlation=0.6,
+            silent=silent,
+        )
+        prior = kalman.predict(belief, period)
+        z = run.model.sensed(period.end, period.u, forces=kalman.forces(prior))[: state.SENSED]
+        belief = kalman.correct(prior, run.model, [Sensed(uav=0, sensors=ALL, values=z)])
+        belief = replace(belief, x=period.end)
+        deviations.append(math.sqrt(belief.covariance.P.diagonal().max()))
+    return deviations
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("eight", ()), ("eight", (FORCES,)), ("gap", ()), ("precise", VEHICLE), ("precise", (*VEHICLE, FORCES)),
+     ("windy", VEHICLE)],
+)  # fmt: skip
+def test_without_news_the_covariance_has_a_fixed_point(name: str, settings: Sequence[str]) -> None:
+    """At hover, with own measurements alone, every standard deviation settles: (63), (63c), (63d)."""
+    run = runs.ready(name, *settings)
+    deviations = _alone(run, [(run.initial_state(), run.hover.u)], SETTLED + MORE)
+    assert abs(deviations[-1] / deviations[SETTLED] - 1.0) < SAME
+    assert deviations[-1] <= deviations[0]
+
+
+def test_without_news_the_covariance_along_a_path_is_bounded() -> None:
+    """Along `eight` the largest deviation of a third pass is that of the second, (63c)."""
+    run = runs.ready("eight")
+    track = run.reference.sampled.track
+    assert track is not None
+    along = list(zip(track.X[: run.ticks], track.U[: run.ticks], strict=True))
+    deviations = _alone(run, along, 3 * run.ticks)
+    second, third = deviations[run.ticks : 2 * run.ticks], deviations[2 * run.ticks :]
+    assert max(third) <= LAP * max(second)
+
+
+def test_an_estimate_out_of_range_begins_anew() -> None:
+    """A belief far over is replaced by one about the reference, and counted."""
+    run = runs.setup(*VEHICLE)
+    no_gain = np.zeros((run.system.m, run.system.n))
+    estimator = sensor_estimator(run, 1, lambda tick: run.X_ref[tick], lambda _: no_gain)
+    announced = AnnouncedInputs(run.owned, run.hover.u, own=1)
+    wrong = np.zeros(state.SENSED)
+    wrong[state.THETA] = [1.56, 0.0, 0.0]
+    for k in range(4):
+        seen = measurement(run, 1, k)
+        z = run.model.sensed(run.X_ref[k], run.hover.u)[: state.SENSED]
+        if k == 0:
+            z = z + wrong
+        seen = structs.replace(seen, payload=np.zeros(0), uav_states=z[None])
+        estimator.measure(seen)
+        x = estimator.estimate(k, announced)
+        assert np.isfinite(x).all()
+        assert np.abs(state.StateView(x).Theta[:, :2]).max() < 1.5
+    assert estimator.resets == {0}
+
+
+def test_before_a_first_plan_the_others_follow_the_law() -> None:
+    """Once the first plan of an agent is overdue, its inputs are those of the shared law, not hover inputs."""
+    owned, hover = ((0,), (1,)), np.zeros(8)
+    silence = Silence(begins=5.0, complete=1e6, forgets=1.0)
+    law = SharedLaw(inputs=lambda _tick, _x: np.arange(8.0), silence=silence)
+    announced = AnnouncedInputs(owned, hover, own=1, law=law)
+    x = np.zeros(36)
+    np.testing.assert_array_equal(announced.in_force(3, before=4, x=x), hover)
+    late = announced.in_force(30, before=31, x=x)
+    np.testing.assert_allclose(late[4:], np.arange(4.0, 8.0))
+    np.testing.assert_array_equal(late[:4], hover[:4])
+
+
+def _plans(messages: Sequence[Message], agent: int) -> list[Plan]:
+    return [message for message in messages if isinstance(message, Plan) and message.agent == agent]
+
+
+def test_agents_hand_over_and_take_back() -> None:
+    """In a silence of 2 s each agent acts alone, says so, and comes back to the team's law; the run completes."""
+    run = runs.ready(
+        "precise", *VEHICLE, FORCES, "links.delay_s=0.1", runs.ticks(200), _silent(4, 2.0, 4.0)
+    )
+    messages = completed(run)
+    for agent in run.agents:
+        shares = [plan.alone for plan in _plans(messages, agent)]
+        assert max(shares[:40]) == 0.0
+        assert max(shares) == 1.0
+        assert shares[-1] == 0.0
+        assert np.abs(np.diff(shares)).max() <= 0.1 + 1e-9
+    states = [message for message in messages if isinstance(message, PlantState)]
+    attitudes = np.degrees(np.abs([message.x[state.THETA0] for message in states]))
+    assert attitudes.max() < ATTITUDE_DEG
+    assert not [message for message in messages if isinstance(message, Note) and message.problem]
+
+
+def test_law_keeps_the_law() -> None:
+    """With `controller.silence = "law"` no agent ever acts alone."""
+    run = runs.ready("resilient", "controller.silence=law", "links.loss=1.0", runs.ticks(60))
+    assert {plan.alone for agent in run.agents for plan in _plans(completed(run), agent)} == {0.0}

@@ -1,0 +1,89 @@
+"""What the network is worth: controllers in weather, on networks from perfect to none."""
+
+import math
+from collections.abc import Iterator, Mapping
+
+from transport.experiments.cases import Point
+from transport.experiments.declaration import declared
+from transport.protocol.scenario.schema import Scenario
+
+# Sensors of the vehicles: 1 cm, 2 cm/s, 0.5 deg, 1 deg/s, 0.3 m/s^2; and the estimate of forces.
+SENSORS = (
+    "plant.sensors=vehicle",
+    "controller.estimator=kalman",
+    "controller.disturbance.estimate=true",
+    "plant.noise.position_m=0.01",
+    "plant.noise.velocity_mps=0.02",
+    "plant.noise.attitude_rad=0.0087",
+    "plant.noise.rate_rads=0.0175",
+    "plant.noise.specific_force_mps2=0.3",
+)
+
+
+def _gusts(speed_mps: float) -> str:
+    return f"plant.wind.gust_mps=[{speed_mps}, {speed_mps}, {speed_mps}]"
+
+
+WEATHER: Mapping[str, tuple[str, ...]] = {
+    "still air": (),
+    "gusts 1 m/s": (_gusts(1.0),),
+    "gusts 2 m/s": (_gusts(2.0),),
+    "gusts 3 m/s": (_gusts(3.0),),
+    "payload 15 % heavier": ("plant.payload_mass_factor=1.15",),
+}
+PERFECT, NONE = "perfect", "none"
+NETWORKS: Mapping[str, tuple[str, ...]] = {
+    PERFECT: (),
+    "200 ms, 30 % loss": ("links.delay_s=0.2", "links.loss=0.3"),
+    "400 ms, 60 % loss": ("links.delay_s=0.4", "links.loss=0.6"),
+    "5 s of 10 silent": (),
+    NONE: ("links.loss=1.0",),
+}
+SILENT = "5 s of 10 silent"
+_SILENT_S, _EVERY_S = 5.0, 10.0
+
+
+@declared(
+    "network",
+    drawn_as="weather",
+    scenarios=("alone", "paper", "resilient", "centralized_lq"),
+    seeds=5,
+)
+def weather(scenario: Scenario) -> Iterator[Point]:
+    """Worth of the network in weather.
+
+    Each controller in still air, gusts and with a heavier payload, on networks from perfect to none,
+    by the sensors of the vehicles. UAVs alone need no network, and one agent for all has none to
+    impair. `paper` has no estimator: its agents are told the states.
+
+    Example: transport experiment weather --scenario resilient --scenario alone --seeds 2
+    """
+    names = list(NETWORKS)
+    if scenario.agents.controller == "alone":
+        names = [NONE]
+    elif len(scenario.owned) == 1:
+        names = [PERFECT]
+    sensors = SENSORS if scenario.controller.prediction == "closed_loop" else ()
+    for air, settings in WEATHER.items():
+        for name in names:
+            yield Point(
+                {"weather": air, "network": name},
+                f"{air}, network: {name}",
+                (*sensors, *settings, *_network(name, scenario)),
+                baseline=name == names[0],
+                group=air,
+            )
+
+
+def _network(name: str, scenario: Scenario) -> tuple[str, ...]:
+    """Return the settings of a network: all agents apart in the silent ones."""
+    if name != SILENT:
+        return NETWORKS[name]
+    duration_s = math.fsum(phase.duration_s for phase in scenario.maneuver.phase)
+    cuts = []
+    for number in range(math.ceil(duration_s / _EVERY_S)):
+        start_s = number * _EVERY_S + _EVERY_S - _SILENT_S
+        for agent in range(1, len(scenario.owned)):
+            end_s = start_s + _SILENT_S
+            cuts.append(f"{{between=['agent{agent}'], start_s={start_s}, end_s={end_s}}}")
+    return (f"links.partition=[{', '.join(cuts)}]",)
