@@ -33,6 +33,8 @@ class Expected:
 class TeamEstimate:
     """Estimate of one agent, 1-based; its controller is kept up to date with the team.
 
+    Without a shared law (a controller of the user) the others are assumed to apply their plans.
+
     Attributes:
         peers: The other agents.
         announced: Inputs announced by all agents.
@@ -40,8 +42,11 @@ class TeamEstimate:
         expected: Prediction of the last step with a shared control law.
     """
 
-    def __init__(self, setup: Setup, agent: int, controller: Controller) -> None:
+    def __init__(
+        self, setup: Setup, agent: int, controller: Controller, *, has_shared_law: bool = True
+    ) -> None:
         self._setup = setup
+        self._has_shared_law = has_shared_law
         self._agent = agent
         self._controller = controller
         self.peers = tuple(other for other in setup.agents if other != agent)
@@ -57,12 +62,15 @@ class TeamEstimate:
         regulation = self._controller.regulation
         self.estimator = estimator_of(setup, self._agent, self._reference, regulation.gain)
         self._law_inputs = LawInputs(regulation)
+        law = SharedLaw()
+        if self._has_shared_law:
+            law = SharedLaw(inputs=self._by_law, start_state=self.estimator.start_state)
         self.announced = AnnouncedInputs(
             setup.owned,
             setup.hover.u,
             setup.scenario.controller.received_plans,
             own=self._agent,
-            law=SharedLaw(inputs=self._by_law, start_state=self.estimator.start_state),
+            law=law,
             settings=setup.settings,
         )
         self.announced.fail_safe = setup.fail_safe

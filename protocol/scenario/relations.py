@@ -28,8 +28,6 @@ _NEEDS = (
     ("controller.estimator", "kalman", "controller.received_states", "predicted"),
     ("controller.estimator", "kalman", "controller.share", "always"),
     ("agents.controller", _OTHER, "controller.share", "always"),
-    ("agents.controller", _OTHER, "controller.negotiation_iterations", 1),
-    ("agents.controller", _OTHER, "plant.sensors", "state"),
     ("controller.tension", _OTHER, "controller.motor_lag_s", 0.0),
     ("clock.mode", "realtime", "controller.negotiation_iterations", 1),
     ("clock.mode", "realtime", "plant.inner_loop", "model"),

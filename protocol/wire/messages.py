@@ -29,6 +29,7 @@ MAX_TICK = 2**48
 MAX_TEXT, MAX_KEY, MAX_PARTS = 1_000, 80, 1_024
 MAX_NAMES, MAX_NAME = 64, 80  # numbers of a note, characters of their names
 MAX_POINTS = 256  # of a target
+MAX_DATA = 512  # numbers of a controller of the user in a plan: 4 KB
 
 _LARGEST = sys.float_info.max
 Count = Annotated[int, Meta(ge=0, le=MAX_TICK)]
@@ -286,6 +287,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
         "uav_states": _states_or(REPORTS * REPORTED),
         "inputs": _steps,
         "corrections": _steps,
+        "data": lambda _: (None,),
     }
 
     agent: Agent  # the agent that planned
@@ -302,6 +304,9 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     inputs: Array  # absolute inputs per step from `start_tick`, (N_p, 4 owned), N and N m or rad/s
     corrections: Array  # corrections of these inputs to the shared control law, (N_p, 4 owned); no rows without one
     status: PlanStatus  # result of the solve; anything but "solved" means the shifted previous plan
+    # Numbers that a controller of the user shares, (k,) with k at most `MAX_DATA`, in the shape that
+    # the receiver's own class has declared; without any the field does not travel.
+    data: Array = msgspec.field(default_factory=lambda: np.zeros(0))
 
     def check(self) -> None:
         """Check the arrays, and that inputs and corrections are over the same steps."""
@@ -314,6 +319,9 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
         if len(self.corrections) not in (0, steps):
             text = f"corrections: expected none or {steps} steps, got {len(self.corrections)}"
             raise MessageError("wrong_shape", text)
+        if len(self.data) > MAX_DATA:
+            text = f"data: expected at most {MAX_DATA} numbers, got {len(self.data)}"
+            raise MessageError("out_of_range", text)
 
 
 # For the record; only the coordinator acts on them: it ends a diverged run

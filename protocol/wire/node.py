@@ -80,7 +80,7 @@ class Outbox:
 
         Its arrays are read-only copies.
         """
-        for field in kind.shapes:
+        for field in fields.keys() & kind.shapes.keys():
             fields[field] = np.array(fields[field], dtype=np.float64)
             fields[field].setflags(write=False)
         message = kind(
