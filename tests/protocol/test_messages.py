@@ -113,24 +113,24 @@ def test_well_formed_garbage() -> None:
             "at most length 10, got 11",
         ),
         (
-            packed(*content(sample(Plan))[:-1], "sold"),
+            packed(*content(sample(Plan))[:-2], "sold"),
             "agent2",
             "out_of_range",
             "status: invalid enum value 'sold'",
         ),
         (
-            packed(*content(sample(Plan))[:-1], 7),
+            packed(*content(sample(Plan))[:-2], 7),
             "agent2",
             "wrong_shape",
             "status: expected str, got int",
         ),
         (
-            packed(*content(sample(Plan))[:-2], array(4, 1, 1, 1), "solved"),
+            packed(*content(sample(Plan))[:-3], array(4, 1, 1, 1), "solved"),
             "agent2",
             "malformed",
             "array of 4 axes",
         ),
-        (packed("plan", "agent-2", *content(sample(Plan))[2:-1], 7), "", "wrong_shape", "status"),
+        (packed("plan", "agent-2", *content(sample(Plan))[2:-2], 7), "", "wrong_shape", "status"),
         (
             packed("plan", ["agent2"], *content(sample(Plan))[2:]),
             "",

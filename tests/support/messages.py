@@ -24,6 +24,7 @@ from transport.protocol.wire.messages import (
     FaultNote,
     LinkChange,
     Message,
+    Plan,
     PlantState,
     Rejected,
     Roster,
@@ -114,7 +115,9 @@ def content(message: Message) -> list[Any]:
             value.ndim, *value.shape, *[0] * (3 - value.ndim), values=value.astype("<f8").tobytes()
         )
 
-    return [message.kind, *(plain(getattr(message, field)) for field in message.__struct_fields__)]
+    values = [plain(getattr(message, field)) for field in message.__struct_fields__]
+    is_without_data = isinstance(message, Plan) and not len(message.data)
+    return [message.kind, *(values[:-1] if is_without_data else values)]
 
 
 def _types(kind: type[Message]) -> dict[str, inspect.Type]:
@@ -182,7 +185,7 @@ def _message(draw: DrawFn, kind: type[Message]) -> Message:
         values["released"] = values["off"][1:]
     rows = draw(st.integers(1, FEW))
     for field, shape_of in kind.shapes.items():
-        none = field == "corrections" and draw(st.booleans())
+        none = field in ("corrections", "data") and draw(st.booleans())
         shape = tuple(
             (0 if none else rows) if n is None else n
             for n in shape_of(SimpleNamespace(**STATES | values))
