@@ -25,8 +25,8 @@ from scipy.linalg import expm, solve_discrete_are
 
 from transport import Step
 
-OWN, REST = 0.5, 0.1  # gain on the entries that the sender measures, and on the others
-LIMIT = 1e-3  # of the cost-to-go of the others' error
+OWN, REST = 0.2, 0.05  # gain on the entries that the sender measures, and on the others
+LIMIT = 1e-2  # of the cost-to-go of the others' error
 HISTORY = 64  # ticks: later estimates are not used
 
 
