@@ -1,7 +1,4 @@
-"""The roster of a run, its links and its targets.
-
-Their changes, and the messages that announce them.
-"""
+"""The roster of a run, its links and its targets: their changes, and the messages about them."""
 
 import json
 from collections import deque
@@ -10,10 +7,11 @@ from typing import Any
 
 from transport.protocol.scenario.errors import RequestError
 from transport.protocol.scenario.faults import failures
-from transport.protocol.scenario.links import link_change, words_of
-from transport.protocol.scenario.schema import TargetSection
+from transport.protocol.scenario.link_changes import link_change, words_of
+from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import MOST, planned, scripted, target_in_words
+from transport.protocol.scenario.target_planning import planned
+from transport.protocol.scenario.targets import MOST, scripted, target_in_words
 from transport.protocol.wire.messages import (
     MAX_TEXT,
     LinkChange,
@@ -27,31 +25,45 @@ from transport.protocol.wire.node import Outbox
 
 
 class TeamRoster:
-    """The agents that take part in a run, and what has changed in it so far, repeated for agents that join.
+    """The agents that take part in a run, and all changes so far, repeated for agents that join.
 
-    A change is announced with a roster, whose version ticks name: no process opens the next one
-        without knowing it.
+    A change is announced with a roster, whose version ticks name: no process opens the next tick
+    without that version.
+
+    Attributes:
+        agents: All agents of the run, by process name.
+        members: The agents on the roster.
+        joining: Incarnations of the agents that are put on it when the next tick opens.
+        incarnations: Newest ones of the processes that take part, by name.
+        version: Version of the newest roster.
     """
 
     def __init__(self, setup: Setup, out: Outbox) -> None:
-        self.agents = {agent_name(agent): agent for agent in setup.agents}  # all of the run
-        self.members = set(setup.agents)  # on the roster
-        self.joining: dict[
-            int, int
-        ] = {}  # to be put on it when the next tick opens, with their incarnations
-        self.incarnations: dict[str, int] = {}  # newest ones of the processes that take part
-        self.version = 0  # of the newest roster
-        self._out, self._setup = out, setup
+        self._setup = setup
+        self._out = out
+        self.agents = {agent_name(agent): agent for agent in setup.agents}
+        self.members = set(setup.agents)
+        self.joining: dict[int, int] = {}
+        self.incarnations: dict[str, int] = {}
+        self.version = 0
+
         self._links: list[LinkChange] = []
         self._targets: list[Target] = []
         self._scripted = deque(scripted(setup))  # targets still to be announced
         self._uav_faults = deque(failures(setup.faults))  # still to be reported
         self._off: set[int] = set()  # UAVs without motors, 1-based
-        self._released: set[int] = set()
-        self._returns: dict[int, set[int]] = {}  # agents that scripted faults bring back, by tick
-        for fault in setup.faults if setup.scenario.clock.mode == "lockstep" else ():
+        self._released: set[int] = set()  # UAVs off their rods, 1-based
+        self._returns = self._scripted_returns()  # agents that scripted faults bring back, by tick
+
+    def _scripted_returns(self) -> dict[int, set[int]]:
+        """Return the agents that the script brings back, by tick; in real time no tick waits."""
+        returns: dict[int, set[int]] = {}
+        if self._setup.scenario.clock.mode != "lockstep":
+            return returns
+        for fault in self._setup.faults:
             if fault.do in ("continue", "start") and fault.target in self.agents:
-                self._returns.setdefault(fault.tick, set()).add(self.agents[fault.target])
+                returns.setdefault(fault.tick, set()).add(self.agents[fault.target])
+        return returns
 
     def time(self, tick: int) -> str:
         """Return the time of a tick as text."""
@@ -73,42 +85,58 @@ class TeamRoster:
         )
 
     def awaited(self, tick: int) -> set[int]:
-        """Return the agents a tick waits for.
-
-        Scripted faults bring them back at it, and they are not ready yet.
-        """
+        """Return the agents that the script brings back at a tick, and that are not ready yet."""
         return self._returns.get(tick, set()) - self.joining.keys() - self.members
 
     def give_up(self, tick: int) -> Roster:
         """Return the roster without the agents that a tick has waited for."""
-        return self.message(
-            f"{names(self._returns.pop(tick))} did not return at {self.time(tick)}", tick - 1
-        )
+        absent = names(self._returns.pop(tick))
+        return self.message(f"{absent} did not return at {self.time(tick)}", tick - 1)
 
     def begin(self, tick: int) -> tuple[set[int], list[Message]]:
-        """Return the agents that join at a tick that opens, and the messages of all that changes at it."""
-        joined, self.joining = self.joining, {}
+        """Return the agents that join at a tick that opens, and the messages of all its changes."""
+        joined = set(self.joining)
         messages: list[Message] = []
         if joined:
-            messages += [self._out.again(message) for message in [*self._links, *self._targets]]
-            self.members |= joined.keys()
-            self.incarnations |= {
-                agent_name(agent): incarnation for agent, incarnation in joined.items()
-            }
-            messages.append(self.message(f"{names(joined)} joined at {self.time(tick)}", tick))
+            messages += self._join(tick)
+        messages += self._report_failures(tick)
+        messages += self._announce_targets(tick)
+        return joined, messages
+
+    def _join(self, tick: int) -> list[Message]:
+        """Put the joining agents on the roster; return all changes so far, and the roster."""
+        repeated = [self._out.again(message) for message in [*self._links, *self._targets]]
+        self.members |= self.joining.keys()
+        for agent, incarnation in self.joining.items():
+            self.incarnations[agent_name(agent)] = incarnation
+
+        reason = f"{names(self.joining)} joined at {self.time(tick)}"
+        self.joining = {}
+        return [*repeated, self.message(reason, tick)]
+
+    def _report_failures(self, tick: int) -> list[Message]:
+        """Return a roster for each failure of a UAV that is due at a tick."""
+        messages: list[Message] = []
         while self._uav_faults and self._uav_faults[0].tick <= tick:
             fault = self._uav_faults.popleft()
+            event = "motors off"
             self._off.add(fault.uav + 1)
             if fault.do == "release":
+                event = "released"
                 self._released.add(fault.uav + 1)
-            event = "released" if fault.do == "release" else "motors off"
             messages.append(self.message(f"{fault.target} {event} at {self.time(tick)}", tick))
+        return messages
+
+    def _announce_targets(self, tick: int) -> list[Message]:
+        """Return the messages of the scripted targets that are due at a tick."""
+        messages: list[Message] = []
         while self._scripted and self._scripted[0][0] <= tick:
+            _, section = self._scripted.popleft()
             try:
-                messages += self.target(self._scripted.popleft()[1], tick)
+                messages += self.target(section, tick)
             except RequestError as error:
                 messages.append(self.message(f"target refused: {error}", tick - 1))
-        return set(joined), messages
+        return messages
 
     def link(self, given: Mapping[str, Any], tick: int) -> list[LinkChange | Roster]:
         """Return the messages of a change of links that holds from a tick on.
@@ -118,11 +146,13 @@ class TeamRoster:
 
         Raises: RequestError: the request is refused.
         """
-        source, target = (str(given.get(end, "")) for end in ("from", "to"))
-        known = [PLANT, *self.agents]
+        source = str(given.get("from", ""))
+        target = str(given.get("to", ""))
+        ends = [PLANT, *self.agents]
         for end, name in (("from", source), ("to", target)):
-            if name and name not in known:
-                raise RequestError(f"{end}: expected one of {', '.join(known)}, got {name!r}")
+            if name and name not in ends:
+                raise RequestError(f"{end}: expected one of {', '.join(ends)}, got {name!r}")
+
         settings = json.dumps(given.get("settings"))
         if not link_change(source, target, settings).settings():
             raise RequestError("expected at least one key of a link, got none")
@@ -130,6 +160,7 @@ class TeamRoster:
             raise RequestError(
                 f"settings: expected at most {MAX_TEXT} characters, got {len(settings)}"
             )
+
         number = len(self._links) + 1
         change = self._out.stamp(
             LinkChange, tick=tick, number=number, source=source, target=target, settings=settings
@@ -144,9 +175,8 @@ class TeamRoster:
         """
         if len(self._targets) == MOST:
             raise RequestError(f"expected at most {MOST} targets in a run")
-        target = self._out.stamp(
-            Target, number=len(self._targets) + 1, **planned(self._setup, section, tick)
-        )
+        number = len(self._targets) + 1
+        target = self._out.stamp(Target, number=number, **planned(self._setup, section, tick))
         self._setup = self._setup.after([target])
         self._targets.append(target)
         return [target, self.message(f"{target_in_words(target)}, from {self.time(tick)} on", tick)]

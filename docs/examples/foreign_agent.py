@@ -1,7 +1,8 @@
 """An agent that shares no code with the others, made from Zenoh, msgpack, numpy and docs/protocol.md.
 
 It does not know the maneuver. It keeps its rod parallel to the others', whose states are in their
-plans, and its corner of the payload as high as the middle, and carries its share. Start all but
+plans, and its corner of the payload as high as the middle, and carries its share. `pip install
+eclipse-zenoh msgpack numpy` installs all that it needs. Start all but
 agent 3 as in README ("By hand"), with `--scenario resilient`, and this in its place; `transport
 validate resilient` prints the digest:
 
@@ -20,7 +21,7 @@ import msgpack
 import numpy as np
 import zenoh
 
-AGENTS, VERSION, STEPS = 4, 7, 20
+AGENTS, VERSION, STEPS = 4, 8, 20
 # Mass, inertia and hover thrust of UAV 3, and its corner of the payload.
 MASS, INERTIA, THRUST, RHO = 1.5, np.array([0.029, 0.029, 0.055]), 22.0725, (-0.25, -0.25)
 

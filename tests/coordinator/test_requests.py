@@ -105,13 +105,13 @@ def test_all_changes_are_repeated_for_joining_agents() -> None:
             {"to": "coordinator", "settings": {"loss": 0.1}},
             "to: expected one of plant, agent1, agent2",
         ),
-        ({"settings": {"samples": "x.csv"}}, "samples: expected a valid list, got 'x.csv'"),
+        ({"settings": {"samples_s": "x.csv"}}, "samples_s: expected a valid list, got 'x.csv'"),
         (
             {"settings": {"delay_s": 1e308}},
             "delay_s: expected a magnitude of at most 1e+09, got 1e+308",
         ),
         (
-            {"settings": {"samples": [0.125] * 200}},
+            {"settings": {"samples_s": [0.125] * 200}},
             "settings: expected at most 1000 characters, got 1",
         ),
         ({"settings": {"loss": 2.0}}, "loss: expected less than or equal to 1, got 2.0"),

@@ -153,11 +153,11 @@ ARRAYS = [(kind, field) for kind in CLASSES.values() for field in kind.shapes]
 def test_arrays_are_checked(kind: type[Message], field: str) -> None:
     """An array of a wrong shape, with an entry that is not finite, or no array, is refused with its field."""
     good = fields(kind)[field]
-    for value in (
-        good[:-1] if good.ndim == 1 else good[:, :-1],
-        np.zeros((*good.shape, 1)),
-        np.zeros(()),
-    ):
+    shorter = good[:-1] if good.ndim == 1 else good[:, :-1]
+    wrong = [np.zeros((*good.shape, 1)), np.zeros(())]
+    if (kind, field) != (Plan, "data"):  # of any length
+        wrong.append(shorter)
+    for value in wrong:
         with pytest.raises(MessageError, match=rf"{field}: expected shape \("):
             decode(encode(sample(kind, **{field: value})))
     for number in (NAN, INF, -INF):
@@ -169,6 +169,16 @@ def test_arrays_are_checked(kind: type[Message], field: str) -> None:
         decode(packed(*content(sample(kind, **{field: [1.0]}))))
     largest = sample(kind, **{field: np.full(good.shape, -1.7e308)})
     assert encode(decode(encode(largest))) == encode(largest)  # whose square overflows
+
+
+def test_data_of_a_plan() -> None:
+    """A plan carries up to 4 KB of a user's numbers; without them it is as long as without the field."""
+    assert decode(encode(sample(Plan, data=np.arange(float(MAX_DATA))))).data[-1] == MAX_DATA - 1
+    with pytest.raises(MessageError, match="data: expected at most 512 numbers, got 513"):
+        decode(encode(sample(Plan, data=np.zeros(MAX_DATA + 1))))
+    bare = sample(Plan, data=np.zeros(0))
+    assert encode(bare) == packed(*content(sample(Plan))[:-1])
+    assert decode(encode(bare)).data.shape == (0,)
 
 
 def test_own_messages_keep_their_arrays() -> None:

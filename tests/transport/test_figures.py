@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from tests.support import runs
 from tests.support.figure_texts import problems
-from tests.support.logs import SINGLE_UAV, log_of, noted, plant_state, record_run, report
+from tests.support.logs import SINGLE_UAV, airtime, log_of, noted, plant_state, record_run, report
 from transport.analysis.series import series_of
 from transport.log.run_log import read_log
 from transport.protocol.wire.messages import FaultNote, LinkChange
@@ -82,11 +82,13 @@ def test_texts_are_large_and_apart(name: str) -> None:
     """No text collides with another, leaves the figure or is too small, with marks near each other and short phases."""
     changes = "links.change=[{at_s=0.5,delay_s=0.2,loss=0.3},{at_s=0.52,loss=0.1}]"
     run = runs.setup(
-        runs.SHORT, changes, "links.partition=[{between=['agent2'],start_s=0.2,end_s=0.9}]"
+        *(runs.SHORT, changes, "radio={}"),
+        "links.partition=[{between=['agent2'],start_s=0.2,end_s=0.9}]",
     )
     log = log_of(
         [
             *(plant_state(run, k) for k in range(20)),
+            *(airtime(run, k) for k in range(1, 20)),
             *(report(run, a, k) for a in (1, 2) for k in range(20)),
             noted(run, 1, 9),
         ]

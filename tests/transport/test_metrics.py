@@ -279,6 +279,18 @@ def test_an_empty_log_has_no_numbers() -> None:
     assert summary["messages"]["sent"] == 0
 
 
+def test_plans_that_never_arrive_are_told() -> None:
+    """Plans behind a delay longer than the run are neither lost nor late: the report says that they did not arrive."""
+    settings = (runs.ticks(10), "links.delay_s=400.0")
+    run = runs.setup(*settings)
+    summary = summarise(run, log_of(runs.recorded(run)))
+    messages = summary["messages"]
+    assert (messages["sent"], messages["lost"], messages["late"]) == (9 * 12, 0, 0)
+    assert messages["in_transit"] == 9 * 12
+    cells = [str(cell) for column in summary_table(summary).columns for cell in column.cells]
+    assert any("0 of 108 lost, 108 not arrived at the end, 0 late" in cell for cell in cells)
+
+
 def test_one_row_for_each_agent_and_tick() -> None:
     """Rows are sorted by tick and agent.
 

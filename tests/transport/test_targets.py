@@ -16,9 +16,9 @@ from transport.log.run_log import RunLog
 from transport.model.state import R0
 from transport.mpc.controller import Controller
 from transport.protocol.scenario.errors import RequestError, ScenarioError, requested
-from transport.protocol.scenario.schema import TargetSection
+from transport.protocol.scenario.maneuver_sections import TargetSection
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.targets import planned
+from transport.protocol.scenario.target_planning import planned
 from transport.protocol.wire.messages import Measurement, Message, Request, Roster, Target
 from transport.protocol.wire.node import Outbox
 

@@ -28,6 +28,7 @@ from transport.cli.output import Format, blame, fail
 from transport.protocol.network.bus import Place
 from transport.protocol.network.endpoints import Endpoints, endpoints_of, security_of
 from transport.protocol.network.process import Journal, run_node
+from transport.protocol.scenario.schema import LONGEST_WAIT_S
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.keys import ROUTER, Keys
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER, agent_name
@@ -80,13 +81,14 @@ class ProcessOptions:
                     fail(
                         f"{option}: expected an endpoint such as tcp/127.0.0.1:7447, got {endpoint!r}"
                     )
+        timeout_s = self.join_timeout
+        if timeout_s is not None and timeout_s > LONGEST_WAIT_S:
+            fail(f"--join-timeout: expected 0 to {LONGEST_WAIT_S:g} s, got {timeout_s:g}")
         return Place(
             run=run,
             incarnation=time.time_ns() // 10**6 if self.incarnation is None else self.incarnation,
             endpoints=endpoints_of(name, scenario, self.listen, self.connect),
-            join_timeout_s=scenario.clock.join_timeout_s
-            if self.join_timeout is None
-            else self.join_timeout,
+            join_timeout_s=scenario.clock.join_timeout_s if timeout_s is None else timeout_s,
         )
 
 

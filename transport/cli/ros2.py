@@ -6,8 +6,11 @@ request of `transport target`.
 
 import os
 import time
+from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -16,6 +19,7 @@ from typer import Option
 from transport.cli.active import RunOption, find_active
 from transport.cli.output import blame
 from transport.flight.live import Commands
+from transport.flight.live import read as read_live_run
 from transport.log.run_log import LogTail, setup_of
 from transport.protocol.network.rmw_zenoh import RosNode
 from transport.scene.scene import RunHistory, SceneBuilder
@@ -26,6 +30,8 @@ if TYPE_CHECKING:
 _LOG = "run.mcap"
 # Intervals, s: between two looks into the log, and between two repetitions of the markers that do not change.
 _POLL_S, _AGAIN_S = 0.01, 1.0
+# Interval between two looks at the parent of the run, s.
+_LOOK_S = 0.5
 # Shortest time between two targets that are handed on, s.
 _INTERVAL_S = 0.5
 _NICE = 10  # the processes of the run have the processors first
@@ -40,9 +46,10 @@ def ros2(
 ) -> None:
     """Publish an active run for ROS 2 over rmw_zenoh.
 
-    Poses, twists, plans, transforms and markers of payload and UAVs, at every tick, until the run ends. The command
-    reads the log of the run as it grows: no process of the run waits for it or knows it. A geometry_msgs/PoseStamped
-    on /target, in the frame inertial or map, sends the payload to its position, as transport target does.
+    Poses, twists, plans, transforms and markers of payload and UAVs, at every tick, until the run ends or is killed.
+    The command reads the log of the run as it grows: no process of the run waits for it or knows it. A
+    geometry_msgs/PoseStamped on /target, in the frame inertial or map, sends the payload to its position, as transport
+    target does.
 
     Exit codes: 0 the run has ended; 2 no such run; 4 no router; 130 Ctrl-C.
 
@@ -62,13 +69,26 @@ def ros2(
         node = RosNode(connect, domain, kinds, heard)
     with closing(node):
         typer.echo(f"{folder}: {len(kinds)} topics in domain {domain} through {connect}", err=True)
-        _publish(messages, history, tail, node, commands)
+        is_active = partial(_is_active, folder)
+        _publish(messages, history, tail, node, commands, is_active)
+
+
+def _is_active(folder: Path) -> bool:
+    """Return whether the processes of a run still have their parent, which writes the log."""
+    return read_live_run(folder) is not None
 
 
 def _publish(
-    messages: "Ros2Messages", history: RunHistory, tail: LogTail, node: RosNode, commands: Commands
+    messages: "Ros2Messages",
+    history: RunHistory,
+    tail: LogTail,
+    node: RosNode,
+    commands: Commands,
+    is_active: Callable[[], bool],
 ) -> None:
     """Publish the ticks of a run until it has ended: the states of all, plans and drawing of the newest.
+
+    A run whose parent was killed has ended without a word.
 
     Of the targets that come in each interval the newest is handed on; a refused one is told.
     """
@@ -76,7 +96,12 @@ def _publish(
 
     history.add(tail.read())
     done, again_s, began_ns, next_target_s = history.last - 1, 0.0, 0, 0.0
+    is_left = False
+    look_s = 0.0
     while True:
+        if time.monotonic() >= look_s:
+            look_s = time.monotonic() + _LOOK_S
+            is_left = not is_active()
         history.add(tail.read())
         if time.monotonic() >= next_target_s and (data := node.take(TARGET[0])) is not None:
             next_target_s = time.monotonic() + _INTERVAL_S
@@ -103,6 +128,6 @@ def _publish(
             for topic, data in told:
                 node.put(topic, data)
             done = tick
-        if history.control is not None or tail.ended:
+        if history.control is not None or tail.ended or is_left:
             return
         time.sleep(_POLL_S)

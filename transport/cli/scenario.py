@@ -2,6 +2,7 @@
 
 import shlex
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import tomli_w
@@ -12,8 +13,10 @@ from transport.cli.options import FormatOption, LargeOption, ScenarioArgument, S
 from transport.cli.output import Format, blame, fail, show
 from transport.flight.run_files import checked
 from transport.interface.scenario import Scenario
+from transport.model.state import INPUTS
 from transport.protocol.scenario.budget import estimate
-from transport.protocol.scenario.team import FEWEST, MOST, given
+from transport.protocol.scenario.errors import ScenarioError
+from transport.protocol.scenario.team import FEWEST, MOST, Team, given
 from transport.protocol.wire.exit_codes import EXIT_CHECK_FAILED
 
 
@@ -52,8 +55,8 @@ def new(
 ) -> None:
     """Write a scenario for a team of any size.
 
-    UAVs in a ring. By default they are the paper's, 0.5 m apart, with 0.75 kg of payload for each. A vehicle brings its
-    mass, inertia, rod, limits, motors and inner loop: docs/vehicles.md.
+    UAVs in a ring. By default they are the paper's, 0.5 m apart, with 0.75 kg of payload for each.
+    A vehicle brings its mass, inertia, rod, limits, motors and inner loop: docs/vehicles.md.
 
     Example: transport scenario new --uavs 4 --vehicle x500 --load 3.0 --out four.toml
     """
@@ -61,11 +64,12 @@ def new(
         fail(f"--out: expected a file that does not exist yet, got {out}")
     with blame("--from"):
         ready = Scenario(template, allow_large=True)
-    made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
-    tree, sizes = (
-        given(made.validated),
-        f"{len(made.setup.agents)} agents, hover thrust {made.setup.hover.u[0]:.2f} N",
-    )
+    try:
+        made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
+    except ScenarioError as error:
+        raise _by_option(error, load_kg, name) from error
+    setup = made.setup
+    tree = given(made.validated)
     text = tomli_w.dumps(tree)
     show(
         output,
@@ -75,9 +79,26 @@ def new(
     if out is not None:
         with blame("--out"):
             out.write_text(text, encoding="utf-8")
-        typer.echo(
-            f"{uavs} UAVs, {sizes}; run it with: transport run {shlex.quote(str(out))}", err=True
-        )
+        sizes = f"{uavs} UAVs, {len(setup.agents)} agents, {hover_thrusts(setup.hover.u[::INPUTS])}"
+        typer.echo(f"{sizes}; run it with: transport run {shlex.quote(str(out))}", err=True)
+
+
+def _by_option(error: ScenarioError, load_kg: float | None, name: str | None) -> ScenarioError:
+    """Return an error of a new scenario with the option that gave the refused value, if one did."""
+    team = Team(uavs=FEWEST, load_kg=load_kg, name=name)
+    if load_kg is not None and error.source == team.load_in_words:
+        return ScenarioError(f"--load {load_kg:g}", error.field, error.problem)
+    if name is not None and error.source == team.name_in_words:
+        return ScenarioError(f"--name {name}", error.field, error.problem)
+    return error
+
+
+def hover_thrusts(thrusts_N: Iterable[float]) -> str:
+    """Return the hover thrusts of UAV1, UAV2, ... in words; once if all are the same."""
+    texts = [f"{thrust_N:.2f}" for thrust_N in thrusts_N]
+    if len(set(texts)) == 1:
+        return f"hover thrust {texts[0]} N"
+    return f"hover thrusts {', '.join(texts)} N"
 
 
 def validate(
@@ -99,9 +120,8 @@ def validate(
         return
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
     own = ", ".join(f"{what} {name}" for what, name in classes.items())
-    typer.echo(
-        f"valid: {sizes}, hover thrust {setup.hover.u[0]:.2f} N, digest {digest}, {own}", err=True
-    )
+    thrusts = hover_thrusts(setup.hover.u[::INPUTS])
+    typer.echo(f"valid: {sizes}, {thrusts}, digest {digest}, {own}", err=True)
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
 
 
@@ -119,11 +139,11 @@ def margins(
 ) -> None:
     """Compute how much model error a hover tolerates.
 
-    Analyses the sampled loop about hover: actuator lag, delay and gain, masses, inertias and rods up to which the hover
-    is stable, the others as known. Factors are relative to the known value. Takes seconds. With --without the
-    team that is left holds the payload if all deviations decay.
+    Analyses the sampled loop about hover: actuator lag, delay and gain, masses, inertias and rods
+    up to which the hover is stable, the others as known. Factors are relative to the known value.
+    Takes seconds. With --without the team that is left holds the payload if all deviations decay.
 
-    Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure margins.png
+    Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure m.png
     """
     from transport.interface.figure import Margins  # loads matplotlib
     from transport.report.margins import hover_margins
@@ -149,8 +169,9 @@ def doctor(
 ) -> None:
     """Check that this machine can run a scenario.
 
-    Checks ports, network, step time, kernels, punctuality and cores. Each result is ok, warn (runs work, but slower or
-    less punctually) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.
+    Checks ports, network, step time, kernels, punctuality and cores. Each result is ok, warn (runs
+    work, but slower or less punctually) or fail (runs do not work), with advice. Takes a few
+    seconds and changes nothing.
 
     Exit codes: 0 no check failed, 9 a check failed, 3 scenario.
 

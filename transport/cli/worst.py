@@ -15,7 +15,7 @@ from transport.protocol.scenario.file import find_scenario, read_scenario
 from transport.protocol.wire.exit_codes import EXIT_DIVERGED
 from transport.search.options import OVER, SearchOptions, search
 from transport.search.report import FIGURE, SCENARIO, in_words, ranked, summary
-from transport.search.search import Found
+from transport.search.search import SearchResult
 
 _LINES = 5  # of the worst cases
 _WIDTH = 100  # columns
@@ -86,29 +86,33 @@ def worst(
         jobs=jobs,
     )
     folder = out or RUNS / f"worst-{path.stem}-{datetime.now(UTC).strftime('%Y%m%d-%H%M%S')}"
-    found = search(
+    result = search(
         read_scenario(path, settings or []), str(path), options, folder, Console(stderr=True)
     )
-    show(output, {**summary(found), "folder": str(folder)}, *_shown(found, folder))
-    minimal = found.minimal
+    show(output, {**summary(result), "folder": str(folder)}, *_shown(result, folder))
+    minimal = result.minimal
+
     if strict and minimal is not None and not minimal.beyond_physics:
         raise typer.Exit(EXIT_DIVERGED)
 
 
-def _shown(found: Found, folder: Path) -> list[object]:
+def _shown(result: SearchResult, folder: Path) -> list[object]:
     """Return a line for each of the worst cases, and the minimal one in words."""
-    objective = found.problem.objective
+    objective = result.problem.objective
     lines = ["worst cases (robustness: 1 far from failing, 0 at the limit, below 0 failed):"]
-    for one in ranked(found)[:_LINES]:
+
+    for one in ranked(result)[:_LINES]:
         evaluation = one.evaluation
         value = objective.in_words(evaluation.value)
         lines.append(
             f"{evaluation.robustness:6.2f}  case {one.number}, {value}: {evaluation.outcome}"
         )
         lines += textwrap.wrap(one.candidate.in_words(), _WIDTH, **_INDENTED)
-    lines += ["", f"{found.failures} of {len(found.flown)} cases fail"]
-    if found.minimal is not None:
-        lines[-1] += f", the first is case {found.first_failure}. Minimal case:"
-        lines += [f"  {sentence}" for sentence in in_words(found.minimal)]
+
+    lines += ["", f"{result.failures} of {len(result.flown)} cases fail"]
+    if result.minimal is not None:
+        lines[-1] += f", the first is case {result.first_failure}. Minimal case:"
+        lines += [f"  {sentence}" for sentence in in_words(result.minimal)]
         lines.append(f"{folder / SCENARIO}, {folder / FIGURE}")
+
     return ["\n".join(lines)]

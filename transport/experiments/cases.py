@@ -30,7 +30,7 @@ from transport.protocol.scenario.file import (
 )
 from transport.protocol.scenario.schema import Scenario
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.scenario.team import given, resized
+from transport.protocol.scenario.team import Team, given, resized
 from transport.protocol.wire.codec import encode
 from transport.protocol.wire.errors import TransportError
 from transport.protocol.wire.exit_codes import EXIT_USAGE
@@ -70,6 +70,7 @@ _RANDOM = {
     "noise",
     "empirical",
     "gilbert_elliott",
+    "radio",
 }
 
 
@@ -116,7 +117,7 @@ class Point:
         if self.team is None:
             return read_scenario(path, changes, allow_large=True)
         uavs, group = self.team
-        team = resized(read_scenario(path), uavs, group=group, name=None, source=str(path))
+        team = resized(read_scenario(path), Team(uavs=uavs, group=group), str(path))
         return with_settings(given(team), changes, str(path), allow_large=True)
 
 
@@ -240,6 +241,7 @@ def simulate(case: Case) -> Result:
             numbers = {
                 "lost_s": end_s,
                 **_numbers(summary),
+                **_radio_numbers(summary["radio"]),
                 **(case.more(setup, summary, log) if case.more else {}),
             }
     except Exception as error:  # noqa: BLE001  # an error of one case must not end the others
@@ -258,6 +260,17 @@ def _numbers(summary: Any) -> dict[str, float | None]:
             name: messages[part] / messages[of] if messages[of] else None
             for name, (part, of) in _SHARES.items()
         },
+    }
+
+
+def _radio_numbers(radio: Mapping[str, Any] | None) -> dict[str, float | None]:
+    """Return airtime and delivered share of the team's radio; nothing without one."""
+    if radio is None:
+        return {}
+    return {
+        "airtime_share": radio["airtime_share"],
+        "air_delivered_share": radio["delivered_share"],
+        "air_delay_p99_ms": radio["delay_ms"]["p99"],
     }
 
 

@@ -64,7 +64,9 @@ def axis(column: str) -> Axis:
     ):
         ending = ending_of(key)
         return Axis(
-            column, key.removesuffix(ending).replace(".", " ").replace("_", " "), UNITS[ending][0]
+            column,
+            key.removesuffix(ending).replace(".", " ").replace("_", " "),
+            UNITS[ending].symbol,
         )
     unit = key_of(found).shown or unit_of(key, found)
     return Axis(column, key_of(found).label, unit, _FACTORS.get(unit.partition(" ")[0], 1.0))
@@ -104,13 +106,13 @@ class Experiment:
     """A sweep, with its options and defaults, and how it is drawn.
 
     That is as curves over x, a map over x and y, or a row for each variant. Curves have the panels of costs, of
-    processor time, of shared plans or of errors.
+    processor time, of shared plans, of errors or of the radio.
     """
 
     name: str  # of the command
     x: str = ""  # columns along the axes
     y: str = ""
-    drawn_as: Literal["curves", "scaling", "variants", "sharing", "tracking"] = "curves"
+    drawn_as: Literal["curves", "scaling", "variants", "sharing", "tracking", "radio"] = "curves"
     # Column that tells the curves of a scenario apart, and names of its values in the figure. Points labelled `NONE`
     # belong to all curves.
     curves: str | None = None

@@ -63,6 +63,12 @@ _PANELS: Mapping[str, Sequence[Panel]] = {
         Panel("mean cost over that with all plans sent", COST_RATIO),
         _ATTITUDE,
     ),
+    "radio": (
+        Panel("plans delivered by the radio (%)", "air_delivered_share", 100.0),
+        Panel("airtime (%)", "airtime_share", 100.0),
+        Panel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
+        Panel("mean cost over that without a radio", COST_RATIO),
+    ),
     "tracking": (
         Panel("payload error, root mean square (cm)", "payload_rms_m", 100.0),
         Panel("largest payload error (cm)", "payload_max_m", 100.0),

@@ -14,10 +14,11 @@ from transport.agent.node import AgentNode
 from transport.coordinator.node import CoordinatorNode
 from transport.flight.signals import check_interrupt
 from transport.plant.node import PlantNode
-from transport.protocol.scenario.faults import due
+from transport.protocol.scenario.faults import Fault, due
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.keys import Keys, matches
 from transport.protocol.wire.messages import Control, Message, Presence
+from transport.protocol.wire.names import COORDINATOR, PLANT
 from transport.protocol.wire.node import Node
 
 # Runs in several threads take turns: the number of BLAS threads, which decides the order of sums,
@@ -32,12 +33,25 @@ def simulate(
 ) -> Control:
     """Simulate a run in this process, unpaced, and return how it ended.
 
-    Equal to one with processes bit for bit.
+    It is equal to one with processes bit for bit.
 
     `record` is called with every message; `stopwatch` is the steady clock of the step reports, ns.
     """
     with _TURN, threadpoolctl.threadpool_limits(1):
         return InMemoryRun(setup, record, stopwatch).run()
+
+
+def _without_waits(faults: Sequence[Fault]) -> list[Fault]:
+    """Return the faults without the stops of coordinator and plant that end.
+
+    No scenario time passes while one of these is stopped, so such a stop changes nothing.
+    """
+    continued = {
+        fault.target
+        for fault in faults
+        if fault.do == "continue" and fault.target in (COORDINATOR, PLANT)
+    }
+    return [fault for fault in faults if fault.target not in continued or fault.do == "kill"]
 
 
 class InMemoryRun:
@@ -49,8 +63,11 @@ class InMemoryRun:
         record: Callable[[Message], None],
         stopwatch: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
-        self._setup, self._record, self._stopwatch = setup, record, stopwatch
+        self._setup = setup
+        self._record = record
+        self._stopwatch = stopwatch
         self._keys = Keys(setup.scenario.name)
+
         self._coordinator = CoordinatorNode(setup)
         agents = [AgentNode(setup, agent, stopwatch=stopwatch) for agent in setup.agents]
         nodes: list[Node] = [self._coordinator, PlantNode(setup), *agents]
@@ -59,8 +76,10 @@ class InMemoryRun:
         self._subscribed: dict[str, list[str]] = {}  # names by key
         self._queue: deque[Message] = deque()
         self._now_ns = 0
+
         self._incarnations = {node.name: 0 for node in agents}
         returns = [fault for fault in setup.faults if fault.do in ("continue", "start")]
+        self._faults = _without_waits(setup.faults)
         self._returns = [fault for fault in returns if fault.target in self._incarnations]
 
     def run(self) -> Control:
@@ -81,6 +100,7 @@ class InMemoryRun:
                 raise RuntimeError(f"deadlock at tick {self._coordinator.tick}: every node waits")
 
     def _send(self, messages: Sequence[Message]) -> None:
+        """Record and queue messages, up to a fault of their sender."""
         for message in messages:
             if message.sender == self._coordinator.name and self._fails(message.sender, message):
                 return
@@ -88,18 +108,22 @@ class InMemoryRun:
             self._queue.append(message)
 
     def _announce(self, event: Presence) -> None:
+        """Tell the coordinator of a process."""
         self._send(self._coordinator.receive(event, self._now_ns))
 
     def _receivers(self, message: Message) -> list[str]:
+        """Return the names of the processes that receive a message."""
         key = self._keys.of(message)
         if key not in self._subscribed:
-            several = self._subscriptions.items()
             self._subscribed[key] = [
-                name for name, many in several if any(matches(one, key) for one in many)
+                name
+                for name, expressions in self._subscriptions.items()
+                if any(matches(expression, key) for expression in expressions)
             ]
         return [name for name in self._subscribed[key] if name != message.sender]
 
     def _deliver(self, message: Message) -> None:
+        """Hand a message to its receivers, and queue their answers."""
         for name in self._receivers(message):
             node = self.nodes.get(name)
             if node is not None and not self._fails(name, message):
@@ -107,7 +131,7 @@ class InMemoryRun:
 
     def _fails(self, name: str, message: Message) -> bool:
         """Apply a scripted fault at a message; return whether the process ended or froze."""
-        fault = due(self._setup.faults, name, message)
+        fault = due(self._faults, name, message)
         if fault is None or name not in self.nodes:
             return False
         node = self.nodes.pop(name)
@@ -116,16 +140,14 @@ class InMemoryRun:
         return True
 
     def _bring_back(self) -> bool:
-        """Bring back the agent that the script returns at the next tick.
-
-        Return whether there was one.
-        """
+        """Bring back the agent that the script returns at the next tick; return whether one did."""
         if not self._returns or self._returns[0].tick > self._coordinator.tick + 1:
             return False
         name = self._returns.pop(0).target
         # The state of a frozen agent is outdated, so it comes back as a new node, too.
         self._incarnations[name] += 1
-        agent, incarnation = int(name.removeprefix("agent")), self._incarnations[name]
+        incarnation = self._incarnations[name]
+        agent = int(name.removeprefix("agent"))
         self.nodes[name] = AgentNode(self._setup, agent, incarnation, self._stopwatch)
         self._announce(Presence(name, incarnation, alive=True))
         return True
@@ -142,11 +164,9 @@ class InMemoryRun:
 
     def _without_coordinator(self) -> Control:
         """Return how the others end without the coordinator."""
+        gone = Presence(self._coordinator.name, self._coordinator.incarnation, alive=False)
         for node in self.nodes.values():
-            node.receive(
-                Presence(self._coordinator.name, self._coordinator.incarnation, alive=False),
-                self._now_ns,
-            )
+            node.receive(gone, self._now_ns)
         ends = [node.finished for node in self.nodes.values() if node.finished is not None]
         self._record(ends[0])
         return ends[0]

@@ -8,11 +8,11 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 from transport.flight import live
+from transport.flight.fault_script import FaultScript
 from transport.flight.harness import Child, Harness, keys_setting, reserved_ports
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
@@ -31,11 +31,9 @@ from transport.protocol.network.bus import Place
 from transport.protocol.network.endpoints import Endpoints, mesh, process_names
 from transport.protocol.network.security import Security
 from transport.protocol.network.session import check_usable
-from transport.protocol.scenario.faults import OF_UAVS
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire import exit_codes as codes
 from transport.protocol.wire.keys import RECORDER, Keys
-from transport.protocol.wire.messages import FaultOrigin, Request
 from transport.protocol.wire.names import COORDINATOR
 
 _ORDERLY_ENDS = {
@@ -46,88 +44,6 @@ _ORDERLY_ENDS = {
     codes.EXIT_FAILED,
     codes.EXIT_INTERRUPTED,
 }
-_SIGNALS = {
-    "kill": signal.SIGKILL,
-    "stop": signal.SIGSTOP,
-    "continue": signal.SIGCONT,
-    "restart": signal.SIGKILL,
-}
-_NOTES = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
-
-
-class FaultScript:
-    """Faults of the local processes of one run, which kill or stop themselves by script, or are by an operator."""
-
-    def __init__(self, setup: Setup, harness: Harness, recorder: Recorder) -> None:
-        self._setup, self._harness, self._recorder = setup, harness, recorder
-        # The plant applies the failures of UAVs. Kills are noted when the process has ended.
-        self._kills = [fault for fault in setup.faults if fault.do == "kill"]
-        self._faults = [fault for fault in setup.faults if fault.do not in (*OF_UAVS, "kill")]
-
-    def work(self) -> None:
-        """Apply due faults, answer requests, and note ended processes; to be called often."""
-        for child in self._harness.ended():
-            code = child.code or 0
-            if code >= 0 or child.is_noted:
-                continue
-            child.is_noted = True
-            kills = [
-                fault
-                for fault in self._kills
-                if fault.target == child.name and code == -signal.SIGKILL
-            ]
-            if kills:
-                self._kills.remove(kills[0])
-                self._recorder.note(child.name, _NOTES["kill"], "script", kills[0].tick)
-            else:
-                self._recorder.note(child.name, f"ended by {signal.Signals(-code).name}", "unknown")
-        while self._faults and self._is_due(self._faults[0].tick - (self._faults[0].do != "stop")):
-            fault = self._faults.pop(0)
-            if fault.do == "stop":
-                self._recorder.note(fault.target, _NOTES["stop"], "script", fault.tick)
-            else:
-                self._do(fault.target, "restart" if fault.do == "start" else "continue", "script")
-        while not self._recorder.requests.empty():
-            request = self._recorder.requests.get()
-            request.reply(self._answer(request))
-
-    def _is_due(self, tick: int) -> bool:
-        # Without ticks, as while the coordinator is stopped, the wall clock of a paced run tells.
-        clock, started_s = self._setup.scenario.clock, self._recorder.started_s
-        since_s = 0.0 if started_s is None else (time.monotonic() - started_s) * clock.speed
-        return (
-            self._recorder.tick >= tick
-            or since_s >= (tick + 1) * self._setup.settings.sampling_period_s
-        )
-
-    def _answer(self, request: Request) -> dict[str, Any]:
-        action, target = (str(request.given.get(key, "")) for key in ("do", "target"))
-        if request.what != "fault":
-            return {"error": f"what: expected fault or health, got {request.what[:40]!r}"}
-        for key, got, allowed in (("do", action, _NOTES), ("target", target, self._harness.mesh)):
-            if got not in allowed:
-                return {"error": f"{key}: expected one of {', '.join(allowed)}, got {got!r}"}
-        if action == "restart" and not target.startswith("agent"):
-            return {
-                "error": f"target: expected an agent to restart, as a run ends with its {target}"
-            }
-        if not self._do(target, action, "person"):
-            return {"error": f"{target} is not running"}
-        return {"tick": self._recorder.tick}
-
-    def _do(self, target: str, action: str, origin: FaultOrigin) -> bool:
-        """Apply a fault and note it; return whether the process was there."""
-        child = self._harness.child(target)
-        if not child.signal(_SIGNALS[action]) and action != "restart":
-            return False
-        child.is_noted |= action in ("kill", "restart")
-        if action == "restart":
-            child.wait(_LEAVE_S)
-            self._harness.start(target, child.incarnation + 1)
-        self._recorder.note(target, _NOTES[action], origin)
-        return True
-
-
 _POLL_S = 0.05
 # Time for the processes to end after the run, s.
 _LEAVE_S = 3.0
@@ -328,7 +244,7 @@ def _recorded(
     progress: RunProgress,
     harness: Harness | None = None,
 ) -> Iterator[Recorder]:
-    """Open log and recorder of a run.
+    """Open log and recorder of a run; decide in the end whether its folder is kept.
 
     In the end the folder is kept if it has a message, or output of processes that tells why not;
     not if the run was interrupted before its first tick.
@@ -379,7 +295,9 @@ def _watch(
 
     Forward Ctrl-C; refuse processes started here that end too early.
     """
-    interrupted, ended_s, goes_on = 0, math.inf, True
+    is_interrupted = False
+    ended_s = math.inf
+    goes_on = True
     with collected_signals() as signals:
         while goes_on:  # once more after the end
             goes_on = recorder.join(_POLL_S)
@@ -387,15 +305,15 @@ def _watch(
             progress.show(recorder.plant_state, recorder.started_s)
             if faults is not None:
                 faults.work()
-            if len(signals) > interrupted:
-                interrupted = len(signals)
-                if interrupted > 1 or recorder.started_s is None:
-                    raise KeyboardInterrupt(signals[-1])
+            if (name := signals.next()) is not None:
+                if is_interrupted or recorder.started_s is None:
+                    raise KeyboardInterrupt(name)
+                is_interrupted = True
                 if harness is None:
-                    recorder.stop(signals[-1])
+                    recorder.stop(name)
                     continue
-                progress.say(f"{signals[-1]}: ending the run; once more to end it at once")
-                harness.child(COORDINATOR).signal(signal.Signals[signals[-1]])
+                progress.say(f"{name}: ending the run; once more to end it at once")
+                harness.child(COORDINATOR).signal(signal.Signals[name])
             if harness is None or recorder.control is not None or recorder.started_s is not None:
                 continue
             for child in harness.ended():

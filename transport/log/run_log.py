@@ -167,9 +167,9 @@ class LogTail:
             self._gate = Gate(
                 RECORDER, _KEYS, None if setup is None else replace(setup.shape, relayed=False)
             )
-        for message in self._gate.accept(_KEYS.prefix + topic, data):
-            if isinstance(message, Message):
-                yield message
+        for accepted in self._gate.accept(_KEYS.prefix + topic, data):
+            if isinstance(accepted.message, Message):
+                yield accepted.message
         yield from self._gate.notices(0, at_ns)
 
 

@@ -13,7 +13,7 @@ from matplotlib.textpath import text_to_path
 from matplotlib.transforms import ScaledTranslation
 
 from transport.log.run_log import RunLog
-from transport.protocol.scenario.links import change_in_words
+from transport.protocol.scenario.link_changes import change_in_words
 from transport.protocol.scenario.setup import Setup
 from transport.report.style import COLUMN_IN, SMALL, TEXT, shade_phases
 from transport.scene.scene import RunHistory

@@ -99,6 +99,8 @@ _QUANTITIES: tuple[tuple[str, str, str | Callable[[Summary], Any]], ...] = (
     ("plan age, mean", "ticks", "plan_age_ticks.mean"),
     ("plan age, max", "ticks", "plan_age_ticks.max"),
     ("plans lost", "%", _lost),
+    ("radio: airtime", "%", lambda summary: (summary.get("radio") or {}).get("airtime_share")),
+    ("radio: delivered", "%", lambda summary: (summary.get("radio") or {}).get("delivered_share")),
     ("messages rejected", "", "messages.rejected"),
     ("solver fallbacks", "", "solver.fallbacks"),
     ("solver failures", "", "solver.failures"),

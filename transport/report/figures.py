@@ -25,6 +25,7 @@ from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import STAGES, StepReport, Target
 from transport.report.column import CLOSE, column_panels, finish, head, limits, marks_of, widen
 from transport.report.figures_3d import draw_trajectories
+from transport.report.radio_figure import draw_radio
 from transport.report.style import (
     COMPONENTS,
     RC,
@@ -40,7 +41,7 @@ from transport.scene.drawing import uav_style
 # Makes the panels of a figure, given their heights, inches.
 Panels = Callable[[Sequence[float]], list[Axes]]
 # Names of the figures of a run.
-FIGURES = ("performance", "inputs", "trajectories", "timing", "estimate")
+FIGURES = ("performance", "inputs", "trajectories", "timing", "estimate", "radio")
 # Number of figures that a forked process draws.
 _BESIDE = 2
 
@@ -120,6 +121,7 @@ def fill(figure: Figure, name: str, setup: Setup, log: RunLog, series: Series) -
         "performance": _draw_performance,
         "inputs": _draw_inputs,
         "estimate": _draw_estimate,
+        "radio": draw_radio,
     }
     marks = marks_of(setup, log)
     panels = over_time[name](setup, log, series, partial(column_panels, figure, marks=marks))

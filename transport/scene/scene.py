@@ -20,11 +20,13 @@ from transport.mpc.reference import Sampled
 from transport.mpc.regulation import Regulation
 from transport.mpc.rollout import rollout
 from transport.plant.actuators import FAIL_SAFE
-from transport.protocol.scenario.links import words_of
+from transport.protocol.scenario.link_changes import words_of
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.scenario.stage_cost import StageCost
 from transport.protocol.scenario.targets import target_in_words
 from transport.protocol.wire.messages import (
+    NO_NEWS,
+    Airtime,
     Control,
     FaultNote,
     LinkChange,
@@ -39,8 +41,12 @@ from transport.protocol.wire.messages import (
 # Kinds of messages that a history keeps.
 KINDS = frozenset(
     kind.kind
-    for kind in (PlantState, Plan, StepReport, LinkChange, Target, Roster, FaultNote, Control)
+    for kind in (
+        *(PlantState, Plan, StepReport, Airtime),
+        *(LinkChange, Target, Roster, FaultNote, Control),
+    )
 )
+_AIR_S = 1.0  # time before a tick over which the radio is shown
 
 
 class RunHistory:
@@ -54,6 +60,7 @@ class RunHistory:
         self.first, self.last = 0, -1  # ticks from and until which can be shown
         self.plans: dict[tuple[int, int], Plan] = {}  # by agent and tick, as the reports of steps
         self.reports: dict[tuple[int, int], StepReport] = {}
+        self.airtimes: dict[int, list[Airtime]] = {}  # news of the radio, by tick
         self._changes = 0  # number of changes of links
         self.control: Control | None = None  # the coordinator's message about the end
         self.events: list[
@@ -75,6 +82,8 @@ class RunHistory:
                     self.plans[message.agent, message.tick] = message
                 case StepReport():
                     self.reports[message.agent, message.tick] = message
+                case Airtime():
+                    self.airtimes.setdefault(message.tick, []).append(message)
                 case LinkChange() if message.number == self._changes + 1:
                     self._changes += 1
                     self.events.append((message.tick, words_of(message)))
@@ -107,6 +116,13 @@ class RunHistory:
         """Return the roster at a tick; None while none is known."""
         known = [roster for roster in self._rosters if roster.tick <= tick]
         return max(known, key=lambda roster: roster.version, default=None)
+
+
+class Air(NamedTuple):
+    """The radio of the team over the last second."""
+
+    airtime_share: float
+    delivered_share: float | None  # None without plans
 
 
 class PredictedPaths(NamedTuple):
@@ -145,6 +161,7 @@ class Scene:
     attitude_deg: Array  # roll, pitch, yaw of the payload, (3,)
     fail_safe: tuple[int, ...]  # UAVs whose plans have run out
     released: tuple[int, ...]  # UAVs that have left their rods
+    air: Air | None = None  # without a radio: None
 
 
 class SceneBuilder:
@@ -214,6 +231,25 @@ class SceneBuilder:
                 i + 1 for i, source in enumerate(plant_state.plan_ticks) if source == FAIL_SAFE
             ),
             released=() if roster is None else tuple(roster.released),
+            air=self._air(tick),
+        )
+
+    def _air(self, tick: int) -> Air | None:
+        """Return what the radio carried in the last second; None without one."""
+        if self.setup.scenario.radio is None:
+            return None
+        period_s = self.setup.settings.sampling_period_s
+        ticks = max(1, min(round(_AIR_S / period_s), tick))
+        news = [
+            one
+            for k in range(tick - ticks + 1, tick + 1)
+            for one in self.history.airtimes.get(k, ())
+        ]
+        arrivals = [one.arrivals[one.arrivals != NO_NEWS] for one in news]
+        decided = np.concatenate(arrivals) if arrivals else np.zeros(0)
+        return Air(
+            airtime_share=sum(one.busy_s for one in news) / (ticks * period_s),
+            delivered_share=float(np.mean(decided >= 0.0)) if len(decided) else None,
         )
 
     def _links(self, tick: int) -> tuple[tuple[int, int, float | None], ...]:

@@ -68,6 +68,7 @@ class Problem:
             return Evaluation(
                 key=key, robustness=1.0, value=0.0, outcome=REFUSED, end_s=0.0, reason=reason
             )
+
         return self.flown(key, setup)
 
     def flown(self, key: str, setup: Setup) -> Evaluation:
@@ -90,9 +91,11 @@ class Problem:
             outcome = "failed"
         else:
             outcome = control.outcome
+
         summary = summarise(setup, RunLog(header={}, messages=tuple(messages), cut=""))
         value = self.objective.value(summary)
         survived = 1.0 if outcome == "completed" else end_tick / setup.ticks
+
         return Evaluation(
             key=key,
             robustness=self.objective.robustness(value, survived),
@@ -131,6 +134,7 @@ def _centralized(scenario: Scenario) -> Scenario:
     tree["plant"]["sensors"] = "state"
     tree["plant"].pop("noise", None)
     tree["controller"]["estimator"] = "measured"
+
     return Scenario.model_validate(tree)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.scene.drawing import DARK, Colour, age_colour, uav_colour
-from transport.scene.scene import Scene
+from transport.scene.scene import Air, Scene
 
 _TABLE = "font-size:12px;border-collapse:collapse;font-variant-numeric:tabular-nums;margin:4px 8px"
 _CELL = "padding:1px 4px;white-space:nowrap"
@@ -27,6 +27,7 @@ def notice(text: str, *, warning: bool) -> str:
 def flight(scene: Scene, duration_s: float) -> str:
     """Return a table of time, phase, cost, attitude and position error of the payload."""
     roll, pitch, yaw = scene.attitude_deg
+    rows = [] if scene.air is None else [("radio", _air(scene.air))]
     return _table(
         [
             ("time", f"{scene.time_s:.2f} of {duration_s:.1f} s, {escape(scene.phase)}"),
@@ -34,8 +35,14 @@ def flight(scene: Scene, duration_s: float) -> str:
             ("payload", f"roll {roll:+.2f}, pitch {pitch:+.2f}, yaw {yaw:+.2f} deg"),
             ("payload error", f"{scene.error_m:.3f} m"),
             ("fail-safe", ", ".join(f"UAV{uav}" for uav in scene.fail_safe) or "-"),
+            *rows,
         ]
     )
+
+
+def _air(air: Air) -> str:
+    delivered = "-" if air.delivered_share is None else f"{air.delivered_share:.0%} delivered"
+    return f"{air.airtime_share:.0%} of the airtime, {delivered} in the last second"
 
 
 def target(place_I: Array, arrives_s: float, scene: Scene) -> str:

@@ -5,10 +5,10 @@ import select
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
+from transport.flight.signals import take_interrupt
 from transport.protocol.network.parent import PARENT_PIPE, python
 
 _EXIT_S = 5.0
@@ -49,9 +49,11 @@ class ViewerBeside:
     def wait_for_user(self) -> None:
         """Wait until the user ends the viewer."""
         if self._process.poll() is None:
-            with suppress(KeyboardInterrupt):
+            try:
                 sys.stderr.write("the viewer stays open; Ctrl-C ends it\n")
                 self._process.wait()
+            except KeyboardInterrupt:
+                take_interrupt()
 
     def __enter__(self) -> Self:
         return self
