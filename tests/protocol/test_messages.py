@@ -21,7 +21,7 @@ from tests.support.messages import (
 )
 from transport.protocol.wire.codec import CLASSES, MAX_BYTES, VERSION, decode, encode, header_of
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.messages import Measurement, Message, Plan, Tick
+from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Plan, Tick
 from transport.protocol.wire.node import Outbox
 
 SEED = 20240611
