@@ -3,6 +3,7 @@
 import json
 from collections import deque
 from collections.abc import Collection, Mapping
+from itertools import permutations
 from typing import Any
 
 from transport.protocol.scenario.errors import RequestError
@@ -141,32 +142,69 @@ class TeamRoster:
     def link(self, given: Mapping[str, Any], tick: int) -> list[LinkChange | Roster]:
         """Return the messages of a change of links that holds from a tick on.
 
-        The request has a sender "from", a receiver "to", each omitted for any agent, and the
-        "settings" to change.
+        The request has the "settings" to change, and a sender "from" and a receiver "to", each
+        omitted for any agent, or "groups" of agents: lists of names. The settings then apply to
+        all links from one group to another.
 
         Raises: RequestError: the request is refused.
         """
-        source = str(given.get("from", ""))
-        target = str(given.get("to", ""))
-        ends = [PLANT, *self.agents]
-        for end, name in (("from", source), ("to", target)):
-            if name and name not in ends:
-                raise RequestError(f"{end}: expected one of {', '.join(ends)}, got {name!r}")
-
         settings = json.dumps(given.get("settings"))
-        if not link_change(source, target, settings).settings():
+        if not link_change("", "", settings).settings():
             raise RequestError("expected at least one key of a link, got none")
         if len(settings) > MAX_TEXT:
             raise RequestError(
                 f"settings: expected at most {MAX_TEXT} characters, got {len(settings)}"
             )
 
-        number = len(self._links) + 1
-        change = self._out.stamp(
-            LinkChange, tick=tick, number=number, source=source, target=target, settings=settings
-        )
-        self._links.append(change)
-        return [change, self.message(f"{words_of(change)}, from {self.time(tick)} on", tick - 1)]
+        if "groups" in given:
+            groups = self._groups(given["groups"])
+            ends = [
+                (sender, receiver)
+                for group, other in permutations(groups, 2)
+                for sender in group
+                for receiver in other
+            ]
+            words = " | ".join(", ".join(group) for group in groups)
+            reason = f"links between {words}: {settings}"[:MAX_TEXT]
+        else:
+            ends = [self._ends(given)]
+            reason = ""
+
+        changes = []
+        for source, target in ends:
+            change = self._out.stamp(
+                LinkChange,
+                tick=tick,
+                number=len(self._links) + 1,
+                source=source,
+                target=target,
+                settings=settings,
+            )
+            self._links.append(change)
+            changes.append(change)
+        reason = reason or f"{words_of(changes[0])}, from {self.time(tick)} on"
+        return [*changes, self.message(reason, tick - 1)]
+
+    def _ends(self, given: Mapping[str, Any]) -> tuple[str, str]:
+        """Return sender and receiver in a request of a link, empty for any agent."""
+        source = str(given.get("from", ""))
+        target = str(given.get("to", ""))
+        names = [PLANT, *self.agents]
+        for end, name in (("from", source), ("to", target)):
+            if name and name not in names:
+                raise RequestError(f"{end}: expected one of {', '.join(names)}, got {name!r}")
+        return source, target
+
+    def _groups(self, given: Any) -> list[list[str]]:
+        """Return the groups of agents in a request, each agent at most once."""
+        is_list = isinstance(given, list) and all(isinstance(group, list) for group in given)
+        names = [str(name) for group in given for name in group] if is_list else []
+        is_valid = len(names) == len(set(names)) and set(names) <= self.agents.keys()
+        if not is_list or len(given) < 2 or not all(given) or not is_valid:
+            raise RequestError(
+                f"groups: expected two or more lists of agents, each once, got {given!s:.60}"
+            )
+        return [[str(name) for name in group] for group in given]
 
     def target(self, section: TargetSection, tick: int) -> list[Target | Roster]:
         """Return the messages of a target that holds from a tick on.

@@ -2,7 +2,7 @@
 
 from benchmarks.radio.cases import PERIOD_NS, Case, end_ns, sends
 from benchmarks.radio.reference import Arrivals
-from transport.protocol.radio.channel import ChannelParameters, ChannelState, advance
+from transport.protocol.radio.channel import Channel, ChannelParameters, ChannelState
 from transport.protocol.radio.frames import Frame, Result
 from transport.protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
 from transport.protocol.radio.standard import STANDARDS
@@ -51,7 +51,7 @@ def run(case: Case, *, draws: bool = False) -> tuple[Arrivals, dict[str, int]]:
         )
         for number, send in enumerate(sends(case))
     ]
-    given = parameters(case, draws=draws)
+    channel = Channel(parameters(case, draws=draws))
     state = ChannelState.idle(stations, STANDARDS[case.standard])
     arrivals: Arrivals = {}
     counts = dict.fromkeys(
@@ -62,7 +62,7 @@ def run(case: Case, *, draws: bool = False) -> tuple[Arrivals, dict[str, int]]:
         begin = place
         while place < len(frames) and frames[place].sent_ns < until:
             place += 1
-        state, outcomes, counted = advance(given, state, powers, frames[begin:place], until)
+        state, outcomes, counted = channel.advance(state, powers, frames[begin:place], until)
         for outcome in outcomes:
             counts[outcome.result.name.lower()] += 1
             if outcome.result is Result.DELIVERED:

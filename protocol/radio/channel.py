@@ -42,6 +42,29 @@ class ChannelParameters:
         """Return the ratio of signal over noise and interference that a rate requires."""
         return float(10.0 ** (self.standard.required_sinr_db[rate_mbps] / 10.0))
 
+    def thresholds(self) -> "Thresholds":
+        """Return the ratios and powers that decide receptions; they are the same in all windows."""
+        acknowledgement_mbps = self.standard.acknowledgement_rate_mbps(self.rate_mbps)
+        ratio = self.required_ratio(self.rate_mbps)
+        acknowledgement_ratio = self.required_ratio(acknowledgement_mbps)
+        highest_ratio = max(ratio, acknowledgement_ratio)
+        return Thresholds(
+            ratio=ratio,
+            acknowledgement_ratio=acknowledgement_ratio,
+            detected_mw=max(self.sensitivity_mw, self.preamble_ratio * self.noise_mw),
+            certain_mw=CERTAIN_MARGIN * highest_ratio * self.noise_mw,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Thresholds:
+    """Ratios of signal over noise and interference, and powers on an idle channel, mW."""
+
+    ratio: float  # required by data
+    acknowledgement_ratio: float  # required by acknowledgements
+    detected_mw: float  # from which a preamble is detected
+    certain_mw: float  # from which a payload is certainly decoded
+
 
 class Event(NamedTuple):
     """Something that happens at an instant; those of one instant in the order of these fields."""
@@ -83,8 +106,15 @@ class ChannelState:
 class _Window:
     """The channel during one window of time."""
 
-    def __init__(self, parameters: ChannelParameters, state: ChannelState, powers: Powers) -> None:
+    def __init__(
+        self,
+        parameters: ChannelParameters,
+        thresholds: Thresholds,
+        state: ChannelState,
+        powers: Powers,
+    ) -> None:
         self._parameters = parameters
+        self._thresholds = thresholds
         self._standard = parameters.standard
         self._powers = powers
         self.stations = [station.copy() for station in state.stations]
@@ -97,17 +127,10 @@ class _Window:
         self._everyone = (1 << len(self.stations)) - 1
         self._seed = parameters.seed
         self._redraw_seed = parameters.seed if parameters.interrupted_wait_draws else None
-        self._acknowledgement_mbps = self._standard.acknowledgement_rate_mbps(parameters.rate_mbps)
-        self._ratio = parameters.required_ratio(parameters.rate_mbps)
-        self._acknowledgement_ratio = parameters.required_ratio(self._acknowledgement_mbps)
 
         # On an idle channel: stations that detect a sender, and that certainly decode its payload.
-        detected_mw = max(
-            parameters.sensitivity_mw, parameters.preamble_ratio * parameters.noise_mw
-        )
-        certain_mw = (
-            CERTAIN_MARGIN * max(self._ratio, self._acknowledgement_ratio) * parameters.noise_mw
-        )
+        detected_mw = thresholds.detected_mw
+        certain_mw = thresholds.certain_mw
         self._detecting = [mask_of([power >= detected_mw for power in row]) for row in powers]
         self._certain = [mask_of([power >= certain_mw for power in row]) for row in powers]
 
@@ -314,7 +337,7 @@ class _Window:
         self, transmission: Transmission, number: int, *, alone: bool = False
     ) -> float:
         """Return the probability that a locked station decodes the payload."""
-        ratio = self._ratio if transmission.acknowledged < 0 else self._acknowledgement_ratio
+        ratio = self._required_ratio(transmission)
         signal = Signal(
             transmission.start_ns,
             transmission.end_ns,
@@ -329,6 +352,11 @@ class _Window:
             if not alone
         ]
         return success(signal, interference)
+
+    def _required_ratio(self, transmission: Transmission) -> float:
+        if transmission.acknowledged < 0:
+            return self._thresholds.ratio
+        return self._thresholds.acknowledgement_ratio
 
     def _end_broadcast(
         self, sender: Station, transmission: Transmission, decoded: int, now: int
@@ -418,28 +446,30 @@ class _Window:
         return next(transmission for transmission in self.air if transmission.sender == number)
 
 
-def advance(
-    parameters: ChannelParameters,
-    state: ChannelState,
-    powers: Powers,
-    frames: Iterable[Frame],
-    until_ns: int,
-) -> tuple[ChannelState, list[Outcome], ChannelCounts]:
-    """Return the channel at a later instant, with what was decided meanwhile.
+class Channel:
+    """One channel with its settings; `advance` has no memory of its own."""
 
-    Args:
-        parameters: Settings of the channel.
-        state: The channel at the end of the last window; it is not changed.
-        powers: Received power, mW, of each sender (row) at each station (column) in the window.
-        frames: Frames sent from the state's instant on, in any order, also after `until_ns`.
-        until_ns: End of the window; events at this instant belong to the next one.
+    def __init__(self, parameters: ChannelParameters) -> None:
+        self.parameters = parameters
+        self._thresholds = parameters.thresholds()
 
-    Returns: The state at `until_ns`, outcomes in the order of their instants, and counts. Each
-        frame has one outcome for each of its receivers, in this window or a later one.
-    """
-    window = _Window(parameters, state, powers)
-    window.run(frames, until_ns)
-    later = ChannelState(
-        tuple(window.stations), tuple(window.air), tuple(sorted(window.events)), until_ns
-    )
-    return later, window.outcomes, window.counts
+    def advance(
+        self, state: ChannelState, powers: Powers, frames: Iterable[Frame], until_ns: int
+    ) -> tuple[ChannelState, list[Outcome], ChannelCounts]:
+        """Return the channel at a later instant, with what was decided meanwhile.
+
+        Args:
+            state: The channel at the end of the last window; it is not changed.
+            powers: Received power, mW, of each sender (row) at each station (column) in the window.
+            frames: Frames sent from the state's instant on, in any order, also after `until_ns`.
+            until_ns: End of the window; events at this instant belong to the next one.
+
+        Returns: The state at `until_ns`, outcomes in the order of their instants, and counts. Each
+            frame has one outcome for each of its receivers, in this window or a later one.
+        """
+        window = _Window(self.parameters, self._thresholds, state, powers)
+        window.run(frames, until_ns)
+        later = ChannelState(
+            tuple(window.stations), tuple(window.air), tuple(sorted(window.events)), until_ns
+        )
+        return later, window.outcomes, window.counts

@@ -29,11 +29,22 @@ def uniform(seed: int, station: int, purpose: str, number: int) -> float:
     return _block(seed, station, purpose, block)[place]
 
 
+@lru_cache(maxsize=_BLOCKS_KEPT)
+def _normal_block(seed: int, station: int, purpose: str, block: int) -> tuple[float, ...]:
+    """Return standard normal numbers from a block of uniform ones, two for each (Box-Muller)."""
+    drawn = _block(seed, station, purpose, block)
+    return tuple(
+        [
+            math.sqrt(-2.0 * math.log(1.0 - first)) * math.cos(2.0 * math.pi * second)
+            for first, second in zip(drawn[::2], drawn[1::2], strict=True)
+        ]
+    )
+
+
 def normal(seed: int, station: int, purpose: str, number: int) -> float:
-    """Return a standard normal number of a station's stream for a purpose (Box-Muller)."""
-    radius = math.sqrt(-2.0 * math.log(1.0 - uniform(seed, station, purpose, 2 * number)))
-    angle = 2.0 * math.pi * uniform(seed, station, purpose, 2 * number + 1)
-    return radius * math.cos(angle)
+    """Return a standard normal number of a station's stream for a purpose."""
+    block, place = divmod(number, _BLOCK // 2)
+    return _normal_block(seed, station, purpose, block)[place]
 
 
 def exponential(seed: int, station: int, purpose: str, number: int) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.radio.background import Background, BackgroundState
-from transport.protocol.radio.channel import ChannelParameters, ChannelState, advance
+from transport.protocol.radio.channel import Channel, ChannelParameters, ChannelState
 from transport.protocol.radio.frames import Frame, Outcome, Result
 from transport.protocol.radio.propagation import Propagation, milliwatts, noise_mw, ratio
 from transport.protocol.radio.sends import SendTimes
@@ -44,7 +44,7 @@ class TeamRadio:
         self._setup = setup
         self._agents = len(setup.owned)
         self._standard = STANDARDS[section.standard]
-        self._parameters = channel_parameters(section, setup.scenario.seed)
+        self._channel = Channel(channel_parameters(section, setup.scenario.seed))
         self._propagation = propagation_of(section, setup.scenario.seed)
         self._at_reference = self._propagation.at_reference(self._agents)
         self._sends = send_times(setup, section)
@@ -61,7 +61,7 @@ class TeamRadio:
         self._rod_m = np.array([[uav.rod_length] for uav in uavs])
 
         stations = self._agents + (section.background > 0.0)
-        self._channel = ChannelState.idle(stations, self._standard)
+        self._state = ChannelState.idle(stations, self._standard)
         self._others = BackgroundState()
         self._waiting: list[Frame] = []  # frames since the last window
         self._sequence = [0] * self._agents  # frames so far, by station
@@ -100,12 +100,12 @@ class TeamRadio:
             until_ns += (self._sends.exchanges - negotiation) * self._sends.exchange_ns
         powers = self._propagation.powers(self._at_reference, self._positions(x))
         others, self._others = self._background.frames(
-            self._others, self._standard, self._parameters.rate_mbps, until_ns
+            self._others, self._standard, self._channel.parameters.rate_mbps, until_ns
         )
         frames = [*self._waiting, *others]
         self._waiting = []
-        self._channel, outcomes, counts = advance(
-            self._parameters, self._channel, self._background.heard(powers), frames, until_ns
+        self._state, outcomes, counts = self._channel.advance(
+            self._state, self._background.heard(powers), frames, until_ns
         )
         return {
             "tick": tick,
@@ -118,7 +118,8 @@ class TeamRadio:
 
     def _positions(self, x: Array) -> list[list[float]]:
         """Return positions of the stations relative to the payload, payload frame, m."""
-        e_P = state.StateView(x).e_P[self._first_owned]
+        uavs = x[state.PAYLOAD :].reshape(-1, state.PER_UAV)
+        e_P = uavs[self._first_owned, state.E]
         positions: list[list[float]] = (self._rho_P - self._rod_m * e_P).tolist()
         return positions
 

@@ -290,7 +290,7 @@ class Airtime(Message, tag="airtime", frozen=True, kw_only=True):
     # Instant of its arrival at each agent, (F, receivers), s, or why it was lost: -1 collision, -2 too
     # weak, -3 queue full, -4 attempts exhausted; -9: nothing new, or the agent is no receiver.
     arrivals: Array
-    busy_s: Annotated[float, Meta(ge=0.0, le=_LARGEST)]  # air occupied since the last report, s
+    busy_s: Finite  # air occupied since the last report, s
     transmissions: Count  # of frames since the last report
     repetitions: Count  # those of them that repeat a frame that was not acknowledged
 

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from tests.support.runs import recorded, setup, ticks
 from transport.analysis.airtime import radio_of
-from transport.analysis.series import series_of
+from transport.analysis.analysed_run import AnalysedRun
 from transport.experiments.cases import run_in_memory
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import Airtime
@@ -95,6 +95,6 @@ def test_the_figure_has_airtime_deliveries_and_delays() -> None:
         log = run_in_memory(run)
         figure = Figure()
         with mpl.rc_context(RC):
-            drawn = fill(figure, "radio", run, log, series_of(run, log))
+            drawn = fill(figure, "radio", AnalysedRun.of(run, log))
         assert drawn == bool(expected)
         assert len(figure.axes) == expected

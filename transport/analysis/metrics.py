@@ -12,7 +12,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from transport.analysis.airtime import radio_of
-from transport.analysis.series import Series, estimates_of, series_of, swing_of
+from transport.analysis.analysed_run import AnalysedRun
+from transport.analysis.series import Series, estimates_of, swing_of
 from transport.log.run_log import RunLog
 from transport.model.arrays import Array
 from transport.model.state import R0
@@ -25,13 +26,14 @@ SETTLED_S, _ROUNDING_S, _DIGITS = 2.0, 1e-9, 9
 _ORIGIN = {"script": " by script", "person": " by hand", "unknown": ""}
 
 
-def summarise(setup: Setup, log: RunLog) -> dict[str, Any]:
+def summarise(run: AnalysedRun) -> dict[str, Any]:
     """Return the summary of a run as JSON data (summary.schema.json).
 
     None for anything the log does not tell.
     """
-    setup = setup.after(log.of(messages.Target))
-    series = series_of(setup, log)
+    setup = run.setup
+    log = run.log
+    series = run.series
     control = next(log.of(messages.Control), None)
     reports = list(log.of(messages.StepReport))
     processes = log.header.get("processes", "")

@@ -16,6 +16,7 @@ import numpy as np
 import threadpoolctl
 
 from transport.agent.own import controller_version
+from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.flight import memory
 from transport.flight.run_files import checked
@@ -232,7 +233,8 @@ def simulate(case: Case) -> Result:
                     "expected the version of this package that started the experiment, got another"
                 )
             log = run_in_memory(setup)
-            summary, control = summarise(setup, log), next(log.of(Control))
+            summary = summarise(AnalysedRun.of(setup, log))
+            control = next(log.of(Control))
             end_s = (
                 None
                 if control.outcome == "completed"

@@ -134,8 +134,11 @@ class _Abscissa:
         return max(places) - min(places) or 1.0
 
     def apart(self, curves: int) -> float:
-        """Return the distance between neighbouring curves that keeps markers and error bars apart."""
-        if self.is_growth:
+        """Return the distance between neighbouring curves that keeps markers and error bars apart.
+
+        Only names leave room for it: on an axis of numbers a marker stands on its value.
+        """
+        if self.is_number:
             return 0.0
         pairs = itertools.pairwise(sorted(self.places.values()))
         gap = min((high - low for low, high in pairs), default=self.span)

@@ -138,6 +138,11 @@ class Commands:
             (COORDINATOR, "link", {"from": source, "to": target, "settings": settings})
         )
 
+    def cut(self, groups: Sequence[Sequence[int]]) -> None:
+        """Lose all messages between groups of agents, in both directions, from the same tick on."""
+        names = [[agent_name(agent) for agent in group] for group in groups]
+        self._requests.put((COORDINATOR, "link", {"groups": names, "settings": {"loss": 1.0}}))
+
     def clear(self) -> None:
         """Make all links perfect, those of the plant included."""
         for ends in ({}, {"from": PLANT}, {"to": PLANT}):

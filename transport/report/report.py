@@ -12,8 +12,10 @@ import orjson
 from rich.table import Table
 from rich.text import Text
 
+from transport.analysis.analysed_run import AnalysedRun, counted
 from transport.analysis.metrics import summarise
-from transport.analysis.series import SWING_S, counted, steps_columns, steps_rows
+from transport.analysis.series import SWING_S
+from transport.analysis.steps import steps_columns, steps_rows
 from transport.log.run_log import RecordedRun, open_run
 from transport.protocol.scenario.setup import Setup
 
@@ -57,10 +59,11 @@ def report_run(
 
     Figures take most of the time; with `forks` on two cores half of it.
     """
-    folder, setup, log = run.folder, run.setup, counted(run.setup, run.log)
-    summary = summarise(setup, log)
+    folder = run.folder
+    analysed = AnalysedRun.of(run.setup, counted(run.setup, run.log))
+    summary = summarise(analysed)
     write_whole(folder / "summary.json", orjson.dumps(summary, option=orjson.OPT_INDENT_2) + b"\n")
-    write_csv(folder / "steps.csv", steps_rows(setup, log), steps_columns(setup))
+    write_csv(folder / "steps.csv", steps_rows(analysed), steps_columns(analysed.setup))
     if figures:
         from transport.report.figures import (
             draw,  # loads matplotlib, 0.3 s that runs without figures save
@@ -72,7 +75,7 @@ def report_run(
             for file in (folder / "figures").glob(f"*.{kind}")
         ]:
             old.unlink()  # figures of an older run
-        draw(setup, log, folder / "figures", forks=forks, pdf=pdf)
+        draw(analysed, folder / "figures", forks=forks, pdf=pdf)
     return summary
 
 

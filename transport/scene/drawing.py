@@ -5,7 +5,7 @@ payload, as a browser draws their points later than poses. All frames are relati
 one, z down; lengths in m.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -17,6 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from transport.model.arrays import Array
 from transport.model.parameters import System, payload_half_size
+from transport.model.rotations import rotation
+from transport.model.state import StateView
 from transport.protocol.scenario.setup import Setup
 from transport.scene.scene import Scene, SceneBuilder
 
@@ -42,6 +44,8 @@ UPSIDE_DOWN: Pose = (np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 
 _PAYLOAD, _ROD, _REFERENCE, _FLOWN = (60, 60, 60), (90, 90, 90), (150, 150, 150), (0, 0, 0)
 _OBSTACLE = (196, 120, 60)
+# Of a UAV whose agent is not on the roster.
+OFF_COLOUR: Colour = (170, 170, 170)
 # Arm length, rotor radius, beam and body thickness of a drawn quadrotor, in parts of its span
 # (rotor tip to rotor tip).
 _ARM, _ROTOR, _BEAM, _BODY = 0.31, 0.17, 0.02, 0.06
@@ -156,21 +160,56 @@ class Drawing:
 
         Parts in other frames are not to be seen in it.
         """
+        poses = self._team_poses(
+            (scene.payload_I, scene.R_payload),
+            list(zip(scene.uavs_I, scene.R_uavs, strict=True)),
+            scene.attachments_I,
+        )
+        for uav in scene.released:
+            del poses[f"uav{uav}"], poses[f"rod{uav}"]
+        return poses | {GOAL: (scene.payload_reference_I, np.eye(3))}
+
+    def poses_at_start(self) -> dict[str, Pose]:
+        """Return the poses of the frames in the initial state, before a run has its first tick."""
+        x = self._setup.initial_state()
+        view = StateView(x)
+        R_payload = rotation(view.Theta0)
+        uavs_I = self._setup.model.outputs(x)[: 3 * self._N].reshape(-1, 3)
+        R_uavs = [rotation(Theta) for Theta in view.Theta]
+        attachments_I = np.array(
+            [view.r0_I + R_payload @ uav.rho for uav in self._setup.system.uavs]
+        )
+        return self._team_poses(
+            (view.r0_I, R_payload), list(zip(uavs_I, R_uavs, strict=True)), attachments_I
+        )
+
+    def _team_poses(
+        self, payload: Pose, uavs: Sequence[Pose], attachments_I: Array
+    ) -> dict[str, Pose]:
+        """Return the poses of the frames of payload, UAVs and rods, and of those that move along."""
         level = np.eye(3)
+        middle_I = np.mean([position_I for position_I, _ in uavs], axis=0)
         poses: dict[str, Pose] = {
             INERTIAL: (np.zeros(3), level),
-            PAYLOAD: (scene.payload_I, scene.R_payload),
-            TEAM: (scene.uavs_I.mean(axis=0), level),
-            LOAD: (scene.payload_I, level),
-            GOAL: (scene.payload_reference_I, level),
+            PAYLOAD: payload,
+            TEAM: (middle_I, level),
+            LOAD: (payload[0], level),
         }
-        for i in range(self._N):
-            if i + 1 not in scene.released:
-                poses[f"uav{i + 1}"] = scene.uavs_I[i], scene.R_uavs[i]
-                rod_I = scene.uavs_I[i] - scene.attachments_I[i]
-                turn, _ = Rotation.align_vectors(rod_I[None], [[0.0, 0.0, -1.0]])
-                poses[f"rod{i + 1}"] = scene.attachments_I[i], turn.as_matrix()
+        for i, (pose, attachment_I) in enumerate(zip(uavs, attachments_I, strict=True), start=1):
+            rod_I = pose[0] - attachment_I
+            turn, _ = Rotation.align_vectors(rod_I[None], [[0.0, 0.0, -1.0]])
+            poses[f"uav{i}"] = pose
+            poses[f"rod{i}"] = attachment_I, turn.as_matrix()
         return poses
+
+    def frames_off(self, scene: Scene) -> frozenset[str]:
+        """Return the frames of the UAVs whose agents are not on the roster in a scene."""
+        off = [
+            uavs
+            for agent, uavs in enumerate(self._setup.owned, start=1)
+            if agent not in scene.members
+        ]
+        return frozenset(f"uav{uav + 1}" for uavs in off for uav in uavs)
 
     def moving(self, scene: Scene) -> Iterator[Lines]:
         """Yield the lines of a scene but the actual paths, after a new target those of the reference too."""

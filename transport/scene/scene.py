@@ -61,7 +61,7 @@ class RunHistory:
         self.plans: dict[tuple[int, int], Plan] = {}  # by agent and tick, as the reports of steps
         self.reports: dict[tuple[int, int], StepReport] = {}
         self.airtimes: dict[int, list[Airtime]] = {}  # news of the radio, by tick
-        self._changes = 0  # number of changes of links
+        self.link_changes: list[LinkChange] = []
         self.control: Control | None = None  # the coordinator's message about the end
         self.events: list[
             tuple[int, str]
@@ -84,8 +84,8 @@ class RunHistory:
                     self.reports[message.agent, message.tick] = message
                 case Airtime():
                     self.airtimes.setdefault(message.tick, []).append(message)
-                case LinkChange() if message.number == self._changes + 1:
-                    self._changes += 1
+                case LinkChange() if message.number == len(self.link_changes) + 1:
+                    self.link_changes.append(message)
                     self.events.append((message.tick, words_of(message)))
                 case Target() if message.number == len(self.setup.maneuver.targets) + 1:
                     self.setup = self.setup.after([message])
@@ -272,7 +272,8 @@ class SceneBuilder:
 
     def paths(self, tick: int, points: int) -> tuple[Array, Array]:
         """Return the flown paths of payload, (k, 3), and UAVs, (k, N, 3), m, until a tick, by some points."""
-        ticks = sorted(k for k in self.history.plant_states if k < tick)
+        # A copy: a page may ask while the log is read.
+        ticks = sorted(k for k in list(self.history.plant_states) if k < tick)
         positions = np.array(
             [self._position(k) for k in [*ticks[:: max(1, len(ticks) // points)], tick]]
         )

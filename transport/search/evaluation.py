@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from transport.analysis.analysed_run import AnalysedRun
 from transport.analysis.metrics import summarise
 from transport.flight.memory import simulate
 from transport.log.run_log import Recorded, RunLog
@@ -92,7 +93,8 @@ class Problem:
         else:
             outcome = control.outcome
 
-        summary = summarise(setup, RunLog(header={}, messages=tuple(messages), cut=""))
+        log = RunLog(header={}, messages=tuple(messages), cut="")
+        summary = summarise(AnalysedRun.of(setup, log))
         value = self.objective.value(summary)
         survived = 1.0 if outcome == "completed" else end_tick / setup.ticks
 

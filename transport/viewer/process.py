@@ -15,9 +15,10 @@ _EXIT_S = 5.0
 
 
 class ViewerBeside:
-    """A viewer process that shows the run in a folder as soon as it is live, for at most `wait_s` seconds of waiting.
+    """A viewer process that shows the run in a folder as soon as it is live.
 
-    The folder need not exist yet. As a context it ends the process at its end.
+    The folder need not exist yet; the process waits for at most `wait_s` seconds. As a context it
+    ends the process at its end.
     """
 
     def __init__(self, folder: Path, host: str, port: int, wait_s: float) -> None:
@@ -41,7 +42,10 @@ class ViewerBeside:
         )
 
     def wait_until_ready(self) -> None:
-        """Wait until a browser can open the viewer, whose address goes to standard error, or it has ended."""
+        """Wait until a browser can open the viewer, or it has ended.
+
+        Its address goes to standard error.
+        """
         if self._process.stdout is not None:
             sys.stderr.write(self._process.stdout.readline())
             sys.stderr.flush()

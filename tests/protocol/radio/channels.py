@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from transport.protocol.radio.channel import ChannelCounts, ChannelParameters, ChannelState, advance
+from transport.protocol.radio.channel import Channel, ChannelCounts, ChannelParameters, ChannelState
 from transport.protocol.radio.frames import Frame, Outcome
 from transport.protocol.radio.standard import OFDM
 
@@ -47,5 +47,5 @@ def run(
 ) -> tuple[list[Outcome], ChannelCounts]:
     """Return outcomes and counts of one window on a channel that was idle."""
     idle = ChannelState.idle(len(powers), given.standard)
-    _, outcomes, counts = advance(given, idle, powers, frames, until_ns)
+    _, outcomes, counts = Channel(given).advance(idle, powers, frames, until_ns)
     return outcomes, counts

@@ -6,7 +6,7 @@ import pytest
 
 from tests.protocol.radio.channels import MS, NEAR_MW, broadcast, equal_powers, parameters
 from transport.protocol.radio.background import Background, BackgroundState
-from transport.protocol.radio.channel import ChannelState, advance
+from transport.protocol.radio.channel import Channel, ChannelState
 from transport.protocol.radio.frames import Frame, Result
 from transport.protocol.radio.standard import OFDM
 
@@ -30,8 +30,8 @@ def flown(share: float) -> tuple[float, float]:
         ]
         others: list[Frame]
         others, waiting = background.frames(waiting, OFDM, 6.0, end_ns)
-        state, outcomes, counts = advance(
-            parameters(queue_length=200), state, powers, [*frames, *others], end_ns
+        state, outcomes, counts = Channel(parameters(queue_length=200)).advance(
+            state, powers, [*frames, *others], end_ns
         )
         busy_ns += counts.busy_ns
         delivered += sum(outcome.result is Result.DELIVERED for outcome in outcomes)

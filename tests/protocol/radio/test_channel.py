@@ -16,7 +16,7 @@ from tests.protocol.radio.channels import (
     parameters,
     run,
 )
-from transport.protocol.radio.channel import ChannelState, advance
+from transport.protocol.radio.channel import Channel, ChannelState
 from transport.protocol.radio.frames import Frame, Outcome, Result
 from transport.protocol.radio.standard import OFDM
 
@@ -262,7 +262,7 @@ def test_windows_do_not_change_the_outcomes(unicast: bool) -> None:
     for until_ns in [*range(0, SECOND_NS, 700_000), SECOND_NS]:
         begin_ns = state.time_ns
         sent = [frame for frame in frames if begin_ns <= frame.sent_ns < until_ns]
-        state, more, counted = advance(given, state, powers, sent, until_ns)
+        state, more, counted = Channel(given).advance(state, powers, sent, until_ns)
         outcomes += more
         busy_ns += counted.busy_ns
     assert outcomes == expected
@@ -274,11 +274,11 @@ def test_a_state_is_not_changed_by_its_use() -> None:
     frames = random_frames(5, 2, MS)
     given = parameters()
     powers = random_powers(5)
-    state, *_ = advance(given, ChannelState.idle(5, OFDM), powers, frames, 2 * MS)
+    state, *_ = Channel(given).advance(ChannelState.idle(5, OFDM), powers, frames, 2 * MS)
     assert state.air or state.events
-    assert advance(given, state, powers, [], SECOND_NS) == advance(
-        given, state, powers, [], SECOND_NS
-    )
+    channel = Channel(given)
+    first = channel.advance(state, powers, [], SECOND_NS)
+    assert channel.advance(state, powers, [], SECOND_NS) == first
 
 
 def test_the_seed_changes_the_backoffs() -> None:
