@@ -5,33 +5,31 @@ methods. A step that raises, or that returns anything but inputs, is data: the s
 is applied, as after a solve without solution, and a `Note` says why.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import prod
 
 import numpy as np
+from msgspec.structs import replace
 
-from transport.agent.own_returned import Returned, checked, converted
+from transport.agent.estimation.reports import Reports, by_uav
+from transport.agent.own_object import OwnObject
+from transport.agent.own_returned import Returned
 from transport.agent.own_run import run_of
 from transport.agent.received import Received
 from transport.agent.step import numbers_note, step_report
 from transport.model.arrays import Array
-from transport.model.state import StateView, input_indices
+from transport.model.state import REPORTS, StateView, input_indices
 from transport.protocol.scenario.errors import ScenarioError
-from transport.protocol.scenario.own_class import (
-    OwnClassError,
-    made,
-    own_class,
-    told,
-    version_of,
-)
+from transport.protocol.scenario.own_class import OwnClassError, own_class, version_of
 from transport.protocol.scenario.setup import Setup
-from transport.protocol.wire.messages import STAGES, Measurement, Message, Plan, PlanStatus
+from transport.protocol.wire.messages import STAGES, Measurement, Message, Note, Plan, PlanStatus
 from transport.protocol.wire.node import Outbox
 
 PROJECT = "mpc"  # the controller of the project
 OF_PROJECT = PROJECT, "alone"
-METHODS = ("start", "step", "stop")  # of a class of the user
+
+_NO_DATA = np.zeros(0)
 
 
 def checked_controller(setup: Setup) -> str:
@@ -54,23 +52,32 @@ def controller_version(name: str) -> str:
     return "" if name in OF_PROJECT else version_of(own_class(name))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """Result of a call: that of the class, or the shifted previous inputs with the reason."""
+
+    inputs: Array  # (rows, 4 owned)
+    data: Array  # for the others, flat; none after a failure
+    numbers: Mapping[str, float]  # for the log, by name
+    status: PlanStatus
+    send: bool  # whether the others get the plan
+    problem: str = ""  # why the step failed; empty if it did not
+
+
 @dataclass(slots=True, kw_only=True)
 class OwnStep:
-    """An open tick of a controller of the user; it has no negotiation before its plan."""
+    """An open tick of a controller of the user."""
 
     received: Received
     start: int  # first tick that the plan is for
-    negotiation: int = 1  # exchanges of plans still to come
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
-    """Result of a tick: inputs of the class, or the shifted previous ones with the reason."""
-
-    inputs: Array  # (rows, 4 owned)
-    numbers: Mapping[str, float]  # for the log, by name
-    status: PlanStatus
-    problem: str = ""  # why the step failed; empty if it did not
+    negotiation: int  # exchanges of plans still to come
+    plans: Sequence[Plan]  # of the others, for the next call
+    iteration: int = 0  # exchanges so far
+    outcome: Outcome | None = None  # of the last call
+    # Why data of others were refused, and the time of the calls so far.
+    refused: list[str] = field(default_factory=list)
+    estimate_ns: int = 0
+    solve_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,16 +99,17 @@ class OwnPlanner:
     Raises: ScenarioError: the class cannot be used.
     """
 
-    belief = None  # the class has its own estimator, if any
+    belief = None  # the filter of the class, if any, is not shown
 
     def __init__(self, setup: Setup, agent: int, stopwatch: Callable[[], int]) -> None:
         self._setup = setup
         self._agent = agent
         self._stopwatch = stopwatch
         self._name = setup.scenario.agents.controller
+        self._iterations = setup.scenario.controller.negotiation_iterations
         self._owned = setup.owned[agent - 1]
         self._peers = tuple(other for other in setup.agents if other != agent)
-        self._controller: Any = None
+        self._object: OwnObject | None = None
         self.restart()
         if self._problem:
             raise ScenarioError(setup.scenario.name, "agents.controller", self._problem)
@@ -112,6 +120,8 @@ class OwnPlanner:
         self._run = run_of(self._setup, self._agent)
         self._measurement: Measurement | None = None  # the newest that is usable
         self._newest: dict[int, int] = {}  # tick of the newest plan used, by agent
+        self._sensed = Reports()  # own measurements of the last ticks
+        self._told_roster = -1  # version under which a plan was last sent to the others
         hover = self._setup.hover.u[input_indices(self._owned)]
         self._previous = Previous(start=0, inputs=hover[None])
         self._idle_since_ns = self._stopwatch()
@@ -120,23 +130,19 @@ class OwnPlanner:
     def _start(self) -> str:
         """Start a new object of the class; return why that failed, empty if it did not."""
         try:
-            controller = made(own_class(self._name), METHODS)
-            with told("start"):
-                controller.start(self._run)
+            self._object = OwnObject(self._name, self._run, is_negotiating=self._iterations > 1)
         except OwnClassError as error:
             return str(error)
-        self._controller = controller
         return ""
 
     def stop(self) -> str:
         """End the run for the class, once; return why that failed, empty if it did not."""
-        controller = self._controller
-        self._controller = None
+        controller = self._object
+        self._object = None
         if controller is None:
             return ""
         try:
-            with told("stop"):
-                controller.stop()
+            controller.stop()
         except OwnClassError as error:
             return str(error)
         return ""
@@ -149,101 +155,169 @@ class OwnPlanner:
     def warm_up(self) -> None:
         """Do nothing: the class prepares itself when it starts."""
 
+    # A tick: begin, then plan and adopt in turns.
+
     def begin(self, received: Received) -> OwnStep:
         """Take in what has arrived at a tick."""
+        begun_ns = self._stopwatch()
         if received.measurements:
             newest = max(received.measurements, key=lambda measurement: measurement.tick)
             self._measurement = newest
+        for measurement in received.measurements:
+            for uav, report in by_uav(measurement):
+                self._sensed.tell(measurement.tick, uav, report)
+        self._sensed.forget_before(received.tick - REPORTS)
         for plan in received.plans:
             self._newest[plan.agent] = max(plan.tick, self._newest.get(plan.agent, -1))
 
-        self._run.tick = received.tick
-        self._run.agents = tuple(sorted(received.agents))
-        self._run.failed = tuple(sorted(received.off))
-        return OwnStep(received=received, start=received.tick + self._run.delay)
+        self._run.begin(received, must_send=received.measurement.roster != self._told_roster)
+        step = OwnStep(
+            received=received,
+            start=received.tick + self._run.delay,
+            negotiation=self._iterations,
+            plans=(),
+        )
+        step.plans = tuple(self._shaped(received.plans, step.refused))
+        step.estimate_ns = self._stopwatch() - begun_ns
+        return step
 
     def plan(self, step: OwnStep, out: Outbox, publish_ns: int) -> list[Message]:
-        """Return the tick's plan and report, and a note with numbers or a failure, if any."""
-        step.negotiation = 0
+        """Return a proposal, or at the end of the tick notes, if any, with its plan and report."""
         begun_ns = self._stopwatch()
-        outcome = self._outcome(step)
-        self._previous = Previous(start=step.start, inputs=outcome.inputs)
-        plan = self._plan(step, outcome, out)
+        if step.outcome is None or not step.outcome.problem:
+            step.outcome = self._outcome(step)
+        step.negotiation -= 1
+        outcome = step.outcome
+        step.solve_ns += self._stopwatch() - begun_ns
 
-        received = step.received
-        now_ns = self._stopwatch()
-        times_ns = {
-            **dict.fromkeys(STAGES, 0),
-            "wait": received.started_ns - self._idle_since_ns,
-            "publish": publish_ns,
-            "solve": now_ns - begun_ns,
-            "total": now_ns - received.started_ns,
-        }
-        report = self._report(received, outcome.status, times_ns, out)
-        notes = self._notes(received.tick, outcome.problem, outcome.numbers, out)
+        is_last = step.negotiation == 0
+        is_shared = not is_last or outcome.send or self._run.must_send
+        plan = self._plan(step, outcome, out, is_shared=is_shared)
+        if not is_last:
+            return [plan]
+
+        self._conclude(step, plan)
+        report = self._report(step, publish_ns, out)
+        notes = list(self._notes(step, out))
         self._idle_since_ns = self._stopwatch()
         return [*notes, plan, report]
 
     def adopt(self, step: OwnStep, proposals: Sequence[Plan]) -> None:
-        """Do nothing: there is no negotiation."""
+        """Take the others' proposals into the next iteration of the negotiation."""
+        step.iteration += 1
+        step.plans = tuple(self._shaped(proposals, step.refused))
 
     def end(self, tick: int, out: Outbox) -> list[Message]:
         """End the run for the class; return a note if that failed."""
-        return self._notes(tick, self.stop(), {}, out)
+        problem = self.stop()
+        return [self._note(tick, problem, {}, out)] if problem else []
+
+    def _shaped(self, plans: Sequence[Plan], refused: list[str]) -> Iterator[Plan]:
+        """Yield plans with their data in the shape that the own class has declared.
+
+        Data of another number are refused: the plan has none then.
+        """
+        shape = self._run.data_shape
+        numbers = 0 if shape is None else prod(shape)
+        for plan in plans:
+            count = len(plan.data)
+            if count == 0:
+                yield plan
+            elif shape is not None and count == numbers:
+                yield replace(plan, data=plan.data.reshape(shape))
+            else:
+                expected = "no data" if shape is None else f"data of shape {shape}"
+                refused.append(f"plan of {plan.sender}: expected {expected}, got {count} numbers")
+                yield replace(plan, data=_NO_DATA)
 
     def _outcome(self, step: OwnStep) -> Outcome:
-        """Return the inputs of the class; the shifted previous plan if it has none."""
+        """Return the result of the class; the shifted previous plan if it has none."""
         shifted = self._previous.from_tick(step.start)
+        without = Outcome(inputs=shifted, data=_NO_DATA, numbers={}, status="solved", send=True)
+        if self._measurement is None:
+            return without
         try:
-            if self._controller is None:
-                raise OwnClassError(self._problem)
-            if self._measurement is None:
-                return Outcome(inputs=shifted, numbers={}, status="solved")
-            returned = self._returned(self._measurement, step.received.plans)
+            returned = self._returned(self._measurement, step)
         except OwnClassError as error:
-            return Outcome(inputs=shifted, numbers={}, status="numerical", problem=str(error))
-        return Outcome(inputs=returned.inputs, numbers=returned.numbers, status="solved")
+            return Outcome(
+                inputs=shifted,
+                data=_NO_DATA,
+                numbers={},
+                status="numerical",
+                send=True,
+                problem=str(error),
+            )
+        return Outcome(
+            inputs=returned.inputs,
+            data=returned.data,
+            numbers=returned.numbers,
+            status="solved",
+            send=returned.send,
+        )
 
-    def _returned(self, measurement: Measurement, plans: Sequence[Plan]) -> Returned:
-        """Return what a step of the class returns, checked. Raises: OwnClassError: it fails."""
-        with told("step"):
-            returned = converted(self._controller.step(measurement, plans))
-        return checked(returned, self._run)
+    def _returned(self, measurement: Measurement, step: OwnStep) -> Returned:
+        """Return what the class returns, checked. Raises: OwnClassError: it fails."""
+        if self._object is None:
+            raise OwnClassError(self._problem)
+        if step.iteration == 0:
+            return self._object.step(measurement, step.plans)
+        return self._object.negotiate(step.iteration, step.plans)
 
-    def _plan(self, step: OwnStep, outcome: Outcome, out: Outbox) -> Plan:
-        """Return the plan of a tick."""
-        measured = self._measurement
-        if measured is None:
-            x_ref = self._run.reference(step.received.tick)
-            states = StateView(x_ref).uavs[list(self._owned)]
-        else:
-            states = measured.uav_states
+    def _conclude(self, step: OwnStep, plan: Plan) -> None:
+        """Remember the plan of a tick."""
+        self._previous = Previous(start=step.start, inputs=plan.inputs)
+        self._run.announce(plan)
+        if plan.shared:
+            self._told_roster = step.received.measurement.roster
+
+    def _plan(self, step: OwnStep, outcome: Outcome, out: Outbox, *, is_shared: bool) -> Plan:
+        """Return the plan, or proposal, of an outcome."""
         return out.stamp(
             Plan,
             tick=step.received.tick,
             agent=self._agent,
             start_tick=step.start,
             uavs=tuple(uav + 1 for uav in self._owned),
-            uav_states=states,
+            uav_states=self._uav_states(step.received.tick),
             inputs=outcome.inputs,
             corrections=np.zeros((0, outcome.inputs.shape[1])),
             status=outcome.status,
-            negotiation=0,
-            shared=True,
+            negotiation=step.negotiation,
+            shared=is_shared,
+            data=outcome.data,
         )
 
-    def _report(
-        self, received: Received, status: PlanStatus, times_ns: Mapping[str, int], out: Outbox
-    ) -> Message:
+    def _uav_states(self, tick: int) -> Array:
+        """Return the measured states of the own UAVs, (owned, 12), or of their sensors, (owned, 80).
+
+        Before the first measurement the reference is known alone.
+        """
+        if self._setup.sensors.vehicle:
+            return self._sensed.rows(tick, self._owned)
+        if self._measurement is not None:
+            return self._measurement.uav_states
+        return StateView(self._run.reference(tick)).uavs[list(self._owned)]
+
+    def _report(self, step: OwnStep, publish_ns: int, out: Outbox) -> Message:
         """Return the report of a tick."""
+        received = step.received
         k = received.tick
+        now_ns = self._stopwatch()
+        times_ns = {
+            **dict.fromkeys(STAGES, 0),
+            "wait": received.started_ns - self._idle_since_ns,
+            "publish": publish_ns,
+            "estimate": step.estimate_ns,
+            "solve": step.solve_ns,
+            "total": now_ns - received.started_ns,
+        }
         measured = self._measurement
         ages = tuple(k - self._newest[peer] if peer in self._newest else -1 for peer in self._peers)
         return step_report(
             received,
             self._agent,
             out,
-            status=status,
+            status="solved" if step.outcome is None else step.outcome.status,
             solver=self._name,
             fallback=False,
             iterations=0,
@@ -256,11 +330,16 @@ class OwnPlanner:
             times_ns=times_ns,
         )
 
-    def _notes(
-        self, tick: int, problem: str, numbers: Mapping[str, float], out: Outbox
-    ) -> list[Message]:
-        """Return a note with numbers for the log or a problem; none without both."""
-        if not problem and not numbers:
-            return []
+    def _notes(self, step: OwnStep, out: Outbox) -> Iterator[Note]:
+        """Yield a note with the numbers or the failure of a tick, and one for refused data."""
+        outcome = step.outcome
+        tick = step.received.tick
+        for problem in dict.fromkeys(step.refused):
+            yield self._note(tick, problem, {}, out)
+        if outcome is not None and (outcome.problem or outcome.numbers):
+            yield self._note(tick, outcome.problem, outcome.numbers, out)
+
+    def _note(self, tick: int, problem: str, numbers: Mapping[str, float], out: Outbox) -> Note:
+        """Return a note with numbers for the log or a problem."""
         text = f"controller {self._name}: {problem}" if problem else ""
-        return [numbers_note(tick, self._agent, numbers, out, text)]
+        return numbers_note(tick, self._agent, numbers, out, text)

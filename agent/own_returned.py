@@ -1,8 +1,8 @@
-"""Checks of what a step of the user's controller returns: inputs, and numbers for the log."""
+"""Checks of what a step of the user's controller returns: inputs, own data, numbers for the log."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,57 +14,109 @@ from transport.protocol.wire.messages import MAX_NAME, MAX_NAMES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """Result of `step` or `negotiate` of a controller of the user, each part by name."""
+
+    inputs: (
+        Any  # (4 owned,) or (rows, 4 owned), of the ticks from the first on that the plan acts at
+    )
+    data: Any = None  # for the other agents, in the shape that `run.share` has declared
+    numbers: Mapping[str, float] = field(default_factory=dict)  # for the log, by name
+    send: bool = True  # whether the other agents get the plan; see `Run.must_send`
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Returned:
-    """Result of a step."""
+    """Result of a step as arrays."""
 
     inputs: Array  # (rows, 4 owned), of the ticks from the first on that the plan acts at
+    data: Array  # flat, (k,); none without a declared shape
     numbers: Mapping[str, float]  # for the log, by name
+    send: bool
     shape: tuple[int, ...]  # of the inputs as they were returned
 
 
-def converted(returned: object) -> Returned:
-    """Return inputs, or inputs and a mapping, as arrays and numbers; raise if they are none."""
-    inputs = returned
-    numbers: Mapping[object, Any] = {}
-    if isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], Mapping):
-        inputs, numbers = returned
-    array = real_array(inputs)
+def converted(returned: object, method: str, data_shape: tuple[int, ...] | None) -> Returned:
+    """Return the result of a method as arrays and numbers.
+
+    Raises: OwnClassError: the data are not those that the class has declared.
+    Raises: TypeError, ValueError: a part is no array of real numbers.
+    """
+    step = returned if isinstance(returned, Step) else _parts(returned, data_shape)
+    inputs = real_array(step.inputs)
     return Returned(
-        inputs=np.atleast_2d(array),
-        numbers={str(name): float(value) for name, value in dict(numbers).items()},
-        shape=array.shape,
+        inputs=np.atleast_2d(inputs),
+        data=_data(step.data, method, data_shape),
+        numbers={str(name): float(value) for name, value in dict(step.numbers).items()},
+        send=bool(step.send),
+        shape=inputs.shape,
     )
 
 
-def checked(returned: Returned, run: Run) -> Returned:
-    """Return the result of a step with its inputs within the limits.
+def _parts(returned: object, data_shape: tuple[int, ...] | None) -> Step:
+    """Return inputs, (inputs, numbers), (inputs, data) or (inputs, data, numbers) by name.
+
+    Numbers are told by their type. Without declared data a tuple without numbers is rows of inputs.
+    """
+    if not isinstance(returned, tuple):
+        return Step(inputs=returned)
+    parts = list(returned)
+    numbers: Mapping[str, float] = {}
+    if len(parts) > 1 and isinstance(parts[-1], Mapping):
+        numbers = parts.pop()
+    if len(parts) == 1:
+        return Step(inputs=parts[0], numbers=numbers)
+    if len(parts) == 2 and (data_shape is not None or len(returned) == 3):
+        return Step(inputs=parts[0], data=parts[1], numbers=numbers)
+    return Step(inputs=tuple(parts), numbers=numbers)
+
+
+def _data(given: object, method: str, shape: tuple[int, ...] | None) -> Array:
+    """Return own data, flat. Raises: OwnClassError: not of the declared shape."""
+    if shape is None:
+        if given is not None:
+            got = "data, which no run.share(shape) in start has declared"
+            raise OwnClassError(f"{method}: expected inputs and numbers for the log, got {got}")
+        return np.zeros(0)
+    expected = f"expected data of shape {shape}, as declared by run.share"
+    if given is None:
+        raise OwnClassError(f"{method}: {expected}, got none")
+    data = real_array(given)
+    if data.shape != shape:
+        raise OwnClassError(f"{method}: {expected}, got {data.shape}")
+    return data.reshape(-1)
+
+
+def checked(returned: Returned, method: str, run: Run) -> Returned:
+    """Return the result of a method with its inputs within the limits.
 
     Raises: OwnClassError: with got and expected.
     """
-    _check_shape(returned, run)
-    _check_finite(returned)
-    _check_names(returned.numbers)
+    _check_shape(returned, method, run)
+    _check_finite(returned, method)
+    _check_names(returned.numbers, method)
     return replace(returned, inputs=np.clip(returned.inputs, run.lower, run.upper))
 
 
-def _check_shape(returned: Returned, run: Run) -> None:
+def _check_shape(returned: Returned, method: str, run: Run) -> None:
     inputs = returned.inputs
     columns = len(run.lower)
     is_right = inputs.ndim == 2 and inputs.shape[1] == columns
     if not is_right or not 1 <= len(inputs) <= run.horizon:
         expected = f"expected shape ({columns},) or (1 to {run.horizon}, {columns})"
-        raise OwnClassError(f"step: {expected}, got {returned.shape}")
+        raise OwnClassError(f"{method}: {expected}, got {returned.shape}")
 
 
-def _check_finite(returned: Returned) -> None:
+def _check_finite(returned: Returned, method: str) -> None:
     inputs = {f"input {list(place)}": u for place, u in np.ndenumerate(returned.inputs)}
-    for name, value in {**inputs, **returned.numbers}.items():
+    data = {f"data {place}, counted row by row": d for place, d in enumerate(returned.data)}
+    for name, value in {**inputs, **data, **returned.numbers}.items():
         if not math.isfinite(value):
-            expected = "expected finite inputs and numbers for the log"
-            raise OwnClassError(f"step: {expected}, got {name} = {value}")
+            expected = "expected finite inputs, data and numbers for the log"
+            raise OwnClassError(f"{method}: {expected}, got {name} = {value}")
 
 
-def _check_names(numbers: Mapping[str, float]) -> None:
+def _check_names(numbers: Mapping[str, float], method: str) -> None:
     if len(numbers) > MAX_NAMES or any(len(name) > MAX_NAME for name in numbers):
         limits = f"at most {MAX_NAMES} numbers with names of at most {MAX_NAME} characters"
-        raise OwnClassError(f"step: expected {limits} for the log, got {len(numbers)}")
+        raise OwnClassError(f"{method}: expected {limits} for the log, got {len(numbers)}")

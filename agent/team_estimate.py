@@ -37,6 +37,8 @@ class Expected:
 class TeamEstimate:
     """Estimate of one agent, 1-based; its controller is kept up to date with the team.
 
+    Without a shared law (a controller of the user) the others are assumed to apply their plans.
+
     Attributes:
         peers: The other agents.
         announced: Inputs announced by all agents.
@@ -44,8 +46,11 @@ class TeamEstimate:
         expected: Prediction of the last step with a shared control law.
     """
 
-    def __init__(self, setup: Setup, agent: int, controller: Controller) -> None:
+    def __init__(
+        self, setup: Setup, agent: int, controller: Controller, *, has_shared_law: bool = True
+    ) -> None:
         self._setup = setup
+        self._has_shared_law = has_shared_law
         self._agent = agent
         self._controller = controller
         self.peers = tuple(other for other in setup.agents if other != agent)
@@ -79,6 +84,8 @@ class TeamEstimate:
 
     def _shared_law(self) -> SharedLaw:
         """Return how the others are assumed to act; with closed-loop prediction also alone."""
+        if not self._has_shared_law:
+            return SharedLaw()
         section = self._setup.scenario.controller
         inputs, start_state = self._by_law, self.estimator.start_state
         if section.silence == "law" or section.prediction != "closed_loop":

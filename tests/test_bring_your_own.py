@@ -11,6 +11,7 @@ import pytest
 from tests.support.runs import SCENARIOS, plant_states, recorded, ticks
 from transport.protocol.scenario.file import read_scenario
 from transport.protocol.scenario.setup import Setup
+from transport.protocol.wire.messages import Plan
 
 # The engine of the document and the one here, both far below what a controller notices.
 ENGINES_M = 1e-5
@@ -36,7 +37,7 @@ def test_the_path_of_the_document(tmp_path: Path) -> None:
 
     The scenario around it is valid.
     """
-    _, program, _ = blocks("python")
+    _, _, program, _ = blocks("python")
     subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True, timeout=60)
     phases, *_ = blocks("toml")
     ready = (SCENARIOS / "resilient.toml").read_text(encoding="utf-8")
@@ -66,9 +67,26 @@ def test_the_constraint_of_the_document(tmp_path: Path) -> None:
     ]
 
 
+def test_the_data_of_the_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The class that shares a height flies, and shares it in every plan."""
+    controller, even, *_ = blocks("python")
+    # Names of their own: an imported module stays, and other tests have another "mine".
+    (tmp_path / "my_base.py").write_text(controller, encoding="utf-8")
+    text = even.replace("from mine import", "from my_base import")
+    (tmp_path / "my_even.py").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    path = SCENARIOS / "resilient.toml"
+    run = Setup.of(read_scenario(path, ["agents.controller=my_even:Even", ticks(20)]), str(path))
+    messages = recorded(run)
+    plans = [message for message in messages if isinstance(message, Plan)]
+    assert len(plans) == 4 * 20
+    assert {plan.data.shape for plan in plans} == {(1,)}
+    assert {plan.status for plan in plans} == {"solved"}
+
+
 def test_the_controller_of_the_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The class hovers, from Python by name and from the command line's setting alike."""
-    controller, _, _ = blocks("python")
+    controller, *_ = blocks("python")
     (tmp_path / "my_level.py").write_text(controller, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     path = SCENARIOS / "resilient.toml"
@@ -81,7 +99,7 @@ def test_the_controller_of_the_document(tmp_path: Path, monkeypatch: pytest.Monk
 @pytest.mark.slow
 def test_the_engine_of_the_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The class integrates the beginning of the paper's maneuver like the engine of the project."""
-    _, _, engine = blocks("python")
+    *_, engine = blocks("python")
     (tmp_path / "mine.py").write_text(engine, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     path = SCENARIOS / "resilient.toml"

@@ -3,9 +3,15 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from transport.model import state
 from transport.model.arrays import Array
 from transport.protocol.wire.messages import Measurement, Plan
+
+# Places in the row of a tick in a plan, see `model.state.REPORTED`.
+VALUES = slice(1, 1 + state.SENSED)
+INPUTS = slice(1 + state.SENSED, state.REPORTED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,6 +74,22 @@ class Reports:
         for uav, report in self.uavs(tick).items():
             if report.inputs is not None:
                 u[state.input_slice(uav)] = report.inputs
+
+    def rows(self, k: int, uavs: Sequence[int]) -> Array:
+        """Return measurements and inputs of some UAVs for a plan of tick k, (uavs, 80).
+
+        They are those of the last ticks, so that a lost plan takes none of them.
+        """
+        rows = np.zeros((len(uavs), state.REPORTS, state.REPORTED))
+        for age in range(state.REPORTS):
+            reports = self.uavs(k - age)
+            for index, uav in enumerate(uavs):
+                report = reports.get(uav)
+                if report is not None:
+                    rows[index, age, 0] = 1.0
+                    rows[index, age, VALUES] = report.values
+                    rows[index, age, INPUTS] = report.inputs
+        return rows.reshape(len(uavs), -1)
 
     def forget_before(self, tick: int) -> None:
         """Forget all reports of earlier ticks."""

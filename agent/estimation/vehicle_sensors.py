@@ -16,7 +16,7 @@ from transport.agent.estimation.history import History, Recursion
 from transport.agent.estimation.motion import Failure, Motion
 from transport.agent.estimation.noise import OthersErrors
 from transport.agent.estimation.payload_pose import NAMES, pose_numbers
-from transport.agent.estimation.reports import News, Reports, UavReport, by_uav
+from transport.agent.estimation.reports import INPUTS, VALUES, News, Reports, UavReport, by_uav
 from transport.agent.estimation.team_filter import Filter, Period, Sensed
 from transport.model import state
 from transport.model.arrays import Array, ShapeError
@@ -25,9 +25,6 @@ from transport.protocol.wire.messages import Measurement, Plan
 # Gain of the shared control law at a tick, (m, n), with motor lag (m, n + m); of UAVs without
 # agents their fail-safe's.
 Feedback = Callable[[int], Array]
-
-_INPUTS = slice(1 + state.SENSED, state.REPORTED)  # in a row of a plan, see `model.state.REPORTED`
-_VALUES = slice(1, 1 + state.SENSED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +83,7 @@ class SensorEstimator:
         for uav, rows in zip(plan.uavs, plan.uav_states, strict=True):
             for age, row in enumerate(rows.reshape(state.REPORTS, state.REPORTED)):
                 if row[0] > 0.0 and self._is_news(plan.tick - age, uav - 1):
-                    report = UavReport(values=row[_VALUES], inputs=row[_INPUTS])
+                    report = UavReport(values=row[VALUES], inputs=row[INPUTS])
                     self._tell(plan.tick - age, uav - 1, report)
 
     def measure(self, measurement: Measurement) -> None:
@@ -154,16 +151,7 @@ class SensorEstimator:
 
         They are those of the last ticks, so that a lost plan takes none of them.
         """
-        rows = np.zeros((len(self._owned), state.REPORTS, state.REPORTED))
-        for age in range(state.REPORTS):
-            reports = self._reports.uavs(k - age)
-            for index, uav in enumerate(self._owned):
-                report = reports.get(uav)
-                if report is not None:
-                    rows[index, age, 0] = 1.0
-                    rows[index, age, _VALUES] = report.values
-                    rows[index, age, _INPUTS] = report.inputs
-        return rows.reshape(len(self._owned), -1)
+        return self._reports.rows(k, self._owned)
 
     def log_numbers(self) -> Mapping[str, float]:
         """Return the pose of the payload with its covariance for the log, by name."""

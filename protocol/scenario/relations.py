@@ -16,7 +16,6 @@ from transport.protocol.scenario.schema import Scenario
 _LEAST_LAG = 0.01
 
 _ANY = object()  # any value but the default
-_CLASS = object()  # a class of the user
 _DEFAULTS = ("mpc", None)
 
 
@@ -33,8 +32,6 @@ class Need:
         """Return whether a value of the cause is the one that needs something."""
         if self.value is _ANY:
             return given not in _DEFAULTS
-        if self.value is _CLASS:
-            return ":" in str(given)
         return given == self.value
 
 
@@ -50,8 +47,7 @@ _NEEDS = (
     Need("controller.estimator", "kalman", "controller.received_states", "predicted"),
     Need("controller.estimator", "kalman", "controller.share", "always"),
     Need("agents.controller", _ANY, "controller.share", "always"),
-    Need("agents.controller", _ANY, "controller.negotiation_iterations", 1),
-    Need("agents.controller", _CLASS, "plant.sensors", "state"),
+    Need("agents.controller", "alone", "controller.negotiation_iterations", 1),
     Need("controller.tension", _ANY, "controller.motor_lag_s", 0.0),
     Need("clock.mode", "realtime", "controller.negotiation_iterations", 1),
     Need("clock.mode", "realtime", "plant.inner_loop", "model"),

@@ -16,10 +16,10 @@ import numpy as np
 
 from transport.model.arrays import Array
 from transport.protocol.wire.errors import MessageError, Reason
-from transport.protocol.wire.messages import BUNDLES, KINDS, Message
+from transport.protocol.wire.messages import BUNDLES, KINDS, Message, Plan
 from transport.protocol.wire.names import is_name
 
-VERSION = 6
+VERSION = 8
 MAX_BYTES = 16 * 1024 * 1024  # plans of 256 UAVs over 800 steps
 
 _VERSION = bytes([VERSION])
@@ -44,7 +44,10 @@ class Header(_Kind, frozen=True):
 
 
 def encode(message: Message) -> bytes:
-    """Return the bytes of a message."""
+    """Return the bytes of a message; a plan without own data leaves out that last field."""
+    if isinstance(message, Plan) and not message.data.size:
+        fields = [getattr(message, name) for name in message.__struct_fields__[:-1]]
+        return _VERSION + _ENCODER.encode([message.kind, *fields])
     return _VERSION + _ENCODER.encode(message)
 
 

@@ -33,6 +33,7 @@ MAX_PARTS = 1_024  # messages of a bundle
 MAX_NAMES = 64  # numbers of a note
 MAX_NAME = 80  # characters of the name of a number
 MAX_POINTS = 256  # of a target
+MAX_DATA = 512  # numbers of a controller of the user in a plan: 4 KB
 MAX_ROWS = 65_536  # plans with news of the radio
 
 _LARGEST = sys.float_info.max
@@ -339,6 +340,7 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
         "uav_states": _states_or(REPORTS * REPORTED),
         "inputs": _steps,
         "corrections": _steps,
+        "data": lambda _: (None,),
     }
 
     agent: Agent  # the agent that planned
@@ -357,6 +359,9 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
     status: PlanStatus  # result of the solve; anything but "solved" means the shifted previous plan
     # How much of the inputs is of the control law of a UAV alone, not of the shared one: the agent lacks news.
     alone: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    # Numbers that a controller of the user shares, (k,) with k at most `MAX_DATA`, in the shape that
+    # the receiver's own class has declared; without any the field does not travel.
+    data: Array = msgspec.field(default_factory=lambda: np.zeros(0))
 
     def check(self) -> None:
         """Check the arrays, and that inputs and corrections are over the same steps."""
@@ -369,6 +374,9 @@ class Plan(Message, tag="plan", frozen=True, kw_only=True):
         if len(self.corrections) not in (0, steps):
             text = f"corrections: expected none or {steps} steps, got {len(self.corrections)}"
             raise MessageError("wrong_shape", text)
+        if len(self.data) > MAX_DATA:
+            text = f"data: expected at most {MAX_DATA} numbers, got {len(self.data)}"
+            raise MessageError("out_of_range", text)
 
 
 # For the record; only the coordinator acts on them: it ends a diverged run

@@ -73,9 +73,10 @@ class Outbox:
         Its arrays are read-only copies.
         """
         for field in kind.shapes:
-            values = np.array(fields[field], dtype=np.float64)
-            values.setflags(write=False)
-            fields[field] = values
+            if field in fields:
+                values = np.array(fields[field], dtype=np.float64)
+                values.setflags(write=False)
+                fields[field] = values
         message = kind(
             sender=self.sender, incarnation=self.incarnation, sequence=self._sequence, **fields
         )

@@ -21,7 +21,7 @@ from tests.support.messages import (
 )
 from transport.protocol.wire.codec import CLASSES, MAX_BYTES, VERSION, decode, encode, header_of
 from transport.protocol.wire.errors import MessageError
-from transport.protocol.wire.messages import Measurement, Message, Plan, Tick
+from transport.protocol.wire.messages import MAX_DATA, Measurement, Message, Plan, Tick
 from transport.protocol.wire.node import Outbox
 
 SEED = 20240611
@@ -113,24 +113,24 @@ def test_well_formed_garbage() -> None:
             "at most length 10, got 11",
         ),
         (
-            packed(*content(sample(Plan))[:-1], "sold"),
+            packed(*content(sample(Plan))[:-3], "sold"),
             "agent2",
             "out_of_range",
             "status: invalid enum value 'sold'",
         ),
         (
-            packed(*content(sample(Plan))[:-1], 7),
+            packed(*content(sample(Plan))[:-3], 7),
             "agent2",
             "wrong_shape",
             "status: expected str, got int",
         ),
         (
-            packed(*content(sample(Plan))[:-2], array(4, 1, 1, 1), "solved"),
+            packed(*content(sample(Plan))[:-4], array(4, 1, 1, 1), "solved"),
             "agent2",
             "malformed",
             "array of 4 axes",
         ),
-        (packed("plan", "agent-2", *content(sample(Plan))[2:-1], 7), "", "wrong_shape", "status"),
+        (packed("plan", "agent-2", *content(sample(Plan))[2:-3], 7), "", "wrong_shape", "status"),
         (
             packed("plan", ["agent2"], *content(sample(Plan))[2:]),
             "",
@@ -153,11 +153,11 @@ ARRAYS = [(kind, field) for kind in CLASSES.values() for field in kind.shapes]
 def test_arrays_are_checked(kind: type[Message], field: str) -> None:
     """An array of a wrong shape, with an entry that is not finite, or no array, is refused with its field."""
     good = fields(kind)[field]
-    for value in (
-        good[:-1] if good.ndim == 1 else good[:, :-1],
-        np.zeros((*good.shape, 1)),
-        np.zeros(()),
-    ):
+    shorter = good[:-1] if good.ndim == 1 else good[:, :-1]
+    wrong = [np.zeros((*good.shape, 1)), np.zeros(())]
+    if (kind, field) != (Plan, "data"):  # of any length
+        wrong.append(shorter)
+    for value in wrong:
         with pytest.raises(MessageError, match=rf"{field}: expected shape \("):
             decode(encode(sample(kind, **{field: value})))
     for number in (NAN, INF, -INF):
@@ -169,6 +169,20 @@ def test_arrays_are_checked(kind: type[Message], field: str) -> None:
         decode(packed(*content(sample(kind, **{field: [1.0]}))))
     largest = sample(kind, **{field: np.full(good.shape, -1.7e308)})
     assert encode(decode(encode(largest))) == encode(largest)  # whose square overflows
+
+
+def test_data_of_a_plan() -> None:
+    """A plan carries up to 4 KB of a user's numbers; without them it is as long as without the field."""
+    largest = decode(encode(sample(Plan, data=np.arange(float(MAX_DATA)))))
+    assert isinstance(largest, Plan)
+    assert largest.data[-1] == MAX_DATA - 1
+    with pytest.raises(MessageError, match="data: expected at most 512 numbers, got 513"):
+        decode(encode(sample(Plan, data=np.zeros(MAX_DATA + 1))))
+    bare = encode(sample(Plan, data=np.zeros(0)))
+    assert bare == packed(*content(sample(Plan))[:-1])
+    without = decode(bare)
+    assert isinstance(without, Plan)
+    assert without.data.shape == (0,)
 
 
 def test_own_messages_keep_their_arrays() -> None:

@@ -19,15 +19,14 @@ from transport.protocol.wire.codec import CLASSES, VERSION
 from transport.protocol.wire.messages import (
     BUNDLES,
     KINDS,
-    Bundle,
     Control,
     FaultNote,
     LinkChange,
     Message,
+    Plan,
     PlantState,
     Rejected,
     Roster,
-    StepReport,
     Target,
     Tick,
 )
@@ -114,7 +113,9 @@ def content(message: Message) -> list[Any]:
             value.ndim, *value.shape, *[0] * (3 - value.ndim), values=value.astype("<f8").tobytes()
         )
 
-    return [message.kind, *(plain(getattr(message, field)) for field in message.__struct_fields__)]
+    values = [plain(getattr(message, field)) for field in message.__struct_fields__]
+    is_without_data = isinstance(message, Plan) and not len(message.data)
+    return [message.kind, *(values[:-1] if is_without_data else values)]
 
 
 def _types(kind: type[Message]) -> dict[str, inspect.Type]:
@@ -152,8 +153,8 @@ def _drawn(hint: inspect.Type) -> SearchStrategy[Any]:
             return st.lists(_drawn(entry), max_size=FEW).map(tuple)
         case inspect.IntType(ge=least, le=most):
             return st.integers(least, most or 2**48)
-        case inspect.FloatType():
-            return st.floats(allow_nan=False, allow_infinity=False)
+        case inspect.FloatType(ge=least, le=most):
+            return st.floats(least, most, allow_nan=False, allow_infinity=False)
         case inspect.BoolType():
             return st.booleans()
         case inspect.BytesType():
@@ -171,18 +172,13 @@ def _message(draw: DrawFn, kind: type[Message]) -> Message:
         for field, hint in _types(kind).items()
         if field not in kind.shapes
     }
-    like = {
-        Roster: ("agents", "incarnations"),
-        StepReport: ("peers", "plan_ages", "state_ages"),
-    }.get(kind, ())
-    like = ("keys", "parts") if issubclass(kind, Bundle) else like
-    shortest = min((len(values[field]) for field in like), default=0)
-    values |= {field: values[field][:shortest] for field in like}
+    shortest = min((len(values[field]) for field in kind.as_long), default=0)
+    values |= {field: values[field][:shortest] for field in kind.as_long}
     if kind is Roster:
         values["released"] = values["off"][1:]
     rows = draw(st.integers(1, FEW))
     for field, shape_of in kind.shapes.items():
-        none = field == "corrections" and draw(st.booleans())
+        none = field in ("corrections", "data") and draw(st.booleans())
         shape = tuple(
             (0 if none else rows) if n is None else n
             for n in shape_of(SimpleNamespace(**STATES | values))

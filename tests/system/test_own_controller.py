@@ -13,8 +13,9 @@ import pytest
 import transport
 from tests.support.commands import SHORT, settings
 from tests.support.commands import transport as command
+from tests.support.own_classes import Chain
 from transport.protocol.wire.exit_codes import EXIT_FAILED, EXIT_SCENARIO
-from transport.protocol.wire.messages import Note, PlantState
+from transport.protocol.wire.messages import Note, Plan, PlantState
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 FAILS = """
@@ -65,6 +66,43 @@ def test_processes_and_memory_have_the_same_bits(
     assert len(notes[0]) == 4 * 40 - 10
     assert notes[0] == notes[1]
     assert {run.summary["controller"]["name"] for run in runs} == {"pid:PID 1"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_data_of_processes_have_the_same_bits(tmp_path: Path, iterations: int) -> None:
+    """Own data and exchanges are those in memory, with an impaired network and, of one, a death.
+
+    The class keeps a chain over all that it hears, so that every loss, order and bit shows.
+    """
+    faults = [
+        {"at_s": 0.5, "do": "kill", "target": "agent2"},
+        {"at_s": 1.0, "do": "restart", "target": "agent2"},
+    ]
+    scenario = transport.Scenario(
+        "resilient",
+        {"controller.negotiation_iterations": iterations, "links.duplicate": 0.2},
+    )
+    given: dict[str, Any] = {
+        "controller": Chain,
+        "delay_s": 0.06,
+        "loss": 0.2,
+        "phases": [{"name": "climb", "duration_s": 2.0, "displacement_m": [0.0, 0.0, -0.5]}],
+        "faults": faults if iterations == 1 else [],
+        "on_agent_loss": "continue",
+    }
+    runs = [
+        transport.fly(scenario, processes=processes, folder=folder, progress=False, **given)
+        for processes, folder in ((False, None), (True, tmp_path / "run"))
+    ]
+    data = [
+        {(one.agent, one.tick, one.negotiation): one.data.tobytes() for one in run.log.of(Plan)}
+        for run in runs
+    ]
+    assert len(data[0]) >= 4 * 40 * iterations - 10
+    assert data[0] == data[1]
+    paths = [np.array([state.x for state in run.log.of(PlantState)]) for run in runs]
+    assert paths[0].tobytes() == paths[1].tobytes()
 
 
 @pytest.mark.slow

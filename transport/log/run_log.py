@@ -185,8 +185,8 @@ def setup_in(header: Mapping[str, str], folder: Path) -> Setup | None:
 def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -> RunLog:
     """Read all that can be read of a log, also of one cut or damaged (`cut`), each message checked (`LogTail`).
 
-    Without `horizons` plans have their first step only and no corrections, which saves most of the
-    memory.
+    Without `horizons` plans have their first step only, no corrections and no own data, which saves
+    most of the memory.
     Raises: LogError: no such file, not an MCAP file, or not the log of a run.
     """
     tail = LogTail(path, setup=setup)
@@ -209,14 +209,16 @@ def read_log(path: Path, *, horizons: bool = True, setup: Setup | None = None) -
 
 
 def _first_step(entry: Recorded) -> Recorded:
-    """Return an entry whose plan, if it is one, has its first step only and no corrections."""
+    """Return an entry whose plan, if it is one, has its first step alone, no corrections or data."""
     plan = entry.message
     if not isinstance(plan, Plan):
         return entry
 
     # A copy: a view would keep the whole horizon in memory.
     inputs = plan.inputs[:1].copy()
-    shortened = msgspec.structs.replace(plan, inputs=inputs, corrections=plan.corrections[:0])
+    shortened = msgspec.structs.replace(
+        plan, inputs=inputs, corrections=plan.corrections[:0], data=plan.data[:0]
+    )
     return replace(entry, message=shortened)
 
 

@@ -45,7 +45,7 @@ RATE_NAMES = ("thrust_N", "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 # Fields that are spread over several columns or rows.
 _SPREAD = {
     # of measurements, plans and actual inputs
-    *("payload", "uavs", "uav_states", "inputs", "corrections", "cables", "tensions"),
+    *("payload", "uavs", "uav_states", "inputs", "corrections", "data", "cables", "tensions"),
     # of plant states, reports and notes
     *("x", "u", "plan_ticks"),
     *("peers", "plan_ages", "state_ages", "force", "times_ms"),
@@ -117,12 +117,13 @@ def _measured(message: Measurement, commands: tuple[str, ...]) -> Iterator[Row]:
 
 
 def _planned(message: Plan, commands: tuple[str, ...]) -> Iterator[Row]:
-    """Yield states of each UAV with its inputs and corrections over the horizon."""
+    """Yield states of each UAV with its inputs and corrections over the horizon, and own data."""
+    data = {f"data[{place}]": float(value) for place, value in enumerate(message.data)}
     for i, (uav, states) in enumerate(zip(message.uavs, message.uav_states, strict=True)):
         own = slice(INPUTS * i, INPUTS * (i + 1))
         inputs = _over_horizon("", commands, message.inputs[:, own])
         corrections = _over_horizon("correction_", commands, message.corrections[:, own])
-        yield {"uav": uav, **_of_uav(states), **inputs, **corrections}
+        yield {"uav": uav, **_of_uav(states), **inputs, **corrections, **data}
 
 
 def _reported(message: StepReport) -> Row:

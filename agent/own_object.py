@@ -1,0 +1,53 @@
+"""One object of the user's class and the calls of its methods, each failure in one line."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from transport.agent.own_returned import Returned, checked, converted
+from transport.agent.own_run import Run
+from transport.protocol.scenario.own_class import OwnClassError, made, own_class, told
+from transport.protocol.wire.messages import Measurement, Plan
+
+METHODS = ("start", "step", "stop")  # of a class of the user
+NEGOTIATING = (*METHODS, "negotiate")  # with several exchanges within a tick
+
+
+class OwnObject:
+    """An object of a class "package.module:Class", started for a run.
+
+    Raises: OwnClassError: it cannot be made or started.
+    """
+
+    def __init__(self, name: str, run: Run, *, is_negotiating: bool) -> None:
+        self._run = run
+        self._object: Any = made(own_class(name), NEGOTIATING if is_negotiating else METHODS)
+        with told("start"):
+            self._object.start(run)
+        run.started()
+
+    def step(self, measurement: Measurement, plans: Sequence[Plan]) -> Returned:
+        """Return the result of a step, checked. Raises: OwnClassError: it fails."""
+        return self._result("step", lambda: self._object.step(measurement, plans))
+
+    def negotiate(self, iteration: int, proposals: Sequence[Plan]) -> Returned:
+        """Return the result of an exchange, checked. Raises: OwnClassError: it fails."""
+        return self._result("negotiate", lambda: self._object.negotiate(iteration, proposals))
+
+    def _result(self, method: str, call: Callable[[], object]) -> Returned:
+        with told(method):
+            returned = call()
+        try:
+            result = converted(returned, method, self._run.data_shape)
+        except OwnClassError:
+            raise
+        except Exception as error:
+            text = " ".join(str(error).split())
+            got = f"{type(returned).__name__} ({type(error).__name__}: {text:.200})"
+            expected = "expected arrays of real numbers"
+            raise OwnClassError(f"{method}: {expected}, got {got}") from error
+        return checked(result, method, self._run)
+
+    def stop(self) -> None:
+        """End the run for the class. Raises: OwnClassError: that fails."""
+        with told("stop"):
+            self._object.stop()
