@@ -18,7 +18,8 @@ from transport.cli.output import blame
 from transport.flight.live import Commands
 from transport.log.run_log import LogTail, setup_of
 from transport.protocol.network.rmw_zenoh import RosNode
-from transport.scene.scene import RunHistory, SceneBuilder
+from transport.scene.history import RunHistory
+from transport.scene.scene import SceneBuilder
 
 if TYPE_CHECKING:
     from transport.report.ros2 import Ros2Messages

@@ -6,7 +6,8 @@ from html import escape
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.scene.drawing import DARK, Colour, age_colour, uav_colour
+from transport.scene.colours import DARK, age_colour, uav_colour
+from transport.scene.parts import Colour
 from transport.scene.scene import Scene
 
 _TABLE = "font-size:12px;border-collapse:collapse;font-variant-numeric:tabular-nums;margin:4px 8px"

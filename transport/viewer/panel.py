@@ -12,7 +12,8 @@ from transport.model.arrays import Array
 from transport.model.state import INPUTS
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire.messages import agent_name
-from transport.scene.drawing import LAYERS, uav_style
+from transport.scene.colours import uav_style
+from transport.scene.drawing import LAYERS
 from transport.scene.scene import Scene, SceneBuilder
 from transport.viewer import html
 from transport.viewer.view3d import View3D

@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 
 from transport.model.arrays import Array
-from transport.scene.drawing import INERTIAL, LAYERS, Drawing, Label, Lines, Mesh, Part, quaternion
+from transport.scene.bodies import INERTIAL
+from transport.scene.drawing import LAYERS, Drawing
+from transport.scene.parts import Label, Lines, Mesh, Part, quaternion
 from transport.scene.scene import Scene
 
 # Camera offsets in parts of the size of the maneuver, and of the team; vertical field of view, rad.
