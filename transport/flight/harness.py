@@ -66,6 +66,7 @@ class Child:
             if self.code is None:
                 self.stdin.write(b"\n")
                 return True
+
         return False
 
     def close(self) -> None:
@@ -77,15 +78,17 @@ class Child:
 def start_child(
     name: str, arguments: Sequence[str], log: Path, incarnation: int = 0, *, standby: bool = False
 ) -> Child:
-    """Start `transport` with arguments and a file for its output; it ends when this process does."""
+    """Start `transport` with arguments and a file for its output.
+
+    The process ends when this one does.
+    """
+    extra = {PARENT_PIPE: "1", STANDBY: "1" if standby else ""}
     with log.open("wb") as output:
         reads, writes = os.pipe()
         stdin = os.fdopen(writes, "wb", 0)
         try:
-            extra = {PARENT_PIPE: "1", STANDBY: "1" if standby else ""}
-            return Child(
-                name, fork_server().start(arguments, reads, output, extra), stdin, log, incarnation
-            )
+            process = fork_server().start(arguments, reads, output, extra)
+            return Child(name, process, stdin, log, incarnation)
         except BaseException:
             stdin.close()
             raise
@@ -95,7 +98,10 @@ def start_child(
 
 @dataclass(slots=True)
 class Harness:
-    """Processes of one run on this machine, each of which watches a pipe from this one and ends with it."""
+    """Processes of one run on this machine.
+
+    Each watches a pipe from this process and ends with it.
+    """
 
     run: str  # name of the run
     scenario: Path  # resolved scenario file
@@ -117,74 +123,79 @@ class Harness:
         psutil.wait_procs([child.process for child in self.children], timeout_s)
 
     def end(self, say: Callable[[str], None]) -> None:
-        """End all running children.
+        """End all running children by SIGTERM, and by SIGKILL after a grace period.
 
-        SIGTERM, and SIGKILL after a grace period, with a sentence about each killed.
+        A sentence about each killed one is told.
         """
         for child in self.children:
             child.signal(signal.SIGTERM)
             child.signal(signal.SIGCONT)  # a stopped process ignores SIGTERM
         self.wait(_GRACE_S)
+
         for child in self.children:
             if child.code is None:
                 say(f"{child.name} did not end: {child.process.status()}; it was killed")
                 child.signal(signal.SIGKILL)
         self.wait(_GRACE_S)
+
         for child in self.children:
             child.close()
 
     def start(self, name: str, incarnation: int = 0) -> None:
         """Start a process of the mesh."""
+        log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
+        log.parent.mkdir(exist_ok=True)
+        self.children.append(
+            start_child(name, self._arguments(name, incarnation), log, incarnation)
+        )
+
+    def _arguments(self, name: str, incarnation: int) -> list[str]:
+        """Return the command line of a process."""
         role = ["agent", "--id", name.removeprefix("agent")] if name.startswith("agent") else [name]
         options = [
             ("--scenario", str(self.scenario)),
             ("--run", self.run),
             ("--incarnation", str(incarnation)),
         ]
-        options += [] if self.keys is None else [("--set", keys_setting(self.keys))]
+        if self.keys is not None:
+            options.append(("--set", keys_setting(self.keys)))
         options += [("--listen", endpoint) for endpoint in self.mesh[name].listen]
         options += [("--connect", endpoint) for endpoint in self.mesh[name].connect]
-        options += [("--observer", RECORDER)] if name == COORDINATOR else []
+        if name == COORDINATOR:
+            options.append(("--observer", RECORDER))
+
         # The parent has checked the scenario's size.
-        arguments = [*role, "--allow-large", *(text for option in options for text in option)]
-        log = self.logs / (f"{name}.log" if incarnation == 0 else f"{name}-{incarnation}.log")
-        log.parent.mkdir(exist_ok=True)
-        self.children.append(start_child(name, arguments, log, incarnation))
+        return [*role, "--allow-large", *(text for option in options for text in option)]
 
 
 def keys_setting(folder: Path | str) -> str:
     """Return the setting of a scenario that names a folder of keys."""
-    return (
-        f"network.keys={json.dumps(str(folder), ensure_ascii=False)}"  # TOML has no surrogate pairs
-    )
+    # TOML has no surrogate pairs.
+    return f"network.keys={json.dumps(str(folder), ensure_ascii=False)}"
 
 
 @contextmanager
 def reserved_ports(host: str, ports: Sequence[int]) -> Iterator[list[int]]:
     """Reserve ports, 0 for any free one, while the context is open.
 
-    No other process gets one as "any port".
+    No other process gets one as "any port". A process that names the port and sets SO_REUSEADDR, as
+    Zenoh does, can listen on it.
 
-    A process that names the port and sets SO_REUSEADDR, as Zenoh does, can listen on it. Raises:
-        HarnessError.
+    Raises: HarnessError: a port is taken, or the host is none of this machine.
     """
     with ExitStack() as stack:
-        found = []
+        reserved = []
         for port in ports:
             probe = stack.enter_context(socket.socket())
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind((host, port))
             except OSError as error:
-                key = (
-                    f"base_port: expected free ports, got {port}, which is taken"
-                    if port
-                    else "host"
-                )
-                raise HarnessError(
-                    f"network.{key}: cannot listen on {host} ({error.strerror})"
-                ) from error
-            found.append(probe.getsockname()[1])
+                key = f"base_port: expected free ports, got {port}, which is taken"
+                reason = f"cannot listen on {host} ({error.strerror})"
+                raise HarnessError(f"network.{key if port else 'host'}: {reason}") from error
+            reserved.append(probe.getsockname()[1])
+
         if sys.platform != "linux":
             stack.close()  # elsewhere a bound socket blocks its port
-        yield found
+        yield reserved

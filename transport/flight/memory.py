@@ -1,4 +1,4 @@
-"""In-memory runtime: all nodes of a run in one process, with one message queue and virtual time.
+"""In-memory runtime: all nodes of a run in one process, with a message queue and virtual time.
 
 Time stands still while messages are in the queue and then jumps to the next wake-up of a node.
 """
@@ -32,9 +32,8 @@ def simulate(
 ) -> Control:
     """Simulate a run in this process, unpaced, and return how it ended.
 
-    Equal to one with processes bit for bit.
-
-    `record` is called with every message; `stopwatch` is the steady clock of the step reports, ns.
+    It equals a run with processes bit for bit. `record` is called with every message; `stopwatch`
+    is the steady clock of the step reports, ns.
     """
     with _TURN, threadpoolctl.threadpool_limits(1):
         return InMemoryRun(setup, record, stopwatch).run()
@@ -49,16 +48,21 @@ class InMemoryRun:
         record: Callable[[Message], None],
         stopwatch: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
-        self._setup, self._record, self._stopwatch = setup, record, stopwatch
-        self._keys = Keys(setup.scenario.name)
+        self._setup = setup
+        self._record = record
+        self._stopwatch = stopwatch
+
         self._coordinator = CoordinatorNode(setup)
         agents = [AgentNode(setup, agent, stopwatch=stopwatch) for agent in setup.agents]
         nodes: list[Node] = [self._coordinator, PlantNode(setup), *agents]
         self.nodes = {node.name: node for node in nodes}  # the running ones by name
+
+        self._keys = Keys(setup.scenario.name)
         self._subscriptions = {name: self._keys.subscriptions(name) for name in self.nodes}
         self._subscribed: dict[str, list[str]] = {}  # names by key
         self._queue: deque[Message] = deque()
         self._now_ns = 0
+
         self._incarnations = {node.name: 0 for node in agents}
         returns = [fault for fault in setup.faults if fault.do in ("continue", "start")]
         self._returns = [fault for fault in returns if fault.target in self._incarnations]
@@ -67,10 +71,12 @@ class InMemoryRun:
         """Simulate to the end."""
         for name in [name for name in self.nodes if name != self._coordinator.name]:
             self._announce(Presence(name, 0, alive=True))
+
         while True:
             while self._queue:
                 check_interrupt()
                 self._deliver(self._queue.popleft())
+
             # The other nodes receive the end of the run before it is returned; a killed coordinator
             # sends none.
             if self._coordinator.finished is not None:
@@ -81,6 +87,7 @@ class InMemoryRun:
                 raise RuntimeError(f"deadlock at tick {self._coordinator.tick}: every node waits")
 
     def _send(self, messages: Sequence[Message]) -> None:
+        """Record messages and put them into the queue, up to one at which the coordinator ends."""
         for message in messages:
             if message.sender == self._coordinator.name and self._fails(message.sender, message):
                 return
@@ -88,18 +95,22 @@ class InMemoryRun:
             self._queue.append(message)
 
     def _announce(self, event: Presence) -> None:
+        """Tell the coordinator that a process has come or gone."""
         self._send(self._coordinator.receive(event, self._now_ns))
 
     def _receivers(self, message: Message) -> list[str]:
+        """Return the names of the nodes that receive a message."""
         key = self._keys.of(message)
         if key not in self._subscribed:
-            several = self._subscriptions.items()
             self._subscribed[key] = [
-                name for name, many in several if any(matches(one, key) for one in many)
+                name
+                for name, patterns in self._subscriptions.items()
+                if any(matches(pattern, key) for pattern in patterns)
             ]
         return [name for name in self._subscribed[key] if name != message.sender]
 
     def _deliver(self, message: Message) -> None:
+        """Let every receiver that does not fail at a message receive it."""
         for name in self._receivers(message):
             node = self.nodes.get(name)
             if node is not None and not self._fails(name, message):
@@ -110,6 +121,7 @@ class InMemoryRun:
         fault = due(self._setup.faults, name, message)
         if fault is None or name not in self.nodes:
             return False
+
         node = self.nodes.pop(name)
         if fault == "kill" and name != self._coordinator.name:
             self._announce(Presence(name, node.incarnation, alive=False))
@@ -122,10 +134,12 @@ class InMemoryRun:
         """
         if not self._returns or self._returns[0].tick > self._coordinator.tick + 1:
             return False
-        name = self._returns.pop(0).target
+
         # The state of a frozen agent is outdated, so it comes back as a new node, too.
+        name = self._returns.pop(0).target
         self._incarnations[name] += 1
-        agent, incarnation = int(name.removeprefix("agent")), self._incarnations[name]
+        incarnation = self._incarnations[name]
+        agent = int(name.removeprefix("agent"))
         self.nodes[name] = AgentNode(self._setup, agent, incarnation, self._stopwatch)
         self._announce(Presence(name, incarnation, alive=True))
         return True
@@ -135,6 +149,7 @@ class InMemoryRun:
         waiting = [(node.wake_ns, node) for node in self.nodes.values() if node.wake_ns is not None]
         if not waiting:
             return False
+
         wake_ns, node = min(waiting, key=lambda entry: entry[0])
         self._now_ns = max(self._now_ns, wake_ns)
         self._send(node.poll(self._now_ns))
@@ -142,11 +157,9 @@ class InMemoryRun:
 
     def _without_coordinator(self) -> Control:
         """Return how the others end without the coordinator."""
+        gone = Presence(self._coordinator.name, self._coordinator.incarnation, alive=False)
         for node in self.nodes.values():
-            node.receive(
-                Presence(self._coordinator.name, self._coordinator.incarnation, alive=False),
-                self._now_ns,
-            )
+            node.receive(gone, self._now_ns)
         ends = [node.finished for node in self.nodes.values() if node.finished is not None]
         self._record(ends[0])
         return ends[0]

@@ -1,6 +1,6 @@
-"""The signals that end a command.
+"""Signals that end a command, by KeyboardInterrupt.
 
-As KeyboardInterrupt, or collected while a run with processes is active.
+While a run with processes is active they are collected instead.
 """
 
 import signal
@@ -41,7 +41,7 @@ def _raise(number: int, _: FrameType | None) -> None:
 def collected_signals() -> Iterator[list[str]]:
     """Collect the names of received SIGINT, SIGTERM and SIGHUP instead of ending.
 
-    Only in the main thread.
+    Other threads than the main one receive none.
     """
     received: list[str] = []
 
