@@ -1,4 +1,4 @@
-"""Commands that act on an active run: `status`, `fault`, `link`, `target`, and `metrics` for Prometheus."""
+"""Commands that act on an active run: `status`, `fault`, `link`, `target` and `metrics`."""
 
 import inspect
 import json
@@ -24,7 +24,8 @@ from transport.protocol.scenario.links import PERFECT, link_change
 from transport.protocol.scenario.schema import Scenario, TargetSection
 from transport.protocol.wire.names import COORDINATOR, PLANT, RECORDER
 
-# Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus, description. Two only grow.
+# Numbers in the answer of a process to `health` (docs/protocol.md): name in Prometheus and
+# description. Two only grow.
 METRICS = {
     "tick": ("tick", "Newest tick of the process"),
     "memory_bytes": ("memory_bytes", "Resident memory"),
@@ -59,7 +60,7 @@ def status(
 
 
 class Exporter:
-    """Collector of `prometheus_client` that asks every process of a run, each at its endpoints, at each reading."""
+    """Collector of `prometheus_client` that asks every process of a run at each reading."""
 
     def __init__(self, run: str, places: dict[str, Endpoints]) -> None:
         self._run = run
@@ -261,9 +262,9 @@ def target(
 ) -> None:
     """Send the payload of an active run to a target.
 
-    From the next tick on the reference leaves its path smoothly, also that to an earlier target, and comes to rest
-    there. A target that cannot be flown is refused with the reason. Way points are run through on a smooth curve after
-    the first one.
+    From the next tick on the reference leaves its path smoothly, also that to an earlier target,
+    and comes to rest there. A target that cannot be flown is refused with the reason. Way points
+    are run through on a smooth curve after the first one.
 
     Exit codes: 0 accepted; 2 refused; 4 no answer.
 
@@ -292,4 +293,5 @@ def target(
     show(output, answer, f"{begin}, {reached}, {end}")
 
 
-target.context_settings = {"ignore_unknown_options": True}  # type: ignore[attr-defined]  # -2 is no option
+# A negative coordinate such as -2 is no option.
+target.context_settings = {"ignore_unknown_options": True}  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""The commands about scenarios: `transport scenario new`, `validate`, `margins` and `doctor`."""
+"""Commands about scenarios: `transport scenario new`, `validate`, `margins` and `doctor`."""
 
 import shlex
 from collections import Counter
@@ -52,8 +52,8 @@ def new(
 ) -> None:
     """Write a scenario for a team of any size.
 
-    UAVs in a ring. By default they are the paper's, 0.5 m apart, with 0.75 kg of payload for each. A vehicle brings its
-    mass, inertia, rod, limits, motors and inner loop: docs/vehicles.md.
+    UAVs in a ring. By default they are the paper's, 0.5 m apart, with 0.75 kg of payload for each.
+    A vehicle brings its mass, inertia, rod, limits, motors and inner loop: docs/vehicles.md.
 
     Example: transport scenario new --uavs 4 --vehicle x500 --load 3.0 --out four.toml
     """
@@ -61,23 +61,21 @@ def new(
         fail(f"--out: expected a file that does not exist yet, got {out}")
     with blame("--from"):
         ready = Scenario(template, allow_large=True)
+
     made = ready.resized(uavs, group=group, name=name, vehicle=vehicle, load_kg=load_kg)
-    tree, sizes = (
-        given(made.validated),
-        f"{len(made.setup.agents)} agents, hover thrust {made.setup.hover.u[0]:.2f} N",
-    )
+    agents = len(made.setup.agents)
+    thrust_N = made.setup.hover.u[0]
+    tree = given(made.validated)
     text = tomli_w.dumps(tree)
-    show(
-        output,
-        {"scenario": tree, "file": out and str(out)},
-        *([text.rstrip("\n")] if out is None else []),
-    )
+
+    shown = [text.rstrip("\n")] if out is None else []
+    show(output, {"scenario": tree, "file": out and str(out)}, *shown)
     if out is not None:
         with blame("--out"):
             out.write_text(text, encoding="utf-8")
-        typer.echo(
-            f"{uavs} UAVs, {sizes}; run it with: transport run {shlex.quote(str(out))}", err=True
-        )
+        team = f"{uavs} UAVs, {agents} agents, hover thrust {thrust_N:.2f} N"
+        command = f"transport run {shlex.quote(str(out))}"
+        typer.echo(f"{team}; run it with: {command}", err=True)
 
 
 def validate(
@@ -93,15 +91,17 @@ def validate(
     Example: transport validate paper --set controller.horizon=10
     """
     setup = read_setup(scenario, settings, allow_large=large)
-    classes, tree, digest = checked(setup), setup.scenario.tree(), setup.scenario.digest()
+    own_classes = checked(setup)
+    tree = setup.scenario.tree()
+    digest = setup.scenario.digest()
     show(output, {"scenario": tree, "digest": digest}, tomli_w.dumps(tree).rstrip("\n"))
     if output is Format.json:
         return
+
     sizes = f"{setup.system.N} UAVs, {len(setup.agents)} agents, {setup.ticks} ticks"
-    own = ", ".join(f"{what} {name}" for what, name in classes.items())
-    typer.echo(
-        f"valid: {sizes}, hover thrust {setup.hover.u[0]:.2f} N, digest {digest}, {own}", err=True
-    )
+    thrust = f"hover thrust {setup.hover.u[0]:.2f} N"
+    classes = ", ".join(f"{kind} {name}" for kind, name in own_classes.items())
+    typer.echo(f"valid: {sizes}, {thrust}, digest {digest}, {classes}", err=True)
     typer.echo(f"estimate: {estimate(setup.scenario).text()}", err=True)
 
 
@@ -119,9 +119,9 @@ def margins(
 ) -> None:
     """Compute how much model error a hover tolerates.
 
-    Analyses the sampled loop about hover: actuator lag, delay and gain, masses, inertias and rods up to which the hover
-    is stable, the others as known. Factors are relative to the known value. Takes seconds. With --without the
-    team that is left holds the payload if all deviations decay.
+    Analyses the sampled loop about hover: actuator lag, delay and gain, masses, inertias and rods
+    up to which the hover is stable, the others as known. Factors are relative to the known value.
+    Takes seconds. With --without the team that is left holds the payload if all deviations decay.
 
     Example: transport margins resilient --set controller.sampling_period_s=0.02 --figure margins.png
     """
@@ -132,11 +132,12 @@ def margins(
     absent = [agent.strip() for agent in without.split(",")] if without else []
     if not all(map(str.isdecimal, absent)):
         fail(f"--without: expected agents such as 1,2, got {without!r:.60}")
-    found = Margins(hover_margins(setup, [int(agent) for agent in absent]))
-    show(output, found.data, str(found))
+
+    result = Margins(hover_margins(setup, [int(agent) for agent in absent]))
+    show(output, result.data, str(result))
     if figure is not None:
         with blame("--figure", ValueError):
-            found.plot().savefig(figure)
+            result.plot().savefig(figure)
 
 
 def doctor(
@@ -149,8 +150,9 @@ def doctor(
 ) -> None:
     """Check that this machine can run a scenario.
 
-    Checks ports, network, step time, kernels, punctuality and cores. Each result is ok, warn (runs work, but slower or
-    less punctually) or fail (runs do not work), with advice. Takes a few seconds and changes nothing.
+    Checks ports, network, step time, kernels, punctuality and cores. Each result is ok, warn (runs
+    work, but slower or less punctually) or fail (runs do not work), with advice. Takes a few
+    seconds and changes nothing.
 
     Exit codes: 0 no check failed, 9 a check failed, 3 scenario.
 
@@ -159,7 +161,8 @@ def doctor(
     from transport.doctor.checks import checks
 
     setup = read_setup(scenario, settings, allow_large=large)
-    content, count = [], Counter[str]()
+    content = []
+    count = Counter[str]()
     for name, finding in checks(setup):
         content.append({"name": name, **finding._asdict()})
         count[finding.status] += 1
@@ -167,6 +170,7 @@ def doctor(
             typer.echo(f"{finding.status:4} {name:12} {finding.found}")
             if finding.advice:
                 typer.echo(f"{'':17} -> {finding.advice}")
+
     result = {"scenario": setup.scenario.name, "ok": not count["fail"], "checks": content}
     show(output, result, f"{len(content)} checks: {count['fail']} fail, {count['warn']} warn")
     if count["fail"]:

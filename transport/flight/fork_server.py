@@ -1,4 +1,6 @@
-"""Fork server: starts the processes of a run by fork, so that imports are done once and their memory is shared.
+"""Fork server: starts the processes of a run by fork.
+
+Imports are done once and their memory is shared.
 
 A forked process equals `python -m transport agent ...`: it has its own session, output, title and
 exit code, and is a child of the process that asked for it. On systems other than Linux processes

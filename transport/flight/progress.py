@@ -1,4 +1,4 @@
-"""Progress of a run on the console: compilation, simulated time, real-time factor, cost, attitude."""
+"""Progress of a run on the console: compilation, time, real-time factor, cost, attitude."""
 
 import time
 from typing import Self

@@ -56,7 +56,10 @@ _NOTES = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart
 
 
 class FaultScript:
-    """Faults of the local processes of one run, which kill or stop themselves by script, or are by an operator."""
+    """Faults of the local processes of one run, by script or by an operator.
+
+    By script a process kills or stops itself.
+    """
 
     def __init__(self, setup: Setup, harness: Harness, recorder: Recorder) -> None:
         self._setup, self._harness, self._recorder = setup, harness, recorder

@@ -108,8 +108,9 @@ class NewFolder:
 
 @contextmanager
 def new_run_folder(folder: Path, setup: Setup) -> Iterator[NewFolder]:
-    """Create a run folder and remove it in the end unless it is kept: a start that fails leaves none.
+    """Create a run folder and remove it in the end unless it is kept.
 
+    A start that fails leaves none.
     Raises: RunError.
     """
     made = NewFolder(folder, create(folder, setup))

@@ -62,15 +62,15 @@ _BELOW_M = 0.5  # distance of the plane below everything where there is no groun
 _NAME_OUTSIDE_M = 0.3
 _NAME_ABOVE_M = 0.1
 
-# Points of an actual path, of the reference, and of the reference to a target; newest targets drawn.
+# Points of an actual path, of the reference, and of the reference to a target.
 _POINTS = 160
 _POINTS_REFERENCE = 120
 _POINTS_TARGET = 30
-_DRAWN_TARGETS = 20
+_DRAWN_TARGETS = 20  # the newest ones
 
 
 class Drawing:
-    """Drawing of one run: parts that stay as they are in their frames, `fixed`, and those of a scene."""
+    """Drawing of one run: parts that are `fixed` in their frames, and those of a scene."""
 
     def __init__(self, builder: SceneBuilder) -> None:
         self._builder = builder
@@ -225,7 +225,10 @@ class Drawing:
         yield from obstacles(setup, self.low, np.array([*self.high[:2], self.floor]))
 
     def _name_places(self) -> Array:
-        """Return the place of each UAV's name in its frame, (N, 3): outside the formation, above."""
+        """Return the place of each UAV's name in its frame, (N, 3).
+
+        It is outside the formation and above the UAV.
+        """
         outwards = self._builder.start_I - self._builder.start_I.mean(axis=0)
         distances = np.linalg.norm(outwards, axis=1, keepdims=True)
         outwards *= _NAME_OUTSIDE_M / np.maximum(distances, 1e-6)
@@ -233,6 +236,9 @@ class Drawing:
 
 
 def tree(poses: Mapping[str, Pose]) -> Iterator[tuple[str, str, Pose]]:
-    """Yield parent, child and pose of each frame of a scene, from the root on, whose z points up."""
+    """Yield parent, child and pose of each frame of a scene.
+
+    The root, whose z points up, is the first.
+    """
     yield ROOT, INERTIAL, UPSIDE_DOWN
     yield from ((INERTIAL, name, pose) for name, pose in poses.items() if name != INERTIAL)

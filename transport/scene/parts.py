@@ -1,4 +1,7 @@
-"""Parts of a drawing, lines, meshes and labels in frames, and the solids of which bodies are made."""
+"""Parts of a drawing: lines, meshes and labels in frames, and the solids of which bodies are made.
+
+Every part names the frame in which its points are constant.
+"""
 
 from collections.abc import Iterable
 from typing import NamedTuple
