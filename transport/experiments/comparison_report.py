@@ -104,8 +104,7 @@ def compare(
     ]
 
     table = console_table(TITLE, _LABELS, _COLUMNS, curve_rows)
-    lines = write_markdown(folder, list(map(sentence, verdict_rows)), table, files)
-    return lines, table
+    return write_markdown(folder, list(map(sentence, verdict_rows)), table, files), table
 
 
 def _distinct(cells: Iterable[Sequence[Cell]]) -> list[Cell]:

@@ -184,8 +184,8 @@ _COLUMNS = [
     _AGE,
 ]
 
-# Columns of experiments whose points have a label: plans that are not sent, speeds, and teams, which
-# are timed.
+# Columns of experiments whose points have a label: plans that are not sent, speeds, and teams,
+# which are timed.
 _FURTHER = {
     "share_threshold": [
         Column("plans\nsent (%)", "plans_shared_share", 100.0, 1, True),

@@ -8,11 +8,11 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 from transport.flight import live
+from transport.flight.fault_script import FaultScript
 from transport.flight.harness import Child, Harness, keys_setting, reserved_ports
 from transport.flight.progress import RunProgress, compile_model
 from transport.flight.recorder import Recorder
@@ -31,11 +31,9 @@ from transport.protocol.network.bus import Place
 from transport.protocol.network.endpoints import Endpoints, mesh, process_names
 from transport.protocol.network.security import Security
 from transport.protocol.network.session import check_usable
-from transport.protocol.scenario.faults import OF_UAVS
 from transport.protocol.scenario.setup import Setup
 from transport.protocol.wire import exit_codes as codes
 from transport.protocol.wire.keys import RECORDER, Keys
-from transport.protocol.wire.messages import FaultOrigin, Request
 from transport.protocol.wire.names import COORDINATOR
 
 _ORDERLY_ENDS = {
@@ -46,91 +44,8 @@ _ORDERLY_ENDS = {
     codes.EXIT_FAILED,
     codes.EXIT_INTERRUPTED,
 }
-_SIGNALS = {
-    "kill": signal.SIGKILL,
-    "stop": signal.SIGSTOP,
-    "continue": signal.SIGCONT,
-    "restart": signal.SIGKILL,
-}
-_NOTES = {"kill": "killed", "stop": "stopped", "continue": "continued", "restart": "restarted"}
 
-
-class FaultScript:
-    """Faults of the local processes of one run, by script or by an operator.
-
-    By script a process kills or stops itself.
-    """
-
-    def __init__(self, setup: Setup, harness: Harness, recorder: Recorder) -> None:
-        self._setup, self._harness, self._recorder = setup, harness, recorder
-        # The plant applies the failures of UAVs. Kills are noted when the process has ended.
-        self._kills = [fault for fault in setup.faults if fault.do == "kill"]
-        self._faults = [fault for fault in setup.faults if fault.do not in (*OF_UAVS, "kill")]
-
-    def work(self) -> None:
-        """Apply due faults, answer requests, and note ended processes; to be called often."""
-        for child in self._harness.ended():
-            code = child.code or 0
-            if code >= 0 or child.is_noted:
-                continue
-            child.is_noted = True
-            kills = [
-                fault
-                for fault in self._kills
-                if fault.target == child.name and code == -signal.SIGKILL
-            ]
-            if kills:
-                self._kills.remove(kills[0])
-                self._recorder.note(child.name, _NOTES["kill"], "script", kills[0].tick)
-            else:
-                self._recorder.note(child.name, f"ended by {signal.Signals(-code).name}", "unknown")
-        while self._faults and self._is_due(self._faults[0].tick - (self._faults[0].do != "stop")):
-            fault = self._faults.pop(0)
-            if fault.do == "stop":
-                self._recorder.note(fault.target, _NOTES["stop"], "script", fault.tick)
-            else:
-                self._do(fault.target, "restart" if fault.do == "start" else "continue", "script")
-        while not self._recorder.requests.empty():
-            request = self._recorder.requests.get()
-            request.reply(self._answer(request))
-
-    def _is_due(self, tick: int) -> bool:
-        # Without ticks, as while the coordinator is stopped, the wall clock of a paced run tells.
-        clock, started_s = self._setup.scenario.clock, self._recorder.started_s
-        since_s = 0.0 if started_s is None else (time.monotonic() - started_s) * clock.speed
-        return (
-            self._recorder.tick >= tick
-            or since_s >= (tick + 1) * self._setup.settings.sampling_period_s
-        )
-
-    def _answer(self, request: Request) -> dict[str, Any]:
-        action, target = (str(request.given.get(key, "")) for key in ("do", "target"))
-        if request.what != "fault":
-            return {"error": f"what: expected fault or health, got {request.what[:40]!r}"}
-        for key, got, allowed in (("do", action, _NOTES), ("target", target, self._harness.mesh)):
-            if got not in allowed:
-                return {"error": f"{key}: expected one of {', '.join(allowed)}, got {got!r}"}
-        if action == "restart" and not target.startswith("agent"):
-            return {
-                "error": f"target: expected an agent to restart, as a run ends with its {target}"
-            }
-        if not self._do(target, action, "person"):
-            return {"error": f"{target} is not running"}
-        return {"tick": self._recorder.tick}
-
-    def _do(self, target: str, action: str, origin: FaultOrigin) -> bool:
-        """Apply a fault and note it; return whether the process was there."""
-        child = self._harness.child(target)
-        if not child.signal(_SIGNALS[action]) and action != "restart":
-            return False
-        child.is_noted |= action in ("kill", "restart")
-        if action == "restart":
-            child.wait(_LEAVE_S)
-            self._harness.start(target, child.incarnation + 1)
-        self._recorder.note(target, _NOTES[action], origin)
-        return True
-
-
+# Interval between two looks at the run, s.
 _POLL_S = 0.05
 # Time for the processes to end after the run, s.
 _LEAVE_S = 3.0
@@ -382,45 +297,68 @@ def _watch(
 
     Forward Ctrl-C; refuse processes started here that end too early.
     """
-    interrupted, ended_s, goes_on = 0, math.inf, True
+    start = _Start()
+    seen = 0  # number of signals so far
+    is_going_on = True
     with collected_signals() as signals:
-        while goes_on:  # once more after the end
-            goes_on = recorder.join(_POLL_S)
+        while is_going_on:  # once more after the end
+            is_going_on = recorder.join(_POLL_S)
             progress.setup = recorder.setup
             progress.show(recorder.plant_state, recorder.started_s)
             if faults is not None:
                 faults.work()
-            if len(signals) > interrupted:
-                interrupted = len(signals)
-                if interrupted > 1 or recorder.started_s is None:
+
+            if len(signals) > seen:
+                seen = len(signals)
+                if seen > 1 or recorder.started_s is None:
                     raise KeyboardInterrupt(signals[-1])
-                if harness is None:
-                    recorder.stop(signals[-1])
-                    continue
-                progress.say(f"{signals[-1]}: ending the run; once more to end it at once")
-                harness.child(COORDINATOR).signal(signal.Signals[signals[-1]])
-            if harness is None or recorder.control is not None or recorder.started_s is not None:
-                continue
-            for child in harness.ended():
-                # A run may end within its first ticks: its messages can reach the recorder after a
-                # process has ended.
-                ended_s = min(ended_s, time.monotonic())
-                if child.code not in _ORDERLY_ENDS or time.monotonic() - ended_s > _CATCH_UP_S:
-                    raise _ended_early(child)
+                _end(signals[-1], recorder, progress, harness)
+            has_begun = recorder.control is not None or recorder.started_s is not None
+            if harness is not None and not has_begun:
+                start.check(harness)
+
+
+def _end(name: str, recorder: Recorder, progress: RunProgress, harness: Harness | None) -> None:
+    """End a run at a signal: its coordinator ends it; without processes here the recording ends."""
+    if harness is None:
+        recorder.stop(name)
+        return
+    progress.say(f"{name}: ending the run; once more to end it at once")
+    harness.child(COORDINATOR).signal(signal.Signals[name])
+
+
+@dataclass(slots=True)
+class _Start:
+    """Check of the processes before the first tick.
+
+    A run may end within its first ticks: its messages can reach the recorder after a process has
+    ended.
+    """
+
+    ended_s: float = math.inf  # steady-clock time at which the first one had ended
+
+    def check(self, harness: Harness) -> None:
+        """Raise RunError if a process has ended too early."""
+        for child in harness.ended():
+            self.ended_s = min(self.ended_s, time.monotonic())
+            is_late = time.monotonic() - self.ended_s > _CATCH_UP_S
+            if child.code not in _ORDERLY_ENDS or is_late:
+                raise _ended_early(child)
 
 
 def _ended_early(child: Child) -> RunError:
+    """Return the error of a process that has ended before the run began."""
     code = child.code or 0
-    how = (
-        f"was killed by {signal.Signals(-code).name}"
-        if code < 0
-        else f"ended with exit code {code}"
-    )
+    end = f"ended with exit code {code}"
+    if code < 0:
+        end = f"was killed by {signal.Signals(-code).name}"
+
     last_line = "its output is gone"
     with suppress(OSError):  # the run folder was removed
         output = child.log.read_text(encoding="utf-8", errors="replace")
         last_line = output.strip().rpartition("\n")[2]
+
     # A child refuses the same options and scenario as this command would; any other end is that of
     # a peer.
     passed_on = code if code in (codes.EXIT_USAGE, codes.EXIT_SCENARIO) else codes.EXIT_UNREACHABLE
-    return RunError(f"{child.name} {how} before the run began: {last_line}", passed_on)
+    return RunError(f"{child.name} {end} before the run began: {last_line}", passed_on)
