@@ -232,7 +232,8 @@ class Drawing:
         outwards = self._builder.start_I - self._builder.start_I.mean(axis=0)
         distances = np.linalg.norm(outwards, axis=1, keepdims=True)
         outwards *= _NAME_OUTSIDE_M / np.maximum(distances, 1e-6)
-        return outwards - np.array([0.0, 0.0, _NAME_ABOVE_M])
+        places: Array = outwards - np.array([0.0, 0.0, _NAME_ABOVE_M])
+        return places
 
 
 def tree(poses: Mapping[str, Pose]) -> Iterator[tuple[str, str, Pose]]:
