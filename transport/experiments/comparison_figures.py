@@ -75,12 +75,13 @@ def draw_costs(curves: Sequence[Curve], reference: Cell, folder: Path) -> list[P
     """
     weathers = dict.fromkeys(curve.weather for curve in curves)
     shown = [(budget, weather) for budget in curves[0].loads for weather in weathers]
+    legend = _legend(reference)
     with mpl.rc_context({**RC, "svg.hashsalt": "costs"}):
         figure = Figure()
         panels = column_panels(
             figure,
             [_PANEL_IN] * len(shown),
-            legend=_legend(reference),
+            legend=legend,
             x_label="processor time per second of the run (s/s)",
             top_in=_ABOVE_IN,
         )
