@@ -1,4 +1,4 @@
-"""The command `transport compare`."""
+"""Command `transport compare`: recorded runs in a table and in figures."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The command `transport`: the tables of its commands, and what it answers without one."""
+"""Command `transport`: the tables of its commands, and its answer without one."""
 
 from importlib import metadata
 

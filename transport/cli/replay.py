@@ -78,7 +78,7 @@ class ReplayOptions:
 
     @property
     def is_changed(self) -> bool:
-        """Whether the controller is not the recorded one, so that plans may differ."""
+        """True if the controller is not the recorded one, so that plans may differ."""
         return bool(self.settings or self.against)
 
 

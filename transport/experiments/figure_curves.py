@@ -106,12 +106,12 @@ class _Abscissa:
 
     @property
     def is_few(self) -> bool:
-        """Whether every value has a tick."""
+        """True if every value has a tick."""
         return len(self.values) <= _MOST_TICKS
 
     @property
     def is_joined(self) -> bool:
-        """Whether the points of a curve are joined by a line."""
+        """True if the points of a curve are joined by a line."""
         return self.is_few and not isinstance(self.values[0], str)
 
     @property

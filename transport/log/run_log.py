@@ -114,7 +114,7 @@ class LogTail:
 
     @property
     def ended(self) -> bool:
-        """Whether the data section has come to its proper end."""
+        """True once the data section has come to its proper end."""
         return self.parser.ended
 
     def read(self) -> list[Message]:
